@@ -11,9 +11,9 @@ The rooms and modules; each imports only from those above it:
     sandbox/        reads what strangers sent, in confined processes, one for each task
     opening         opens the job table and the storage that the settings name
     worker/         claims a job, has it encoded in the sandbox, publishes the bitstream
-    web/            the files of the page
     api/            the routes, what they answer, and the application around them
     checking        whether an installation can work
 
-`python -m service` is the command line. Only sandbox/tasks.py imports the encoder, and with two of its profiles torch.
+page/ has no Python: the files of the page. `python -m service` is the command line. Only sandbox/tasks.py imports the
+encoder, and with two of its profiles torch.
 """

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from service.jobs.job import JobTableError
 from service.logs import set_up_logging
@@ -38,20 +39,13 @@ def main() -> int:
         settings = Settings()
         set_up_logging()
     except ValidationError as error:
-        for fault in error.errors():
-            field = str(fault["loc"][0]) if fault["loc"] else ""
-            name = f"SG_{field}: ".upper() if field else ""
-            what = fault["msg"].removeprefix("Value error, ")
-            if fault["type"] == "string_pattern_mismatch":  # nobody should have to read a regular expression
-                what = f"not a value of this setting ({Settings.model_fields[field].description})"
-            print(f"{name}{what}", file=sys.stderr)
+        _warn(map(_fault_in_words, error.errors()))
         return BAD_SETTING
     except SgError as error:  # the kernels are missing, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
-    child = getattr(arguments, "supervisor", None) is not None  # of "serve", which has said it
-    for name in () if child else unknown_settings(os.environ):
-        print(f"{name} is not a setting of this service and has no effect", file=sys.stderr)
+    if getattr(arguments, "supervisor", None) is None:  # else "serve" has said it
+        _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
     except BrokenPipeError:  # of `check | head`: nobody reads the rest
@@ -63,6 +57,14 @@ def main() -> int:
         return TROUBLE
     except KeyboardInterrupt:
         return INTERRUPTED
+
+
+def _fault_in_words(fault: ErrorDetails) -> str:
+    field = str(fault["loc"][0]) if fault["loc"] else ""
+    what = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "string_pattern_mismatch":  # nobody should have to read a regular expression
+        what = f"not a value of this setting ({Settings.model_fields[field].description})"
+    return f"SG_{field.upper()}: {what}" if field else what
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -107,7 +109,7 @@ def _before_start(settings: Settings) -> list[str]:
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.api.server import run_web
+    from service.api.app import run_web
 
     absent = absent_layers()  # before there is a second thread
     if arguments.supervisor is not None:
@@ -143,9 +145,9 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
     from service.checking import check
 
     failures = 0
-    for result in check(settings):
-        print(f"{'ok    ' if result.passed else 'FAILED'}  {result.name}: {result.detail}", flush=True)
-        failures += not result.passed
+    for name, passed, detail in check(settings):
+        print(f"{'ok    ' if passed else 'FAILED'}  {name}: {detail}", flush=True)
+        failures += not passed
     return TROUBLE if failures else 0
 
 

@@ -7,7 +7,6 @@ import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -25,17 +24,10 @@ class CheckError(Exception):
     """One thing is not as it must be; one sentence."""
 
 
-@dataclass(frozen=True)
-class Check:
-    """How one check went. detail: what was found, or what is wrong."""
-
-    name: str
-    passed: bool
-    detail: str
-
-
-def check(settings: Settings) -> Iterator[Check]:
-    """All checks, one after the other; none raises."""
+def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
+    """All checks, one after the other; none raises. Of each its name, whether it passed, and what was found or is
+    wrong.
+    """
     checks: dict[str, Callable[[Settings], str]] = {
         "settings": _settings,
         "database": _database,
@@ -46,9 +38,9 @@ def check(settings: Settings) -> Iterator[Check]:
     }
     for name, run in checks.items():
         try:
-            yield Check(name, True, run(settings))
+            yield name, True, run(settings)
         except (CheckError, JobTableError, MissingPackagesError, SgError, OSError, ImportError) as error:
-            yield Check(name, False, str(error))
+            yield name, False, str(error)
 
 
 def _settings(settings: Settings) -> str:

@@ -27,7 +27,6 @@ MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
 LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the end is a date
 UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
-STALLED_LEASES = 4
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
@@ -181,14 +180,10 @@ class Settings(BaseSettings):
         return value.strip()
 
     @model_validator(mode="after")
-    def _keys_can_be_read(self) -> Settings:
+    def _secrets_are_good(self) -> Settings:
         _ = self.key_names
         if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
             raise ValueError(f"SG_LINK_SECRET must have at least {MIN_SECRET_LENGTH} characters")
-        return self
-
-    @model_validator(mode="after")
-    def _webhooks_are_signed(self) -> Settings:
         if self.webhook_urls and len(self.webhook_key) < MIN_WEBHOOK_KEY_BYTES:
             raise ValueError("SG_WEBHOOK_URLS needs SG_WEBHOOK_SECRET: whsec_ and at least 24 bytes in base64")
         return self
@@ -249,16 +244,6 @@ class Settings(BaseSettings):
     def min_free_bytes(self) -> int:
         """Bytes of free disk below which new jobs are refused."""
         return UPLOADS_OF_ROOM * self.max_upload_bytes
-
-    @property
-    def stall_s(self) -> float:
-        """Seconds that jobs wait without a sign of life from any worker before the service is not ready."""
-        return STALLED_LEASES * self.lease_s
-
-    @property
-    def decode_memory_bytes(self) -> int:
-        """Maximum bytes of memory per decode."""
-        return self.job_memory_bytes // 4
 
     @property
     def job_timeout_s(self) -> float:

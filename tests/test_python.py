@@ -18,7 +18,7 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import sgmethod
-from service.api.files import BITSTREAM_TYPE
+from service.api.requests import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
 from sgmethod.io.png import encode_png
 from sgmethod.profiles import PROFILES

@@ -34,7 +34,7 @@ from tests.harness.service import Service
 
 VICTIM = "127.0.0.2"
 AT_MOST = {"p99_ms": 1000, "web_mb": 400}
-FILE = ROOT / "service" / "web" / "static" / "samples" / "cat.sg"
+FILE = ROOT / "service" / "page" / "samples" / "cat.sg"
 # No worker runs: others' jobs may wait, and that they do is no trouble.
 SETTINGS: dict[str, Any] = {
     "queue_length": 1_000_000,

@@ -1,15 +1,21 @@
-"""The web application: its context, its routes, and what stands around them."""
+"""The web process: the application with its context, its routes and its middleware, behind uvicorn.
+
+Slow, crowded and malformed connections are the proxy's concern (docs/nginx.conf).
+"""
 
 from __future__ import annotations
 
 import asyncio
 import gc
 import logging
-from collections.abc import AsyncIterator, Callable
+import signal
+import socket
+from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import uvicorn
 from anyio import to_thread
 from fastapi import FastAPI, Security
 from fastapi.security import HTTPBearer
@@ -18,6 +24,7 @@ from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from service.api.cache import PictureCache
 from service.api.callers import Gate
 from service.api.context import Context
 from service.api.health import VERSION
@@ -25,16 +32,15 @@ from service.api.metrics import Metrics
 from service.api.middleware import BodyLimit, RequestLog
 from service.api.problems import install_problem_handlers
 from service.api.routes import add_routes
-from service.api.tasks import ClientTasks
-from service.api.turns import Streams, Turns
-from service.api.views import PictureCache
+from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
 from service.process.loops import survived
+from service.process.supervisor import BACKLOG
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 
-STATIC = Path(__file__).parents[1] / "web" / "static"
+STATIC = Path(__file__).parents[1] / "page"
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -43,6 +49,7 @@ FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY = 4
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
+KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
 
 log = logging.getLogger(__name__)
 
@@ -100,11 +107,36 @@ def _version_of(path: Path) -> tuple[int, int, int] | None:
     return found.st_ctime_ns, found.st_ino, found.st_size
 
 
-def create_app(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: Callable[[], bool]) -> ASGIApp:
-    """The application with its middleware, ready for a server; stopping: whether the server is to stop.
+def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
+    """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
 
+    absent: layers that the sandbox lacks. listen is asked for the socket once the application has all that it needs: so
+    its callers can rely on that.
     Raises JobTableError, MissingPackagesError, OSError.
     """
+    config = uvicorn.Config(
+        _application(settings, sandbox, Metrics(absent), lambda: server.should_exit),
+        ws="none",
+        log_config=None,
+        access_log=False,
+        backlog=BACKLOG,
+        server_header=False,
+        root_path=settings.root_path,
+        proxy_headers=bool(settings.trusted_proxies),
+        forwarded_allow_ips=settings.trusted_proxies,
+        timeout_keep_alive=KEEP_ALIVE_S,
+        timeout_graceful_shutdown=max(1, int(settings.stop_grace_s / 2)),
+    )
+    server = uvicorn.Server(config)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        # These handlers hold until uvicorn sets its own, and again when it has stopped and raises the signal once
+        # more. An end that was asked for is no failure.
+        signal.signal(number, server.handle_exit)
+    server.run(sockets=[listen()])
+
+
+def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: Callable[[], bool]) -> ASGIApp:
+    """The application with its middleware; stopping: whether the server is to stop."""
     app = FastAPI(
         title="sgmethod",
         version=VERSION,
@@ -126,7 +158,6 @@ def create_app(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping:
         KeyRing(settings.key_names),
         metrics,
     )
-    context.metrics.watch(context.streams)
     install_problem_handlers(app)
     # The gate does the work; this is how the document says so.
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])

@@ -14,6 +14,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.problems import ProblemError, refused
+from service.api.requests import header_line
 from service.keys import KeyRing, Link
 from service.settings import Settings
 
@@ -51,14 +52,6 @@ def address_of(peer: Sequence[object] | None) -> str:
         mapped = address.ipv4_mapped
         address = mapped or ipaddress.ip_network((int(address), NETWORK_BITS), strict=False).network_address
     return UNKNOWN if address is None else str(address)
-
-
-def header_line(headers: Headers, name: str) -> str | None:
-    """All lines of a header as one (RFC 9110, 5.3); None without any. Where one value alone is allowed, several are
-    none.
-    """
-    lines = headers.getlist(name)
-    return ", ".join(lines) if lines else None
 
 
 def _name_in(host: str) -> str:

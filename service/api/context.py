@@ -11,12 +11,11 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Request
 from fastapi import Path as PathParameter
 
+from service.api.cache import PictureCache
 from service.api.callers import Caller
 from service.api.metrics import Metrics
 from service.api.problems import ProblemError
-from service.api.tasks import ClientTasks
-from service.api.turns import Streams, Turns
-from service.api.views import PictureCache
+from service.api.turns import ClientTasks, Streams, Turns
 from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
 from service.keys import KeyRing

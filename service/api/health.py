@@ -19,6 +19,7 @@ from service.jobs.job import Census, JobTableError
 log = logging.getLogger(__name__)
 
 VERSION = version("sgmethod")
+STALLED_LEASES = 4  # for which jobs may wait without a sign of life from any worker
 PATIENCE_S = 2.0  # a table that takes longer is no better than none
 
 
@@ -37,7 +38,7 @@ async def ready(context: UseContext) -> models.HealthView:
         raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
     if census.waiting_s is not None:
         stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
-        if stalled_s > context.settings.stall_s:
+        if stalled_s > STALLED_LEASES * context.settings.lease_s:
             detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
     return models.HealthView(status="ok", version=VERSION)
@@ -45,11 +46,12 @@ async def ready(context: UseContext) -> models.HealthView:
 
 async def metrics(context: UseContext) -> Response:
     """Metrics in Prometheus' text format."""
-    context.metrics.observe(await _census(context))
+    census = await _census(context)
     with suppress(ProblemError):
         context.metrics.free_bytes.set(await _free_bytes(context))
     context.metrics.cache_bytes.set(context.pictures.bytes)
-    return Response(context.metrics.text(), media_type=CONTENT_TYPE_LATEST)
+    context.metrics.streams.set(context.streams.open)
+    return Response(context.metrics.text(census), media_type=CONTENT_TYPE_LATEST)
 
 
 async def _census(context: Context) -> Census | None:
@@ -62,16 +64,16 @@ async def _census(context: Context) -> Census | None:
 
 
 async def _free_bytes(context: Context) -> float:
-    """Room that is left in the storage. Raises ProblemError 503 if it does not answer."""
+    """Bytes that still fit into the storage. Raises ProblemError 503 if it does not answer."""
+
+    def ask() -> int | None:
+        context.storage.check()
+        return context.storage.free_bytes()
+
     try:
         with fail_after(PATIENCE_S):
-            return await to_thread.run_sync(_room, context, limiter=context.watching, abandon_on_cancel=True)
+            free_bytes = await to_thread.run_sync(ask, limiter=context.watching, abandon_on_cancel=True)
     except (OSError, TimeoutError) as error:
         log.error("the storage is not responding: %r", error)
         raise ProblemError(503, "the storage is not responding", reason="storage") from error
-
-
-def _room(context: Context) -> float:
-    context.storage.check()
-    free_bytes = context.storage.free_bytes()
     return math.inf if free_bytes is None else free_bytes

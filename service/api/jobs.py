@@ -1,22 +1,32 @@
-"""Jobs: looked at, listed, linked to, stopped, removed."""
+"""Jobs: looked at, listed, waited for, followed, linked to, stopped, removed."""
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import time
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import Query, Response
+from anyio import to_thread
+from fastapi import Depends, Query, Request, Response
+from fastapi.sse import ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.api import models
-from service.api.context import KnownJob, UseCaller, UseContext, no_such_job
-from service.api.files import NEVER_STORED
+from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
 from service.api.problems import ProblemError
-from service.jobs.job import JobState
+from service.api.requests import NEVER_STORED, while_client_waits
+from service.jobs.job import FINAL_STATES, Job, JobState, JobTableError
 from service.keys import Link
 from service.storage.files import source_key
 
+log = logging.getLogger(__name__)
+
 LONGEST_LINK_S = 7 * 86_400
+EVENTS_POLL_S = 0.5  # workers write progress down as often
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # a small picture takes less than the latter; it is for those who wait for long
 
 
 class PageQuery(BaseModel):
@@ -56,6 +66,81 @@ def jobs(
     return models.JobPage(jobs=[models.summary(job, settings) for job in page[:limit]], next=older)
 
 
+async def job_within(request: Request, job: Job, seconds: int, context: Context) -> Job | None:
+    """The job once it has ended, None if it has not in time. Raises ProblemError 409 if it is removed meanwhile."""
+    if context.streams.full:  # too many wait already
+        return None
+    with context.streams.one():
+        return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
+
+
+async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
+    pause_s = FIRST_POLL_S
+    while job.state not in FINAL_STATES:
+        pause_s = min(1.1 * pause_s, POLL_S)
+        await asyncio.sleep(pause_s)
+        if time.monotonic() >= deadline or context.stopping():
+            return None
+        seen = await to_thread.run_sync(context.table.get, job.id)
+        if seen is None:
+            raise ProblemError(409, "the job was removed before it was done")
+        job = seen
+    return job
+
+
+async def _one_stream(context: UseContext) -> AsyncIterator[None]:
+    """One of the places for streams, until the stream ends. Raises ProblemError 503."""
+    with context.streams.one():
+        yield
+
+
+StreamPlace = Annotated[None, Depends(_one_stream)]
+
+
+# The place comes first: too many streams are refused before a job is looked up.
+async def events(_place: StreamPlace, job: KnownJob, context: UseContext) -> AsyncIterator[ServerSentEvent]:
+    """Server-sent events: "state" with the job whenever it changes, "trace" with new points and the progress, and
+    finally "done" or "failed" with the job, or "removed".
+
+    Every stream starts from the beginning, so after a broken connection simply open a new one. A new attempt starts
+    a new trace.
+    """
+    try:
+        async for event in _story(job, context):
+            yield event
+    except JobTableError as error:
+        log.error("an event stream ended early: %s", error)
+
+
+async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
+    last: models.JobSummary | None = None
+    attempt, sent, progress = 0, 0, 0.0
+    while True:
+        summary = models.summary(job, context.settings)
+        if summary != last:
+            yield ServerSentEvent(event="state", data=summary)
+            last = summary
+        if job.attempt != attempt:
+            attempt, sent = job.attempt, 0
+        points = await to_thread.run_sync(context.table.trace, job.id, sent)
+        if points:
+            sent += len(points)
+            progress = max(progress, models.progress(points))
+            trace = models.TraceView(progress=progress, trace=models.thinned(points))
+            yield ServerSentEvent(event="trace", data=trace)
+        if job.state in FINAL_STATES:
+            yield ServerSentEvent(event=job.state, data=summary)
+            return
+        await asyncio.sleep(EVENTS_POLL_S)
+        if context.stopping():
+            return
+        seen = await to_thread.run_sync(context.table.get, job.id)
+        if seen is None:
+            yield ServerSentEvent(event="removed", data={})
+            return
+        job = seen
+
+
 def links(
     job: KnownJob, context: UseContext, response: Response, query: Annotated[LinksQuery, Query()]
 ) -> models.LinksView:
@@ -66,7 +151,12 @@ def links(
         raise ProblemError(404, "links are not enabled on this server")
     expires = int(time.time()) + query.expires_s
     picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
-    return models.links(job, picture, bitstream, expires, context.settings)
+    known = models.accepted(job, context.settings)
+    return models.LinksView(
+        decode_url=f"{known.decode_url}?{picture}",
+        bitstream_url=f"{known.bitstream_url}?{bitstream}",
+        expires_at=datetime.fromtimestamp(expires, UTC),
+    )
 
 
 def stop(job: KnownJob, context: UseContext, response: Response) -> models.AcceptedView:

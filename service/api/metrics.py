@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import accumulate
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 from starlette.types import Scope
 
 from service.api.problems import REFUSAL
-from service.api.turns import Streams
 from service.jobs import endings
 from service.jobs.job import Census
 from service.process.loops import failures
@@ -22,30 +21,62 @@ METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"}
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
 
 
-class _Totals(Collector):
-    """What the job table counts, of all workers and web processes together."""
+def _gauges(name: str, words: str, label: str, values: Iterable[tuple[str, float]]) -> Metric:
+    """One figure for each value of a label."""
+    family = GaugeMetricFamily(name, words, labels=[label])
+    for which, value in values:
+        family.add_metric([which], value)
+    return family
+
+
+class _TableFigures(Collector):
+    """What the job table tells of all workers and web processes together. census: None if it does not answer."""
 
     def __init__(self) -> None:
-        self.so_far: Mapping[str, float] = {}
+        self.census: Census | None = None
 
     def collect(self) -> Iterator[Metric]:
-        for ending in endings.ENDINGS:
-            words = f"Jobs {ending}, since the job table was made."
-            yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, self.so_far.get(ending, 0.0))
-        names = [str(most).replace("inf", "+Inf") for most in endings.BUCKETS_S]
-        numbers = accumulate(self.so_far.get(endings.bucket(most), 0.0) for most in endings.BUCKETS_S)
-        yield HistogramMetricFamily(
-            "sgmethod_encode_seconds",
-            "From the claim of a job to its file.",
-            buckets=[*zip(names, numbers, strict=True)],
-            sum_value=self.so_far.get(endings.SECONDS, 0.0),
-        )
+        census = self.census
+        yield GaugeMetricFamily("sgmethod_job_table_up", "Whether the job table answers.", census is not None)
+        failed = "Failures of background work that nobody foresaw, since the process started."
+        by_process = {"web": failures.total(), **(census.failures if census else {})}
+        yield _gauges("sgmethod_background_failures", failed, "process", by_process.items())
+        if census is None:
+            return
+        yield _gauges("sgmethod_jobs", "Jobs in the table.", "state", census.jobs.items())
+        seen = "Since the last sign of life of a worker, which gives one every 2 s."
+        since = {worker: max(0.0, seconds) for worker, seconds in census.workers.items()}
+        yield _gauges("sgmethod_worker_seen_seconds", seen, "worker", since.items())
+        waited = "Since the job ended whose webhook has been waiting for longest."
+        for name, words, value in (
+            ("stored_bytes", "Bytes of images and bitstreams.", census.stored_bytes),
+            ("oldest_job_waits_seconds", "Age of the oldest queued job.", census.waiting_s or 0.0),
+            ("workers_silent_seconds", "Since any worker was heard from.", max(0.0, census.silent_s or 0.0)),
+            ("webhooks_waiting", "Webhooks to be delivered.", census.notices),
+            ("oldest_webhook_waits_seconds", waited, max(0.0, census.notice_waits_s)),
+        ):
+            yield GaugeMetricFamily(f"sgmethod_{name}", words, value)
+        yield from _totals(census.totals)
+
+
+def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
+    for ending in endings.ENDINGS:
+        words = f"Jobs {ending}, since the job table was made."
+        yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, so_far.get(ending, 0.0))
+    names = [str(most).replace("inf", "+Inf") for most in endings.BUCKETS_S]
+    numbers = accumulate(so_far.get(endings.bucket(most), 0.0) for most in endings.BUCKETS_S)
+    yield HistogramMetricFamily(
+        "sgmethod_encode_seconds",
+        "From the claim of a job to its file.",
+        buckets=[*zip(names, numbers, strict=True)],
+        sum_value=so_far.get(endings.SECONDS, 0.0),
+    )
 
 
 class Metrics:
-    """The figures of one web process, and of the job table."""
+    """The figures of one web process, and of the job table. absent: layers of the sandbox that the system lacks."""
 
-    def __init__(self) -> None:
+    def __init__(self, absent: Collection[str] = ()) -> None:
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         names = ("method", "route", "status")
@@ -58,7 +89,7 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
-        self._streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
+        self.streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
         self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
@@ -71,31 +102,12 @@ class Metrics:
         self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
         self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
         self.free_bytes = Gauge("sgmethod_free_bytes", "Room that is left in the data folder.", registry=registry)
-        self._stored = Gauge("sgmethod_stored_bytes", "Bytes of images and bitstreams.", registry=registry)
-        self._jobs = Gauge("sgmethod_jobs", "Jobs in the table.", ("state",), registry=registry)
-        self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
-        self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
-        seen = "Since the last sign of life of a worker, which gives one every 2 s."
-        self._workers = Gauge("sgmethod_worker_seen_seconds", seen, ("worker",), registry=registry)
-        failed = "Failures of background work that nobody foresaw, since the process started."
-        self._failures = Gauge("sgmethod_background_failures", failed, ("process",), registry=registry)
-        self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
-        waits = "Since the job ended whose webhook has been waiting for longest."
-        self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
         layer = "Whether a layer of the sandbox holds."
-        self._layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)
-        self._totals = _Totals()
-        registry.register(self._totals)
-        self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
-
-    def show_layers(self, absent: Collection[str]) -> None:
-        """Show which layers of the sandbox the system does not offer."""
-        for layer in LAYERS:
-            self._layers.labels(layer).set(layer not in absent)
-
-    def watch(self, streams: Streams) -> None:
-        """Show how many are open."""
-        self._streams.set_function(lambda: streams.open)
+        layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)
+        for name in LAYERS:
+            layers.labels(name).set(name not in absent)
+        self._table = _TableFigures()
+        registry.register(self._table)
 
     def note(self, scope: Scope, status: int, seconds: float) -> None:
         """Count a request whose answer begins, by the route that took it."""
@@ -116,26 +128,7 @@ class Metrics:
         if owner is not None:
             self.key_jobs.labels(owner).inc()
 
-    def observe(self, census: Census | None) -> None:
-        """Take over the job table's figures; None if it does not answer."""
-        self._table.set(census is not None)
-        self._failures.clear()
-        for process, count in {"web": failures.total(), **(census.failures if census else {})}.items():
-            self._failures.labels(process).set(count)
-        if census is None:
-            return
-        self._totals.so_far = census.totals
-        self._workers.clear()
-        for worker, seconds in census.workers.items():
-            self._workers.labels(worker).set(max(0.0, seconds))
-        for state, count in census.jobs.items():
-            self._jobs.labels(state).set(count)
-        self._stored.set(census.stored_bytes)
-        self._waiting.set(census.waiting_s or 0.0)
-        self._notices.set(census.notices)
-        self._notice_waits.set(max(0.0, census.notice_waits_s))
-        self._silence.set(max(0.0, census.silent_s or 0.0))
-
-    def text(self) -> bytes:
-        """Everything, in Prometheus's text format."""
+    def text(self, census: Census | None) -> bytes:
+        """Everything, in Prometheus's text format. census: the job table's figures, None if it does not answer."""
+        self._table.census = census
         return generate_latest(self._registry)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.jobs.job import Job, JobState, JsonObject, Priority
-from service.sandbox.frames import PreviewFigures
+from service.jobs.job import Job, JobError, JobState, JsonObject, Priority
 from service.settings import Settings
 
 # Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
@@ -25,15 +24,11 @@ MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and aga
 Figure = float | int | str | None
 
 EXAMPLE_ID = "5f1c0e9ab0d4467f8a3d2b6c7e8f9012"
-EXAMPLE_ACCEPTED = {
+EXAMPLE_JOB: dict[str, Any] = {
     "id": EXAMPLE_ID,
     "status_url": f"/jobs/{EXAMPLE_ID}",
     "decode_url": f"/decode/{EXAMPLE_ID}.png",
     "bitstream_url": f"/bitstreams/{EXAMPLE_ID}.sg",
-}
-EXAMPLE_POINT = {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bytes": 12288, "gaussians": 1200}
-EXAMPLE_SUMMARY: dict[str, Any] = {
-    **EXAMPLE_ACCEPTED,
     "state": "running",
     "position": None,
     "budget": {"kind": "bpp", "value": 0.3},
@@ -52,27 +47,15 @@ EXAMPLE_SUMMARY: dict[str, Any] = {
     "result": None,
     "notes": [],
     "error": None,
+    "progress": 0.06,
+    "trace": [
+        {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bytes": 12288, "gaussians": 1200, "phase": "fit"}
+    ],
 }
-EXAMPLE_TRACE = {"progress": 0.06, "trace": [{**EXAMPLE_POINT, "phase": "fit"}]}
-
-
-EXAMPLE_PREVIEW = {
-    "text": "woMQtjRiDiYJEwCUUeehgKV_5UkIqTnuzptoNyvAPCDfXzxwoLw3ixinHIvg0gIR-MkWNBXhPhxJVW-3Ad8",
-    "width": 4032,
-    "height": 3024,
-    "color": "#644138",
-    "dark": True,
-}
-
-
-def _example(value: dict[str, Any]) -> ConfigDict:
-    return ConfigDict(json_schema_extra={"examples": [value]})
 
 
 class AcceptedView(BaseModel):
     """The answer to POST /encode."""
-
-    model_config = _example(EXAMPLE_ACCEPTED)
 
     id: str = Field(description="32 hexadecimal digits; anyone who knows them can read the job")
     status_url: str
@@ -96,17 +79,8 @@ class ImageView(BaseModel):
     bytes: int
 
 
-class ErrorView(BaseModel):
-    """Why a job failed."""
-
-    code: str = Field(description='"refused" (by the codec), "crashed" or "timed_out"')
-    detail: str
-
-
 class JobSummary(AcceptedView):
     """A job without its trace."""
-
-    model_config = _example(EXAMPLE_SUMMARY)
 
     state: JobState
     position: int | None = Field(description="position in the queue, from 1, while queued")
@@ -128,13 +102,11 @@ class JobSummary(AcceptedView):
         "than its source, and a file without Gaussians"
     )
     notes: list[str] = Field(description="what was dropped from the image, once done")
-    error: ErrorView | None = Field(description="once failed")
+    error: JobError | None = Field(description="once failed")
 
 
 class TraceView(BaseModel):
     """The trace of the fit, or its new points."""
-
-    model_config = _example(EXAMPLE_TRACE)
 
     progress: float = Field(description="estimated progress, 0 to 1; never decreases")
     trace: list[dict[str, Figure]] = Field(
@@ -146,7 +118,7 @@ class TraceView(BaseModel):
 class JobView(TraceView, JobSummary):
     """A job with its trace."""
 
-    model_config = _example({**EXAMPLE_SUMMARY, **EXAMPLE_TRACE})
+    model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE_JOB]})
 
 
 class JobPage(BaseModel):
@@ -164,12 +136,6 @@ class LinksView(BaseModel):
     expires_at: datetime
 
 
-class PreviewView(PreviewFigures):
-    """The answer to POST /preview."""
-
-    model_config = _example(EXAMPLE_PREVIEW)
-
-
 class HealthView(BaseModel):
     """The web process answers."""
 
@@ -177,80 +143,49 @@ class HealthView(BaseModel):
     version: str
 
 
-def _time(seconds: float | None) -> datetime | None:
-    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
-
-
-def urls(job_id: str, settings: Settings) -> dict[str, str]:
-    """Where a job's resources are, on this host."""
-    return {
-        "status_url": f"{settings.root_path}/jobs/{job_id}",
-        "decode_url": f"{settings.root_path}/decode/{job_id}.png",
-        "bitstream_url": f"{settings.root_path}/bitstreams/{job_id}.sg",
-    }
-
-
 def accepted(job: Job, settings: Settings) -> AcceptedView:
-    """The answer to an accepted job."""
-    return AcceptedView(id=job.id, **urls(job.id, settings))
+    """The job's id, and where its resources are on this host."""
+    return AcceptedView(
+        id=job.id,
+        status_url=f"{settings.root_path}/jobs/{job.id}",
+        decode_url=f"{settings.root_path}/decode/{job.id}.png",
+        bitstream_url=f"{settings.root_path}/bitstreams/{job.id}.sg",
+    )
 
 
-def expires_at(job: Job, settings: Settings) -> datetime | None:
-    """When the job is removed; None while that is not known, or never."""
+def expires_at(job: Job, settings: Settings) -> float | None:
+    """When the job is removed, in seconds since 1970; None while that is not known, or never."""
     kept_s = settings.retention_s
-    return _time(job.finished_at + kept_s) if job.finished_at is not None and kept_s else None
+    return job.finished_at + kept_s if job.finished_at is not None and kept_s else None
 
 
 def summary(job: Job, settings: Settings) -> JobSummary:
     """The job without its trace."""
-    request, image, stats = job.request, job.image, job.result.stats if job.result else {}
-    return JobSummary(
-        id=job.id,
-        **urls(job.id, settings),
-        state=job.state,
-        position=job.position,
-        budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
-        profile=request.profile,
-        tune=request.tune,
-        effort=request.effort,
-        time_limit_s=request.time_limit_s,
-        priority=job.priority,
-        image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
-        attempt=job.attempt,
-        created_at=datetime.fromtimestamp(job.created_at, UTC),
-        started_at=_time(job.started_at),
-        finished_at=_time(job.finished_at),
-        expires_at=expires_at(job, settings),
-        image_expires_at=None if job.finished_at is None else _time(job.finished_at + settings.source_retention_s),
-        result={name: value for name, value in stats.items() if name != "notes"} if job.result else None,
-        notes=stats.get("notes", []),
-        # A queued job can carry the error of its last crash, which is no concern of the client's yet.
-        error=ErrorView(code=job.error.code, detail=job.error.detail) if job.error and job.state == "failed" else None,
-    )
-
-
-def links(job: Job, decode_query: str, bitstream_query: str, expires: int, settings: Settings) -> LinksView:
-    """The job's URLs with the queries that make them links, until a time in seconds since 1970."""
-    where = urls(job.id, settings)
-    return LinksView(
-        decode_url=f"{where['decode_url']}?{decode_query}",
-        bitstream_url=f"{where['bitstream_url']}?{bitstream_query}",
-        expires_at=datetime.fromtimestamp(expires, UTC),
-    )
+    return JobSummary.model_validate(_members(job, settings))
 
 
 def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
     """The job and how its fit went so far."""
-    return JobView(
-        **summary(job, settings).model_dump(),
-        progress=1.0 if job.state == "done" else progress(trace),
-        trace=[dict(point) for point in _thinned(trace)],
-    )
+    done = 1.0 if job.state == "done" else progress(trace)
+    return JobView.model_validate({**_members(job, settings), "progress": done, "trace": thinned(trace)})
 
 
-def new_points(points: Sequence[JsonObject], progress: float) -> TraceView:
-    """Points that have come since the last ones."""
-    return TraceView(progress=progress, trace=[dict(point) for point in _thinned(points)])
+def _members(job: Job, settings: Settings) -> JsonObject:
+    """The members of a summary; pydantic makes times of seconds."""
+    request, image, stats = job.request, job.image, job.result.stats if job.result else {}
+    return {
+        **vars(request),
+        **vars(job),
+        **vars(accepted(job, settings)),
+        "budget": BudgetView(kind=request.budget_kind, value=request.budget_value),
+        "image": ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
+        "expires_at": expires_at(job, settings),
+        "image_expires_at": None if job.finished_at is None else job.finished_at + settings.source_retention_s,
+        "result": {name: value for name, value in stats.items() if name != "notes"} if job.result else None,
+        "notes": stats.get("notes", []),
+        # A queued job can carry the error of its last crash, which is no concern of the client's yet.
+        "error": job.error if job.state == "failed" else None,
+    }
 
 
 def progress(trace: Sequence[JsonObject]) -> float:
@@ -264,9 +199,10 @@ def _progress(point: JsonObject) -> float:
     return begin + (end - begin) * min(1.0, share)
 
 
-def _thinned(trace: Sequence[JsonObject]) -> Sequence[JsonObject]:
+def thinned(trace: Sequence[JsonObject]) -> list[dict[str, Figure]]:
     """At most MAX_TRACE_POINTS of the points, evenly spread, with the first and the last."""
     last = len(trace) - 1
-    if last < MAX_TRACE_POINTS:
-        return trace
-    return [trace[last * place // (MAX_TRACE_POINTS - 1)] for place in range(MAX_TRACE_POINTS)]
+    chosen = trace
+    if last >= MAX_TRACE_POINTS:
+        chosen = [trace[last * place // (MAX_TRACE_POINTS - 1)] for place in range(MAX_TRACE_POINTS)]
+    return [dict(point) for point in chosen]

@@ -8,43 +8,48 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 from pydantic.json_schema import SkipJsonSchema
-from starlette.datastructures import UploadFile
 
 from service.api.problems import ProblemError
 from service.jobs.job import PRIORITIES, EncodeRequest, Priority, SourceImage
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
-from sgmethod.errors import BudgetError
 from sgmethod.metrics.looks import SMALLEST_SIDE
 from sgmethod.profiles import (
     DEFAULT_EFFORT,
     DEFAULT_PROFILE,
     EFFORTS,
     PROFILE_NAMES,
-    PROFILES,
     TUNES,
     checked_effort,
+    checked_profile,
     settings_of,
     tuning,
 )
+from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 
-IMAGE_FIELD = "image"  # of the form, and none of the model
-CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES}
 # Stricter than float(), which also takes "1_0", "nan" and spaces around.
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
 
 def _number(text: str, info: ValidationInfo) -> float:
     if _NUMBER.fullmatch(text) is None:
-        raise ValueError(f"{info.field_name} must be a number, got {text!r}")
+        raise ProblemError(422, f"{info.field_name} must be a number, got {text!r}")
     return float(text)
 
 
@@ -52,19 +57,9 @@ def _looks(text: str, info: ValidationInfo) -> float:
     return LOOKS[text] if text in LOOKS else _number(text, info)
 
 
-def _choice(text: str, info: ValidationInfo) -> str:
-    name = info.field_name or ""
-    if text not in CHOICES[name]:
-        raise ValueError(f"unknown {name} {text!r}; use one of {', '.join(CHOICES[name])}")
-    return text
-
-
 def _effort(text: str, info: ValidationInfo) -> int:
     number = _number(text, info)
-    try:
-        return checked_effort(int(number) if number.is_integer() else number)
-    except BudgetError as error:
-        raise ValueError(str(error)) from error
+    return checked_effort(int(number) if number.is_integer() else number)
 
 
 def _positive(description: str, example: float) -> Any:
@@ -75,17 +70,11 @@ def _positive(description: str, example: float) -> Any:
 Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
-@dataclass(frozen=True)
-class CheckedOptions:
-    """What a client asks for, checked and complete. has_budget: a budget was given, and not the default taken."""
-
-    request: EncodeRequest
-    priority: Priority
-    has_budget: bool = True
-
-
 class EncodeOptions(BaseModel):
-    """The options. Give at most one budget; the default is 0.3 bits per pixel."""
+    """The options. Give at most one budget; the default is 0.3 bits per pixel.
+
+    Raises ValidationError, BudgetError, or ProblemError 422.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -97,7 +86,7 @@ class EncodeOptions(BaseModel):
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
     quality: Number = _positive("budget: round everything this finely, above 0 and up to 100; profile rd only", 50)
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
-    profile: Annotated[str, BeforeValidator(_choice)] = Field(
+    profile: Annotated[str, AfterValidator(checked_profile)] = Field(
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
     )
     tune: str | SkipJsonSchema[None] = Field(
@@ -110,42 +99,54 @@ class EncodeOptions(BaseModel):
         description=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file; profile rd only",
     )
     time_limit_s: Number = _positive("time limit in seconds (default: the longest that the service allows)", 60)
-    priority: Annotated[Priority, BeforeValidator(_choice)] = Field(
-        default=PRIORITIES[0], description="interactive jobs run before bulk jobs"
-    )
+    priority: Priority = Field(default=PRIORITIES[0], description="interactive jobs run before bulk jobs")
 
     @model_validator(mode="after")
-    def _within_one_budget(self) -> EncodeOptions:
+    def _one_budget(self) -> EncodeOptions:
         given = [kind for kind in BUDGET_KINDS if getattr(self, kind) is not None]
         if len(given) > 1:
-            raise ValueError(f"give one of {', '.join(BUDGET_KINDS)}; got {len(given)}")
-        try:
-            _ = self.budget
-        except BudgetError as error:
-            raise ValueError(str(error)) from error
+            raise ProblemError(422, f"give one of {', '.join(BUDGET_KINDS)}; got {len(given)}")
+        _ = self.budget
         return self
 
     @property
     def budget(self) -> Budget:
-        """The one that is given, or the one unasked."""
+        """The one that is given, or the one unasked. Raises BudgetError."""
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
-    def checked(self, longest_s: float) -> CheckedOptions:
-        """All of it. longest_s: how long an encode may take, and does unasked, in seconds. Raises ProblemError 422."""
+    def request(self, image: SourceImage, longest_s: float) -> EncodeRequest:
+        """What the encoder is asked for. longest_s: how long an encode may take, and does unasked, in seconds.
+
+        Raises BudgetError or ProblemError 422 if no file of the image could come of it.
+        """
         seconds = longest_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
-        try:
-            tune = tuning(self.tune, self.profile, self.budget)
-            settings = settings_of(self.profile, self.effort)
-        except BudgetError as error:
-            raise ProblemError(422, str(error)) from error
+        tune = tuning(self.tune, self.profile, self.budget)
+        settings = settings_of(self.profile, self.effort)
         if not isinstance(settings, RdSettings) and find_spec("torch") is None:
             raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
-        budget = self.budget
-        request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
-        return CheckedOptions(request, self.priority, budget is not DEFAULT_BUDGET)
+        budget = self._feasible_budget(settings, image)
+        return EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
+
+    def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
+        """The budget; the one unasked is raised to the smallest file of a tiny image."""
+        budget, pixels = self.budget, image.width * image.height
+        if budget is DEFAULT_BUDGET:
+            return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
+        if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
+            detail = f"profile {self.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
+            raise ProblemError(422, detail)
+        if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
+            raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
+        if budget.kind == "gaussians" and budget.value > pixels:
+            raise ProblemError(422, f"{budget.value:.0f} Gaussians exceed the image's {pixels} pixels")
+        allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
+        if allowed is not None and allowed < least:
+            detail = f"a file of profile {self.profile} takes at least {least} bytes, the budget is {allowed}"
+            raise ProblemError(422, detail)
+        return budget
 
 
 OPTIONS = tuple(EncodeOptions.model_fields)
@@ -155,45 +156,18 @@ OPTION_SCHEMAS: dict[str, dict[str, Any]] = {
 }
 
 
-def read_options(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeOptions:
-    """The fields among what was given, from the query and the form alike. Raises ProblemError 422."""
+def read_options(fields: Iterable[tuple[str, str]]) -> EncodeOptions:
+    """The options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
     texts: dict[str, str] = {}
-    for name, value in given:
-        if name == IMAGE_FIELD:
-            raise ProblemError(422, f"{IMAGE_FIELD} is not accepted here: send it in the body of POST /encode")
+    for name, value in fields:
         if name in texts:
             raise ProblemError(422, f"the field {name} is given twice")
-        if name in OPTIONS and not isinstance(value, str):
-            raise ProblemError(422, f"the field {name} must be text, not a file")
-        texts[name] = str(value)
+        texts[name] = value
     try:
         return EncodeOptions.model_validate(texts)
     except ValidationError as error:
-        first = error.errors()[0]
-        if first["type"] == "extra_forbidden":
-            detail = f"unknown field {first['loc'][0]!r}; the fields are {IMAGE_FIELD}, {', '.join(OPTIONS)}"
-        else:
-            detail = str(first["ctx"]["error"])
-        raise ProblemError(422, detail) from error
-
-
-def feasible(checked: CheckedOptions, image: SourceImage) -> CheckedOptions:
-    """The same, with the default budget raised to the smallest file for a tiny image. Raises ProblemError 422 if no
-    file of the image meets the budget."""
-    request, settings = checked.request, PROFILES[checked.request.profile]
-    budget, pixels = Budget(request.budget_kind, request.budget_value), image.width * image.height
-    if not checked.has_budget:
-        budget = default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
-        return replace(checked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
-    if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
-        detail = f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
-        raise ProblemError(422, detail)
-    if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
-        raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
-    if budget.kind == "gaussians" and budget.value > pixels:
-        raise ProblemError(422, f"{budget.value:.0f} Gaussians exceed the image's {pixels} pixels")
-    allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
-    if allowed is not None and allowed < least:
-        detail = f"a file of profile {request.profile} takes at least {least} bytes, the budget is {allowed}"
-        raise ProblemError(422, detail)
-    return checked
+        fault = error.errors()[0]
+        field = fault["loc"][0]
+        if fault["type"] == "extra_forbidden":
+            raise ProblemError(422, f"unknown field {field!r}; the options are {', '.join(OPTIONS)}") from error
+        raise ProblemError(422, f"{field}: {fault['msg']}") from error

@@ -6,71 +6,117 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import re
 import time
 from collections.abc import Callable, Coroutine
-from email.utils import format_datetime
+from email.utils import formatdate
 from typing import Annotated, Any, BinaryIO
+from urllib.parse import quote
 
 from anyio import to_thread
 from fastapi import Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.api import models
-from service.api.context import Context, KnownJob, UseContext, no_such_job
-from service.api.files import BITSTREAM_TYPE, IMMUTABLE, NEVER_STORED, VARIES, accepted_format, not_modified
-from service.api.problems import RETRY_SOON_S, ProblemError
-from service.api.uploads import body_as_file
-from service.api.views import PictureQuery
-from service.api.waiting import while_client_waits
+from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
+from service.api.problems import RETRY_AFTER, ProblemError
+from service.api.requests import (
+    BITSTREAM_TYPE,
+    FORM_TYPE,
+    IMMUTABLE,
+    NEVER_STORED,
+    VARIES,
+    accepted_format,
+    body_as_file,
+    media_type,
+    not_modified,
+    while_client_waits,
+)
 from service.jobs.job import EncodeResult, Job
-from service.sandbox.client import RefusedError, TaskError
-from service.sandbox.pictures import MAX_SIDES, MEDIA_TYPES, Drawing, PictureFormat, Rival, RivalFormat
+from service.sandbox.client import RefusedError
+from service.sandbox.frames import PreviewFigures
+from service.sandbox.pictures import (
+    MAX_SIDES,
+    MEDIA_TYPES,
+    Drawing,
+    PictureFormat,
+    PictureOptions,
+    Rival,
+    RivalFormat,
+    matching,
+)
 from service.storage.files import bitstream_key, source_key
-from sgmethod.errors import BitstreamError, ViewError
+from sgmethod.errors import BitstreamError
 
 log = logging.getLogger(__name__)
 
 LATE_S = 60.0
 MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: a few kilobytes can hold millions of equal ones
+LEAST_PREVIEW_BYTES, MOST_PREVIEW_BYTES = 12, 4096
+# No slashes, control characters or ends of lines, and no dot first: systems hide such files.
+FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
+
+
+class PictureQuery(PictureOptions):
+    """The query parameters of a picture: what to draw, and a name to save it under."""
+
+    download: Annotated[
+        str | None,
+        matching(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
+        Field(json_schema_extra={"pattern": FILE_NAME}, description="file name to save the picture under"),
+    ] = None
+
+    def disposition(self) -> dict[str, str]:
+        """The header that makes a browser save the file; none without a name."""
+        if self.download is None:
+            return {}
+        plain = re.sub(r'[^ -~]|["\\%]', "_", self.download)
+        # Browsers take the name in full; the other is for clients that do not know it (RFC 6266, appendix D).
+        full = "" if plain == self.download else f"; filename*=UTF-8''{quote(self.download, safe='')}"
+        return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
+
+
+class PreviewQuery(BaseModel):
+    """How large a preview may be."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    bytes: int = Field(
+        default=200,
+        ge=LEAST_PREVIEW_BYTES,
+        le=MOST_PREVIEW_BYTES,
+        description="of the .sg file, 4 characters for 3",
+    )
 
 
 async def picture(
     job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
-    return await picture_answer(request, job, query, kind, context)
+    result = _result_of(job)
+    size = (int(result.stats["width"]), int(result.stats["height"]))
+    drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
+    headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
+
+    async def made() -> bytes:
+        with await to_thread.run_sync(_open_bitstream, context, job, result) as file:
+            try:
+                return await context.tasks.draw(request.state.caller.client, file, query, kind)
+            except RefusedError as error:
+                if error.kind is BitstreamError:
+                    raise _damaged(job, error) from error
+                raise
+
+    return await _remembered(request, context, headers, kind, made)
 
 
 async def picture_as_accepted(
     job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
-    answer = await picture_answer(request, job, query, accepted_format(request), context)
+    answer = await picture(job, accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
     return answer
-
-
-async def picture_answer(
-    request: Request, job: Job, query: PictureQuery, kind: PictureFormat, context: Context
-) -> Response:
-    """The picture of a job, from memory if it was asked for lately."""
-    result = _result_of(job)
-    size = (int(result.stats["width"]), int(result.stats["height"]))
-    try:
-        drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
-    except ViewError as error:
-        raise ProblemError(422, str(error)) from error
-    headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
-
-    async def made() -> bytes:
-        with await to_thread.run_sync(_open_bitstream, context, job, result) as bitstream:
-            try:
-                return await context.tasks.draw(request.state.caller.client, bitstream, query, kind)
-            except RefusedError as error:
-                if error.kind is BitstreamError:
-                    raise _damaged(job, error) from error
-                raise
-
-    return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
 
 
 async def _remembered(
@@ -80,12 +126,13 @@ async def _remembered(
     kind: PictureFormat,
     make: Callable[[], Coroutine[Any, Any, bytes]],
 ) -> Response:
-    """The picture file of an entity tag, from memory if it was asked for lately; simultaneous requests share one."""
+    """The picture file of an entity tag: not again for who has it, and from memory if it was asked for lately;
+    simultaneous requests share one.
+    """
+    if (answer := not_modified(request, headers)) is not None:
+        return answer
     context.metrics.cache.labels("yes" if headers["ETag"] in context.pictures else "no").inc()
-    try:
-        file = await while_client_waits(request, context.pictures.get_or_make(headers["ETag"], make))
-    except TaskError as error:
-        raise ProblemError(422, str(error)) from error
+    file = await while_client_waits(request, context.pictures.get_or_make(headers["ETag"], make))
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
@@ -102,20 +149,12 @@ async def picture_of_body_as(
     """Decode the bitstream in the body. Nothing is stored."""
     async with body_as_file(request) as upload:
         drawing = context.tasks.draw(request.state.caller.client, upload.file, query, kind, MAX_GAUSSIANS)
-        try:
-            file = await while_client_waits(request, drawing)
-        except TaskError as error:
-            raise ProblemError(422, str(error)) from error
+        file = await while_client_waits(request, drawing)
     return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
 
 async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Response:
     """The .sg file."""
-    return await bitstream_answer(request, job, context)
-
-
-async def bitstream_answer(request: Request, job: Job, context: Context) -> Response:
-    """The bitstream of a job."""
     result = _result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
@@ -128,7 +167,7 @@ async def bitstream_answer(request: Request, job: Job, context: Context) -> Resp
     return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
 
 
-async def preview(job: KnownJob, context: UseContext, request: Request) -> Response:
+async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -> Response:
     """A bitstream about as large as the final one, but coarser; the final one once the job is done. Profile rd updates
     it at most once a second; the other profiles have no preview.
     """
@@ -140,6 +179,23 @@ async def preview(job: KnownJob, context: UseContext, request: Request) -> Respo
         return Response(status_code=204, headers=headers)
     headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
     return not_modified(request, headers) or Response(data, headers=headers, media_type=BITSTREAM_TYPE)
+
+
+async def preview(
+    request: Request,
+    response: Response,
+    context: UseContext,
+    caller: UseCaller,
+    query: Annotated[PreviewQuery, Query()],
+) -> PreviewFigures:
+    """A text that a page shows until the image has loaded, with the image's size and average colour. The image is the
+    body. It is answered at once, without a job, within the limits of decodes. Nothing is stored.
+    """
+    if media_type(request) == FORM_TYPE:
+        raise ProblemError(415, "the body must be the image itself, not a form", headers={"Accept": "image/*"})
+    response.headers.update(NEVER_STORED)
+    async with body_as_file(request) as image:
+        return await while_client_waits(request, context.tasks.preview(caller.client, image, query.bytes))
 
 
 async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: Request) -> Response:
@@ -156,7 +212,7 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
         with await to_thread.run_sync(open_image, context, job) as image:
             return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
 
-    return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
+    return await _remembered(request, context, headers, kind, made)
 
 
 def open_image(context: Context, job: Job) -> BinaryIO:
@@ -202,7 +258,7 @@ def _late(stored_at: float | None) -> ProblemError | None:
     if stored_at is None or time.time() > stored_at + LATE_S:
         return None
     detail = "the storage does not have this file yet"
-    return ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S})
+    return ProblemError(503, detail, reason="storage", headers=RETRY_AFTER)
 
 
 def _damaged(job: Job, error: Exception) -> ProblemError:
@@ -213,4 +269,5 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
 def _kept(job: Job, context: Context) -> dict[str, str]:
     """How long clients may cache the file, and how long it is kept here."""
     expires = models.expires_at(job, context.settings)
-    return {"Cache-Control": IMMUTABLE, **({} if expires is None else {"Expires": format_datetime(expires, True)})}
+    until = {} if expires is None else {"Expires": formatdate(expires, usegmt=True)}
+    return {"Cache-Control": IMMUTABLE, **until}

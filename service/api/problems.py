@@ -16,6 +16,8 @@ from starlette.routing import Match
 
 from service.jobs.job import JobTableError
 from service.logs import log_seldom
+from service.sandbox.client import SandboxGoneError, TaskError
+from sgmethod.errors import BudgetError, ViewError
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +36,7 @@ PROBLEM: dict[str, Any] = {
     },
     "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
-RETRY_SOON_S = "5"
+RETRY_AFTER = {"Retry-After": "5"}  # seconds
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
     **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
@@ -73,40 +75,66 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
-def problem_document(problem: ProblemError) -> dict[str, Any]:
-    """The problem as JSON; extra members stand beside the standard ones."""
-    return {
-        "type": "about:blank",
-        "title": HTTPStatus(problem.status).phrase,
-        "status": problem.status,
-        "detail": problem.detail,
-        **problem.members,
-    }
-
-
-def problem_response(problem: ProblemError) -> JSONResponse:
-    """The problem as an answer."""
-    headers = {"Cache-Control": "no-store", **problem.headers}
-    return JSONResponse(problem_document(problem), problem.status, headers, media_type=MEDIA_TYPE)
-
-
 def refused(request: Request, problem: ProblemError) -> Response:
     """The problem as the answer to a request, whose state then holds the reason."""
     setattr(request.state, REFUSAL, problem.reason)
-    return problem_response(problem)
+    title = HTTPStatus(problem.status).phrase
+    document = {"type": "about:blank", "title": title, "status": problem.status, "detail": problem.detail}
+    headers = {"Cache-Control": "no-store", **problem.headers}
+    return JSONResponse({**document, **problem.members}, problem.status, headers, media_type=MEDIA_TYPE)
 
 
-async def _on_problem(request: Request, error: Exception) -> Response:
-    assert isinstance(error, ProblemError)
-    return refused(request, error)
+def install_problem_handlers(app: FastAPI) -> None:
+    """Make every error of the application a problem document."""
+    ours = (ProblemError, BudgetError, ViewError, TaskError, JobTableError)
+    for kind in (*ours, RequestValidationError, HTTPException, ClientDisconnect, OSError, Exception):
+        app.add_exception_handler(kind, _on_error)
 
 
-async def _on_http_exception(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    headers = dict(error.headers or {})
-    if error.status_code == 405:
-        headers["Allow"] = ", ".join(sorted(_allowed_methods(request)))
-    return refused(request, ProblemError(error.status_code, error.detail, headers=headers))
+async def _on_error(request: Request, error: Exception) -> Response:
+    return refused(request, _problem_of(request, error))
+
+
+def _problem_of(request: Request, error: Exception) -> ProblemError:
+    match error:
+        case ProblemError():
+            return error
+        case BudgetError() | ViewError() | TaskError():  # say what is wrong with what was asked for
+            return ProblemError(422, str(error))
+        case RequestValidationError():
+            return _invalid_parameters(error)
+        case HTTPException(status_code=405):
+            return ProblemError(405, error.detail, headers={"Allow": ", ".join(sorted(_allowed_methods(request)))})
+        case HTTPException():
+            return ProblemError(error.status_code, error.detail, headers=error.headers)
+        case ClientDisconnect():
+            return ProblemError(400, "the request ended before its body did", reason="cut")
+        case JobTableError():
+            return _unreachable("the job table", "table", error)
+        case SandboxGoneError():
+            return _unreachable("the sandbox", "sandbox", error)
+        case OSError():
+            return _unreachable("the storage", "storage", error)
+        case _:  # The server logs the traceback; the client learns nothing of the inside.
+            return ProblemError(500, "an error of the service; it has been logged")
+
+
+def _invalid_parameters(error: RequestValidationError) -> ProblemError:
+    if any(e["loc"][0] == "path" for e in error.errors()):
+        return ProblemError(404, "there is nothing at this address")
+    errors = [{"where": ".".join(map(str, e["loc"])), "detail": _in_words(e)} for e in error.errors()]
+    return ProblemError(422, "; ".join(f"{e['where']}: {e['detail']}" for e in errors), errors=errors)
+
+
+def _in_words(error: Mapping[str, Any]) -> str:
+    if error["type"] == "extra_forbidden":
+        return "unknown query parameter"
+    return str(error["msg"]).removeprefix("Value error, ")
+
+
+def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
+    log_seldom(log, f"{what} is unreachable: %s", error)
+    return ProblemError(503, f"{what} is unreachable right now", reason=reason, headers=RETRY_AFTER)
 
 
 def _allowed_methods(request: Request) -> set[str]:
@@ -119,50 +147,3 @@ def _allowed_methods(request: Request) -> set[str]:
     if "GET" in methods and not request.url.path.endswith("/events"):
         methods.add("HEAD")
     return methods
-
-
-async def _on_invalid_parameters(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
-    if any(e["loc"][0] == "path" for e in error.errors()):
-        return refused(request, ProblemError(404, "there is nothing at this address"))
-    errors = [{"where": ".".join(map(str, e["loc"])), "detail": _in_words(e)} for e in error.errors()]
-    detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
-    return refused(request, ProblemError(422, detail, errors=errors))
-
-
-def _in_words(error: Mapping[str, Any]) -> str:
-    if error["type"] == "extra_forbidden":
-        return "unknown query parameter"
-    return str(error["msg"]).removeprefix("Value error, ")
-
-
-async def _on_table_unavailable(request: Request, error: Exception) -> Response:
-    log_seldom(log, "the job table is unreachable: %s", error)
-    detail = "the job table is unreachable right now"
-    return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
-
-
-async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
-    log_seldom(log, "the storage is unreachable: %s", error)
-    detail = "the storage is unreachable right now"
-    return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
-
-
-async def _on_disconnect(request: Request, _error: Exception) -> Response:
-    return refused(request, ProblemError(400, "the request ended before its body did", reason="cut"))
-
-
-async def _on_anything(request: Request, _error: Exception) -> Response:
-    # The server logs the traceback; the client learns nothing of the inside.
-    return refused(request, ProblemError(500, "an error of the service; it has been logged"))
-
-
-def install_problem_handlers(app: FastAPI) -> None:
-    """Make every error of the application a problem document."""
-    app.add_exception_handler(ProblemError, _on_problem)
-    app.add_exception_handler(HTTPException, _on_http_exception)
-    app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
-    app.add_exception_handler(JobTableError, _on_table_unavailable)
-    app.add_exception_handler(OSError, _on_storage_unavailable)
-    app.add_exception_handler(ClientDisconnect, _on_disconnect)
-    app.add_exception_handler(Exception, _on_anything)

@@ -1,4 +1,4 @@
-"""Limits on what runs at once: clients take turns, and few streams stay open."""
+"""Limits on what runs at once: clients take turns, also at the sandbox, and few streams stay open."""
 
 from __future__ import annotations
 
@@ -6,10 +6,25 @@ import asyncio
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from typing import Any, BinaryIO
 
-from service.api.problems import ProblemError
+from starlette.datastructures import UploadFile
 
-RETRY_AFTER = {"Retry-After": "1"}
+from service.api.metrics import Metrics
+from service.api.problems import RETRY_AFTER, ProblemError
+from service.jobs.job import SourceImage
+from service.sandbox.client import RefusedError, Sandbox, TaskError
+from service.sandbox.frames import Draw, HeaderFigures, MakePreview, MakeRival, PreviewFigures, ReadHeader, Result, Task
+from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
+from service.settings import Settings
+from sgmethod.io.formats import is_read
+
+RETRY_SOON = {"Retry-After": "1"}
+FORMAT_BYTES = 256  # of a file, which tell its format
+# The header of a photograph takes milliseconds and little memory. What takes more was made to.
+HEADERS_AT_ONCE = 3
+HEADER_CPU_S = 1.0
+HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
 
 
 class Turns:
@@ -51,11 +66,11 @@ class Turns:
             if self.waiting > self._max_waiting:
                 self._forget(client, place)
                 detail = "too many pictures are being processed"
-                raise ProblemError(503, detail, reason="turns", headers=RETRY_AFTER)
+                raise ProblemError(503, detail, reason="turns", headers=RETRY_SOON)
             if len(self._lines[client]) > self._own_waiting:
                 self._forget(client, place)
                 detail = "too many of your pictures are already waiting"
-                raise ProblemError(429, detail, reason="own_turns", headers=RETRY_AFTER)
+                raise ProblemError(429, detail, reason="own_turns", headers=RETRY_SOON)
         try:
             await place
         except asyncio.CancelledError:
@@ -105,11 +120,76 @@ class Streams:
     def one(self) -> Iterator[None]:
         """Open as long as the context. Raises ProblemError 503 if there are too many."""
         if self.full:
-            raise ProblemError(
-                503, "too many streams of events are open", reason="streams", headers={"Retry-After": "5"}
-            )
+            detail = "too many streams of events are open"
+            raise ProblemError(503, detail, reason="streams", headers=RETRY_AFTER)
         self.open += 1
         try:
             yield
         finally:
             self.open -= 1
+
+
+class ClientTasks:
+    """Tasks of the sandbox, each kind with turns of its own. client: whose turn a task takes.
+
+    All raise TaskError, ProblemError 429 or 503, and OSError.
+    """
+
+    def __init__(self, settings: Settings, sandbox: Sandbox, metrics: Metrics) -> None:
+        self._sandbox = sandbox
+        self._metrics = metrics
+        self._headers = Turns(HEADERS_AT_ONCE, settings.max_streams)
+        self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
+        self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
+            "memory_bytes": settings.job_memory_bytes // 4,
+            "cpu_s": settings.decode_time_s,
+            "max_pixels": settings.max_pixels,
+        }
+
+    async def read_header(self, client: str, image: UploadFile) -> SourceImage:
+        """What an image's header says; no pixel is decoded."""
+        size_bytes = image.size or 0
+        limits = {**self._limits, "memory_bytes": HEADER_MEMORY_BYTES + size_bytes, "cpu_s": HEADER_CPU_S}
+        header: HeaderFigures = await self._figures(self._headers, client, image, ReadHeader(**limits))
+        return SourceImage(header.format, header.width, header.height, size_bytes)
+
+    async def draw(
+        self,
+        client: str,
+        file: BinaryIO,
+        options: PictureOptions,
+        kind: PictureFormat,
+        max_gaussians: int | None = None,
+    ) -> bytes:
+        """The picture file of a bitstream."""
+        task = Draw(**self._limits, options=options, file_kind=kind, max_gaussians=max_gaussians)
+        with self._metrics.decode_seconds.time():
+            return (await self._ask(self._drawings, client, file, task)).file
+
+    async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
+        """The rival that is made of an image."""
+        return (await self._ask(self._drawings, client, file, MakeRival(**self._limits, rival=rival))).file
+
+    async def preview(self, client: str, image: UploadFile, most_bytes: int) -> PreviewFigures:
+        """The preview of an image."""
+        task = MakePreview(**self._limits, most_bytes=most_bytes)
+        made: PreviewFigures = await self._figures(self._drawings, client, image, task)
+        return made
+
+    async def _figures(self, turns: Turns, client: str, image: UploadFile, task: Task) -> Any:
+        """What the sandbox finds out about an image.
+
+        Raises ProblemError 415 for what is in none of the formats, 422 for what is damaged or beyond the limits.
+        """
+        try:
+            return (await self._ask(turns, client, image.file, task)).figures
+        except RefusedError as error:
+            await image.seek(0)
+            first = await image.read(FORMAT_BYTES)
+            raise ProblemError(422 if is_read(first) or not first else 415, str(error)) from error
+        except TaskError as error:
+            raise ProblemError(422, f"the image cannot be read: {error}") from error
+
+    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result:
+        async with turns.turn(client):
+            return await self._sandbox.ask(task, file)

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]  # of the repository
 DATA = ROOT / "tests" / "data"
 PHOTOGRAPHS = DATA / "photographs"
 JAVASCRIPT = ROOT / "sgmethod" / "javascript" / "src"
-STATIC = ROOT / "service" / "web" / "static"  # what the page is made of
+STATIC = ROOT / "service" / "page"  # what the page is made of
 
 
 def golden(version: int) -> dict[str, bytes]:

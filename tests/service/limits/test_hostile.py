@@ -125,7 +125,7 @@ NOWHERE = [
     *(f"/decode/DONE{end}" for end in (".gif", ".", ".png.jpg", ".PNG", ".svg", ".png/", ".png%00")),
     *("/jobs/../../etc/passwd", "/decode/..%2f..%2fjobs.sqlite3.png", "/bitstreams/../jobs.sqlite3"),
     *("/bitstreams/....//jobs.sg", "/bitstreams/%2e%2e%2fsources.sg", "/static//etc/passwd", "/static/..\\app.py"),
-    *("/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/settings.py", "/static/page/main.js%00.png"),
+    *("/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/settings.py", "/static/main.js%00.png"),
     "/static/" + "a" * 3000,
 ]
 

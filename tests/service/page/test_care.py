@@ -179,7 +179,7 @@ def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     state = {"state": "queued", "position": 3}
     known = f"[[{took}, [1, 2]], [[], [1]], [{took}, []]]"
     said = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
-    words = imported(page, "page/watching.js", said)
+    words = imported(page, "watching.js", said)
     waiting = "Waiting: in the queue, 2 before it"
     assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
     page.click("#cancel")
@@ -234,7 +234,7 @@ def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path)
     open_page(page, web)
     name = "'my \"cup\" & <b>.webp'"
     snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [432, 288], name: {name} }})"
-    html = imported(page, "page/snippet.js", snippet)
+    html = imported(page, "snippet.js", snippet)
     assert len(html) < 200_000
     alone = tmp_path / "alone.html"
     alone.write_text(html)

@@ -44,7 +44,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
     wanted = list(range(2400, 7000, 350))
     sizes = page.run(f"""
         return (async () => {{
-            const {{ Remote }} = await import("/static/page/parts.js");
+            const {{ Remote }} = await import("/static/parts.js");
             const worker = new Remote("/static/viewer/rivals_worker.js");
             await worker.ask("original", {{ image: await createImageBitmap(new Blob([{bytes_of(PHOTOGRAPH)}])) }});
             const sizes = [];
@@ -114,7 +114,7 @@ def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Servi
     web.publish(job_id, COFFEE)
     says(page, "SSIM 0.", "#figures")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
-        assert words in imported(page, "page/words.js", f"it.closeness({ssim})")
+        assert words in imported(page, "words.js", f"it.closeness({ssim})")
     for job in web.client.get("/jobs").json()["jobs"]:
         web.client.delete(f"/jobs/{job['id']}")
 
@@ -127,7 +127,7 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert "dB" not in page.text("#status")
     assert not page.is_seen("#chart-card")
     cancel(page)
-    said = imported(page, "page/watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
+    said = imported(page, "watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
     assert said == "Fitting 250 Gaussians, about 2 s left"
 
 
@@ -135,7 +135,7 @@ def test_the_curve_stays_within_its_axes(page: Chromium, web: Service) -> None:
     open_page(page, web)
     for psnrs in ([15.9, 30.4, 26.0], [26.02, 26.05, 26.04], [7, 12, 44.9], [30, 30, 30]):
         trace = [{"seconds": at, "psnr": psnr, "bytes": 900, "phase": "joint"} for at, psnr in enumerate(psnrs)]
-        imported(page, "page/watching.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
+        imported(page, "watching.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
         lines, points, labels = page.run("""
             const all = (kind) => [...document.querySelectorAll(`#chart ${kind}`)];
             return [

@@ -180,7 +180,7 @@ def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> N
     }
     files = f"{json.dumps([*beginnings.values()])}.map((text) => Uint8Array.from(text, (it) => it.charCodeAt(0)))"
     kinds = f"Promise.all({files}.map((bytes) => it.kindOf(new File([bytes], 'a.b'))))"
-    found = imported(page, "page/kinds.js", f"{kinds}.then((all) => all.map((one) => [one.kind, one.format ?? '']))")
+    found = imported(page, "kinds.js", f"{kinds}.then((all) => all.map((one) => [one.kind, one.format ?? '']))")
     assert found == [["image", name] for name in beginnings]
 
 

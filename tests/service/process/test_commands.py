@@ -38,15 +38,15 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
 
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two profiles do; the service does not."""
-    paper = EncodeOptions(profile="paper")
-    assert paper.checked(60).request.profile == "paper"
+    paper, image = EncodeOptions(profile="paper"), SourceImage("PNG", 64, 48, len(SMALL))
+    assert paper.request(image, 60).profile == "paper"
     monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
     result = run_command("check", data_dir=tmp_path)
     assert verdicts(result)["kernels"] == "ok"
     assert "profiles paper and baseline need PyTorch" in result.stdout
-    assert EncodeOptions().checked(60).request.profile == "rd"
+    assert EncodeOptions().request(image, 60).profile == "rd"
     with pytest.raises(ProblemError, match="profile paper needs PyTorch") as refusal:
-        paper.checked(60)
+        paper.request(image, 60)
     assert refusal.value.status == 422
 
 

@@ -90,7 +90,7 @@ def test_head_of_everything(web: Service, done: str) -> None:
     ]
     assert len(paths) >= 8
     assert web.client.get("/livez").json()["status"] == "ok"
-    for path in (*paths, "/", "/docs", "/openapi.json", "/static/page/main.js"):
+    for path in (*paths, "/", "/docs", "/openapi.json", "/static/main.js"):
         url = path.format(job_id=done, kind="png")
         head, get = web.client.head(url), web.client.get(url)
         assert (head.status_code, head.content) == (200, b""), url

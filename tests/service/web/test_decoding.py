@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from service.api.views import PictureCache, PictureQuery
+from service.api.cache import PictureCache
+from service.api.pictures import PictureQuery
 from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureFormat, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from tests.harness.data import PICTURE

@@ -1,39 +1,11 @@
-"""How a picture is asked for, and the pictures asked for last."""
+"""The pictures that were asked for last."""
 
 from __future__ import annotations
 
 import asyncio
-import re
 from collections import OrderedDict
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any
-from urllib.parse import quote
-
-from pydantic import Field
-
-from service.sandbox.pictures import PictureOptions, matching
-
-# No slashes, control characters or ends of lines, and no dot first: systems hide such files.
-FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
-
-
-class PictureQuery(PictureOptions):
-    """The query parameters of a picture: what to draw, and a name to save it under."""
-
-    download: Annotated[
-        str | None,
-        matching(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
-        Field(json_schema_extra={"pattern": FILE_NAME}, description="file name to save the picture under"),
-    ] = None
-
-    def disposition(self) -> dict[str, str]:
-        """The header that makes a browser save the file; none without a name."""
-        if self.download is None:
-            return {}
-        plain = re.sub(r'[^ -~]|["\\%]', "_", self.download)
-        # Browsers take the name in full; the other is for clients that do not know it (RFC 6266, appendix D).
-        full = "" if plain == self.download else f"; filename*=UTF-8''{quote(self.download, safe='')}"
-        return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
+from typing import Any
 
 
 class _Making:

@@ -1,8 +1,8 @@
 // The table of other codecs: the Gaussians beside JPEG, WebP and AVIF, each with its size and its distance.
 
-import { ask, jobPath } from "../page/api.js";
-import { $, element, refill, Remote } from "../page/parts.js";
-import { decibels, size } from "../page/words.js";
+import { ask, jobPath } from "../api.js";
+import { $, element, refill, Remote } from "../parts.js";
+import { decibels, size } from "../words.js";
 
 const CODECS = [
   ["JPEG", "image/jpeg", "jpg"],

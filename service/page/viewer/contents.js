@@ -1,7 +1,7 @@
 // How the bytes of a file are divided among its parts.
 
-import { $, element } from "../page/parts.js";
-import { size } from "../page/words.js";
+import { $, element } from "../parts.js";
+import { size } from "../words.js";
 
 /** [name, bytes, words] for each part that the file has. The bytes add up to the file's. */
 export function contentsOf({ headerBytes, payloadBytes, textureBytes, alphaBytes, spent }) {

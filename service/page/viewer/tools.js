@@ -1,8 +1,8 @@
 // The tools of the large picture: zoom, blink, overlays, texture, the first bytes alone.
 
 import { countInPart } from "../sgmethod/file.js";
-import { $ } from "../page/parts.js";
-import { count, size } from "../page/words.js";
+import { $ } from "../parts.js";
+import { count, size } from "../words.js";
 
 const UNFOLD_MS = 1400;
 const STILL_MS = 4000;

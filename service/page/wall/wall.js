@@ -1,7 +1,7 @@
 // Photographs as previews, beside other placeholders of at most as many characters; then the photographs themselves.
 
 import "../sgmethod/sg-img.js";
-import { element } from "../page/parts.js";
+import { element } from "../parts.js";
 
 const NOTES = [
   "All have at most that many bytes; chars are what they take in HTML or JSON. WebP is reduced first, to the size that" +

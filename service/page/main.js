@@ -1,10 +1,10 @@
 // The page: what is shown, and what happens when something is clicked.
 
-import { fillContents } from "../viewer/contents.js";
-import { openGpu } from "../viewer/gpu.js";
-import { fillTable, measure } from "../viewer/rivals.js";
-import { Tools } from "../viewer/tools.js";
-import { Viewer } from "../viewer/viewer.js";
+import { fillContents } from "./viewer/contents.js";
+import { openGpu } from "./viewer/gpu.js";
+import { fillTable, measure } from "./viewer/rivals.js";
+import { Tools } from "./viewer/tools.js";
+import { Viewer } from "./viewer/viewer.js";
 import { budget, listen, rememberBudget, sayRate } from "./giving.js";
 import { draw, imageOf, Item } from "./items.js";
 import { $, element, Remote } from "./parts.js";
@@ -70,7 +70,7 @@ function refresh(item) {
   showWork(item);
   fillContents(file);
   $("advice").hidden = !decoded || !item.job?.result?.better;
-  if (!$("advice").hidden) import("../viewer/better.js").then(({ showAdvice }) => showAdvice(current));
+  if (!$("advice").hidden) import("./viewer/better.js").then(({ showAdvice }) => showAdvice(current));
   fillTable(item, onLeft, (name) => {
     onLeft = name;
     refresh(item);
@@ -256,14 +256,14 @@ $("save-picture").addEventListener("click", () =>
 );
 $("link").addEventListener("click", () => take(copyLink));
 $("snippet").addEventListener("click", () => take(copyHtml));
-$("show-wall").addEventListener("click", async () => (await import("../wall/wall.js")).showWall($("wall")));
+$("show-wall").addEventListener("click", async () => (await import("./wall/wall.js")).showWall($("wall")));
 addEventListener("hashchange", begin);
 
 /** Once the empty page has been painted, which WebGL and workers would hold up. */
 requestAnimationFrame(() =>
   setTimeout(() => {
     begin();
-    const thumbnails = new Remote("static/page/decoder_worker.js");
+    const thumbnails = new Remote("static/decoder_worker.js");
     showSamples(sample, async (bytes) => {
       await thumbnails.ask("open", { key: 0, bytes });
       return thumbnails.ask("draw", { key: 0, scale: 0.5 });

@@ -1,6 +1,6 @@
 // Take away: the file, pictures of any size, lines to do it again, and a link.
 
-import { MOST_PIXELS, MOST_SCALE } from "../sgmethod/drawing.js";
+import { MOST_PIXELS, MOST_SCALE } from "./sgmethod/drawing.js";
 import { choices, drawn, hasKey, json } from "./api.js";
 import { $ } from "./parts.js";
 import { size, withoutSuffix } from "./words.js";

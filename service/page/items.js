@@ -11,7 +11,7 @@ const RETRY_MS = 2000;
 const RETRIES = 30;
 const unread = (format) => `This is a ${format} picture, which this service cannot read. Save or share it as JPEG first.`;
 
-const decoder = new Remote("static/page/decoder_worker.js");
+const decoder = new Remote("static/decoder_worker.js");
 let keys = 0;
 
 /** A view of an opened file, from the worker. */

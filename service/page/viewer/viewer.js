@@ -1,6 +1,6 @@
 // The large picture: two pictures on one canvas with a divider between them, moved and zoomed together.
 
-import { latest } from "../page/parts.js";
+import { latest } from "../parts.js";
 
 const MOST_ZOOM = 64; // pixels of the screen for a pixel of the picture
 const GRAB = 22; // pixels beside the divider where it is caught

@@ -1,7 +1,7 @@
 // The decoder in a worker: keeps opened files by a number and draws views of them, over white.
 
-import { draw } from "../sgmethod/drawing.js";
-import { readFile } from "../sgmethod/file.js";
+import { draw } from "./sgmethod/drawing.js";
+import { readFile } from "./sgmethod/file.js";
 
 const files = new Map();
 

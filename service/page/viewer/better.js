@@ -1,10 +1,10 @@
 // Advice: another format that suits the picture better, and a button that takes that file.
 
-import { ask, jobPath } from "../page/api.js";
-import { $, element, refill } from "../page/parts.js";
-import { save } from "../page/taking.js";
-import { trouble } from "../page/telling.js";
-import { withoutSuffix } from "../page/words.js";
+import { ask, jobPath } from "../api.js";
+import { $, element, refill } from "../parts.js";
+import { save } from "../taking.js";
+import { trouble } from "../telling.js";
+import { withoutSuffix } from "../words.js";
 
 const FILES = { webp: "lossless WebP", avif: "AVIF" };
 

@@ -1,0 +1,204 @@
+"""Requests: what their headers ask for, what their bodies bring, and whether their clients are still there."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import tempfile
+from collections.abc import AsyncIterator, Coroutine, Mapping
+from contextlib import asynccontextmanager
+from typing import Annotated, Any, BinaryIO, TypeVar, cast
+
+from fastapi import Query, Request, Response
+from starlette.datastructures import Headers, UploadFile
+from starlette.requests import ClientDisconnect
+
+from service.api.problems import ProblemError
+from service.sandbox.pictures import MEDIA_TYPES, PictureFormat
+
+BITSTREAM_TYPE = "application/octet-stream"
+FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
+# Headers of answers. Private, because an id is a secret that shared caches should not keep.
+IMMUTABLE = "private, max-age=31536000, immutable"
+VARIES = {"Vary": "Accept"}
+NEVER_STORED = {"Cache-Control": "no-store"}
+
+IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # of a form, and of the query; the others are options
+MAX_FIELDS, MAX_FIELD_BYTES = 20, 256
+MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes to a temporary file
+MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
+
+_PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IGNORECASE)
+_IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
+T = TypeVar("T")
+Field = tuple[str, str]
+
+
+def header_line(headers: Headers, name: str) -> str | None:
+    """All lines of a header as one (RFC 9110, 5.3); None without any. Where one value alone is allowed, several are
+    none.
+    """
+    lines = headers.getlist(name)
+    return ", ".join(lines) if lines else None
+
+
+def media_type(request: Request) -> str:
+    """The body's media type, empty if none is given. Raises ProblemError 415 if several are."""
+    given = set(request.headers.getlist("content-type"))
+    if len(given) > 1:
+        raise ProblemError(415, "the request has more than one Content-Type")
+    return "".join(given).partition(";")[0].strip().lower()
+
+
+def check_image_type(request: Request) -> None:
+    """Raises ProblemError 415 unless the body is a form or an image."""
+    found = media_type(request)
+    if found != FORM_TYPE and not found.startswith(IMAGE_TYPES):
+        accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
+        raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
+
+
+def accepted_format(request: Request) -> PictureFormat:
+    """The format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
+    accept = header_line(request.headers, "accept") or "*/*"
+    weights: dict[str, float] = {}
+    for entry in accept.split(","):
+        name, *parameters = (part.strip().lower() for part in entry.split(";"))
+        given = next((p[2:] for p in parameters if p.startswith("q=")), "1")
+        weights[name] = float(given) if re.fullmatch(r"[01](\.[0-9]{0,3})?", given) else 1.0
+    best: PictureFormat = "png"
+    most = 0.0
+    for kind, own_type in MEDIA_TYPES.items():  # PNG comes first
+        weight = next((weights[name] for name in (own_type, "image/*", "*/*") if name in weights), 0.0)
+        if weight > most:
+            best, most = kind, weight
+    if most == 0:
+        raise ProblemError(406, f"pictures are available as {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
+    return best
+
+
+def wants_picture(request: Request) -> bool:
+    """Whether the Accept header names pictures, and not bitstreams."""
+    accept = (header_line(request.headers, "accept") or "").lower()
+    return "image/" in accept and BITSTREAM_TYPE not in accept
+
+
+def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
+    """304 if the client has the file of these headers (RFC 9110, 13.1.2); ETag is among them."""
+    given = header_line(request.headers, "if-none-match") if request.method == "GET" else None
+    known = [tag.strip().removeprefix("W/") for tag in (given or "").split(",")]
+    if "*" not in known and headers["ETag"] not in known:
+        return None
+    kept = {name: value for name, value in headers.items() if name != "Content-Disposition"}
+    return Response(status_code=304, headers=kept)
+
+
+async def wanted_wait_s(
+    request: Request,
+    wait: Annotated[
+        int | None,
+        Query(
+            ge=0,
+            le=999_999,
+            description=f"seconds to wait for the file; 202 after that, and after {MAX_WAIT_S} seconds at the latest",
+        ),
+    ] = None,
+) -> int:
+    """Seconds that the client would wait; 0 unless it says so."""
+    if wait is None:
+        preferred = _PREFER.search(header_line(request.headers, "prefer") or "")  # RFC 7240
+        wait = int(preferred[1]) if preferred else 0
+    return min(wait, MAX_WAIT_S)
+
+
+async def idempotency_key(request: Request) -> str | None:
+    """The key by which the client repeats a request. Raises ProblemError 400."""
+    key = header_line(request.headers, "idempotency-key")
+    if key is not None and _IDEMPOTENCY_KEY.fullmatch(key) is None:
+        raise ProblemError(400, "Idempotency-Key must be 1 to 255 visible ASCII characters")
+    return key
+
+
+@asynccontextmanager
+async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
+    """The whole body as a file, gone with the context. Raises ProblemError 413, from the limit before."""
+    file = cast(BinaryIO, tempfile.SpooledTemporaryFile(MEMORY_BYTES))  # noqa: SIM115 - upload closes it
+    upload = UploadFile(file, size=0)
+    try:
+        async for chunk in request.stream():
+            await upload.write(chunk)
+        await upload.seek(0)
+        yield upload
+    finally:
+        await upload.close()
+
+
+@asynccontextmanager
+async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, list[Field]]]:
+    """The image of POST /encode, and the other fields in its query and form. What is large goes to temporary files,
+    gone with the context. Entering raises ProblemError 413 or 422, or HTTPException 400 on what is no form.
+    """
+    if media_type(request) != FORM_TYPE:
+        async with body_as_file(request) as image:
+            yield image, _in_query(request)
+        return
+    async with request.form(max_files=1, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
+        images = form.getlist(IMAGE_FIELD)
+        if len(images) != 1 or not isinstance(images[0], UploadFile):
+            raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
+        # As one file is allowed, and the image is one, the others are texts.
+        texts = [(name, str(value)) for name, value in form.multi_items() if name != IMAGE_FIELD]
+        yield images[0], _in_query(request) + texts
+
+
+async def fields_alone(request: Request) -> list[Field]:
+    """The fields of a request that brings no image: in the query, in a form, or in both.
+
+    Raises ProblemError 415, or HTTPException 400 on what is no form.
+    """
+    has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
+    if has_body and media_type(request) == FORM_TYPE:
+        async with request.form(max_files=0, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
+            return _in_query(request) + [(name, str(text)) for name, text in form.multi_items()]
+    detail = f"the fields belong in the query, or in a body of type {FORM_TYPE}"
+    await _refuse_body(request, ProblemError(415, detail, headers={"Accept": FORM_TYPE}))
+    return _in_query(request)
+
+
+def _in_query(request: Request) -> list[Field]:
+    return [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
+
+
+async def _refuse_body(request: Request, refusal: ProblemError) -> None:
+    """Raises the refusal if the request brings a byte: what would be ignored must not look as if it were used."""
+    async for chunk in request.stream():
+        if chunk:
+            raise refusal
+
+
+async def no_body(request: Request) -> None:
+    """Raises ProblemError 422 if there is a body."""
+    await _refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
+
+
+async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:
+    """What the work comes to; it is cancelled when the client has gone, and ClientDisconnect raised.
+
+    The body must have been read.
+    """
+    working = asyncio.create_task(work)
+    tasks = working, asyncio.create_task(_gone(request))
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        if working.done():
+            return working.result()
+        raise ClientDisconnect
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _gone(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
