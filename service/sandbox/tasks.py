@@ -34,12 +34,13 @@ TINY_SIZE = (8, 8)
 # glibc's malloc.h. Memory of a picture that was made goes back to the system only beyond these.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
-# What is for other places, or brings torch.
+# What is for other places, or needs PyTorch or Triton.
 NOT_IMPORTED = {
     f"sgmethod.{name}"
     for name in (
         *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch", "backend.reference"),
-        *("backend.tensors", "backend.pairs", "native.reference", "metrics.perceptual"),
+        *("backend.tensors", "backend.pairs", "backend.tiles", "backend.tile_kernels"),
+        *("native.reference", "metrics.perceptual"),
     )
 }
 

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from service.api.requests import MAX_WAIT_S
 from service.keys import digest
 from service.settings import Settings
 from tests.harness.data import PICTURE
