@@ -31,6 +31,7 @@ from tests.rd.short import requested
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
 TEXTURE = RD.objective.texture
+ALL_GIVEN = replace(TEXTURE, given=1.0)
 STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
 
 
@@ -158,7 +159,7 @@ def levels_of(source: NDArray[np.float64]) -> Pixels:
 def estimated(source: NDArray[np.float64]) -> Codes | None:
     """For a picture of which the Gaussians draw no detail."""
     pixels = levels_of(source)
-    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), TEXTURE)
+    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), ALL_GIVEN)
 
 
 def noise(spread: float, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
@@ -346,7 +347,7 @@ def test_noise_keeps_to_its_octave(octave: int) -> None:
     stream = replace(StreamV2.of(NOTHING, (512, 512), 0.02, grey, grey=True), texture=codes)
     pixels = decode(container.serialise(stream))
     noise = (pixels[..., 0] - 128.0).astype(np.float32)
-    found = estimate(pixels, np.full_like(pixels, 128), TEXTURE)
+    found = estimate(pixels, np.full_like(pixels, 128), ALL_GIVEN)
     assert found is not None and (found[octave] == 9).all()
     blurred = cv2.GaussianBlur(noise, (0, 0), 3.0 * 2**octave)  # seen: 0.016 and 0.006; white 0.09
     assert blurred.std() < 0.02 * STRENGTHS[9]

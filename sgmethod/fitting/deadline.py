@@ -130,7 +130,7 @@ class Pace:
 
     def __init__(self, clock: Clock, steps: int, until_s: Callable[[], float]) -> None:
         self._clock, self._until_s = clock, until_s
-        self._began_s = clock.seconds()
+        self._began_s = self._seen_s = clock.seconds()
         self.length, self.done, self.progress = steps, 0, 0.0
 
     def until(self, end: float) -> Iterator[float]:
@@ -143,7 +143,7 @@ class Pace:
 
         A stop is seen after about STEPS_S. Once time is limited, each step comes alone.
         """
-        end, step_s, seen_s, end_s = min(end, 1.0), math.inf, self._clock.seconds(), self._until_s()
+        end, step_s, end_s = min(end, 1.0), math.inf, self._until_s()
         while self.progress < end:
             many = 1 if math.isfinite(end_s) else min(most(), 1 + int(STEPS_S / step_s))
             further = (done / self.length for done in range(self.done + 1, self.done + many))
@@ -151,8 +151,8 @@ class Pace:
             yield steps
             self.done += len(steps)
             self.progress = self.done / self.length
-            began_s, seen_s, end_s = seen_s, self._clock.seconds(), self._until_s()
-            step_s = max((seen_s - began_s) / len(steps), 1e-6)
+            began_s, self._seen_s, end_s = self._seen_s, self._clock.seconds(), self._until_s()
+            step_s = max((self._seen_s - began_s) / len(steps), 1e-6)
             if math.isfinite(end_s):
-                gone = (seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
+                gone = (self._seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
                 self.progress = max(self.progress, gone)

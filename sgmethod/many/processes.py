@@ -12,14 +12,15 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.sharedctypes import RawValue
 from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
 
 from sgmethod.errors import SgError
 
 if TYPE_CHECKING:
+    from ctypes import c_byte
     from multiprocessing.process import BaseProcess
-    from multiprocessing.synchronize import Event
 
 KILLED = "its process was killed, perhaps for want of memory"
 NONE_BEGINS = (
@@ -42,9 +43,9 @@ def in_processes(
     Function, items and results are pickled. Few items are taken ahead, so there may be any number. Raises SgError if
     no process can begin, or the system allows no more.
     """
-    waiting, begun = iter(items), CONTEXT.Event()
+    waiting, begun = iter(items), RawValue("b", 0)  # an Event has a lock, which a killed process may hold for ever
     while lost := (yield from _until_killed(function, waiting, processes, 2 * processes, begun)):
-        if not begun.is_set():
+        if not begun.value:
             raise SgError(NONE_BEGINS)
         # One of them ended its process, and with it the pool. Each is tried again alone.
         suspects = iter(lost)
@@ -53,7 +54,7 @@ def in_processes(
 
 
 def _until_killed(
-    function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int, begun: Event
+    function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int, begun: c_byte
 ) -> Finished[Item, Result]:
     """Yield items with their results; return those under way when a process was killed, or none at the end."""
     from sgmethod.native import native
@@ -106,7 +107,7 @@ def _uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _begin(threads: int, begun: Event) -> None:
+def _begin(threads: int, begun: c_byte) -> None:
     """Set up a process that ends with its parent, ignores Ctrl-C and has this number of threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
     parent = parent_process()
@@ -116,7 +117,7 @@ def _begin(threads: int, begun: Event) -> None:
     from sgmethod.native import native
 
     native.set_thread_count(threads)
-    begun.set()
+    begun.value = 1
 
 
 def _end_with(parent: BaseProcess) -> None:

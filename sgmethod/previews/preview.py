@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -21,9 +22,13 @@ from sgmethod.io.header import ImageLimits
 from sgmethod.io.inputs import Input
 from sgmethod.previews.placeholder import data_uri
 from sgmethod.previews.reducing import Pixels, reduced
+from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
 PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
+# Least l1 and l3 of Gaussians, in pixels, up to so many bytes; less with more of them. A soft blur is a better
+# placeholder than sharp splinters, which squared error prefers (docs/notebook/eye.md).
+SOFT_PX, SOFT_BYTES = 10.0, 200
 DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -89,11 +94,24 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     """
     bytes = checked_integer(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
-    text = to_text(encode(pixels, bytes=bytes, tune="psnr", effort=EFFORT).data)
+    text = to_text(encode(pixels, bytes=bytes, tune="psnr", settings=_softened(pixels, bytes)).data)
     color = average_of(pixels)
     light = from_srgb(np.array(color) / 255)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*color)
     return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK))
+
+
+def _softened(pixels: Pixels, bytes: int) -> RdSettings:
+    """Settings for a reduced picture, or for one that was small already, and so has smaller Gaussians."""
+    small = math.sqrt(pixels.shape[0] * pixels.shape[1] / (PIXELS_PER_BYTE * bytes))
+    optimiser, pyramid = RD.fit.optimiser, RD.pyramid
+    least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), optimiser.min_scale_px)
+    return replace(
+        RD,
+        effort=EFFORTS[EFFORT],
+        fit=replace(RD.fit, optimiser=replace(optimiser, min_scale_px=least)),
+        pyramid=replace(pyramid, narrowest=max(pyramid.narrowest, least)),
+    )
 
 
 def average_of(pixels: Pixels) -> tuple[int, int, int]:

@@ -107,7 +107,7 @@ REFUSED_FIELDS: dict[str, list[dict[str, str]]] = {
     "only profile rd has an effort": [{"bpp": "1", "profile": "paper", "effort": "9"}],
     "time_limit_s": [{"bpp": "1", "time_limit_s": value} for value in ("0", "1e9", "soon")],
     "unknown field": [{"bpp": "1", "fineness": "9"}],
-    "unknown priority": [{"bpp": "1", "priority": "first"}],
+    "priority": [{"bpp": "1", "priority": "first"}],
 }
 
 
