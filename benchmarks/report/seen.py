@@ -75,8 +75,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         "lonely strokes.",
         table=tabled(contents, TABLE, bpp),
         conclusion=" ".join(sentence(SETS[name], content) for name, content in contents.items()),
-        limits="- Human judgement: no panel of viewers was asked. Three readers of this project picked without names on "
-        "twelve grainy crops at 0.2 bpp: ours in six, AVIF's in six "
+        limits="- Human judgement: no panel of viewers was asked. Three readers of this project picked without names "
+        "on twelve grainy crops at 0.2 bpp: ours in six, AVIF's in six "
         "([which](../notebook/eye.md#how-much-noise-is-picked-without-names)). [A sheet of crops at twice their "
         "size](../seen.webp) shows the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` "
         "generates it.\n"
