@@ -3,7 +3,7 @@
 import { ask } from "./api.js";
 import { withoutSuffix } from "./words.js";
 
-const SOURCES = ["math", "models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
+const SOURCES = ["models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
 /** HTML that shows a picture from its .sg file, and needs no other file. The picture's name is its label. */
 export async function snippetOf(item) {

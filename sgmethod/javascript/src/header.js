@@ -3,6 +3,8 @@
 // Here and in the modules beside it, statements with the label WHOLE belong to the whole decoder. The npm package's
 // decoder of previews is built without them; it still finds damage, by the checksum and by how the payload ends.
 
+export const { ceil, exp, floor, fround, max, min, sqrt } = Math; // as formulas call them
+
 // Fields as in sgmethod/bitstream/: bits, bits in a short file, whether they grow. A test compares them.
 const HEADER = [
   [5, 5, false], // flags

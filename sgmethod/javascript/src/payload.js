@@ -1,8 +1,7 @@
 // A payload to its Gaussians: docs/format.md, "Payload" and "Integers to Gaussians".
 
 import { newCoder } from "./coder.js";
-import { refuseUnless } from "./header.js";
-import { floor, fround, max, min } from "./math.js";
+import { floor, fround, max, min, refuseUnless } from "./header.js";
 import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
 
 const COLOUR = 0; // the states

@@ -1,6 +1,6 @@
 // Gaussians to the samples of a pyramid: docs/format.md, "Gaussians to pixels" and "Views".
 
-import { ceil, exp, floor, fround, max, min, sqrt } from "./math.js";
+import { ceil, exp, floor, fround, max, min, sqrt } from "./header.js";
 
 const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
