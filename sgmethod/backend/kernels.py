@@ -94,7 +94,7 @@ class Kernels:
             d.quantum,
             d.price,
             _adam(d.settings, d.values),
-            rates,
+            np.array(rates, np.float32),
             GRID_REACH,
             d.width,
             d.height,

@@ -4,7 +4,6 @@ Only NumPy arrays are typed, although tensors would be accepted: torch exports i
 interrupt that arrives there is lost, because the binding takes any error for "not an array of this kind".
 """
 
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,7 +201,7 @@ def rd_steps(
     quantum: float,
     price: float,
     settings: AdamSettings,
-    rates: Sequence[float],
+    rates: FloatArray,
     reach: float,
     width: float,
     height: float,

@@ -20,6 +20,7 @@ template <int Columns>
 using Rows = nb::ndarray<const float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
 template <int Columns>
 using RowsOut = nb::ndarray<float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
+using Numbers = nb::ndarray<const float, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
 using Image = nb::ndarray<const float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Target = nb::ndarray<const int16_t, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;

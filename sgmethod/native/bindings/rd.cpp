@@ -1,5 +1,4 @@
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include <tuple>
 #include <utility>
@@ -39,7 +38,7 @@ void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors,
 }
 
 void steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
-           const sg::AdamSettings& settings, const std::vector<float>& rates, float reach, float width, float height,
+           const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height,
            RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
            std::optional<Visibility> visibility, bool by_eye) {
   const int n = gaussians(means, factors, colors, first, second, bias), across = side(target, 2), down = side(target, 1);
@@ -47,7 +46,8 @@ void steps(Target target, float cutoff, bool pyramid, float spacing, float quant
                             values_of(visibility, across, down), by_eye ? sg::kSeenByEye : sg::kSeenAlike,
                             quantum, price, settings, reach, width, height};
   nb::gil_scoped_release release;
-  sg::rd_steps(descent, rates, n, {means.data(), factors.data(), colors.data()}, {first.data(), second.data(), bias.data()});
+  sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, {means.data(), factors.data(), colors.data()},
+               {first.data(), second.data(), bias.data()});
 }
 
 void quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <vector>
 
 #include "core/constants.h"
 #include "fit/optimiser.h"
@@ -27,8 +26,8 @@ struct Averages {
   float *first, *second, *bias;
 };
 
-// A step for each of `rates`, factors on all rates of the settings.
-void rd_steps(const Descent& descent, const std::vector<float>& rates, int n, const MutableGaussians& p,
+// A step for each of the rates [steps], factors on all rates of the settings.
+void rd_steps(const Descent& descent, const float* rates, int steps, int n, const MutableGaussians& p,
               const Averages& averages);
 
 }  // namespace sg

@@ -47,10 +47,10 @@ def test_a_host_of_the_clients_choice_is_never_repeated(web: Service) -> None:
 
 
 @pytest.mark.thorough
-def test_a_bitstream_of_too_many_gaussians(web: Service) -> None:
+def test_a_bitstream_of_too_many_gaussians(keeping: Service) -> None:
     """Millions of equal ones take a few bytes each thousand, and minutes to draw."""
     bitstream = crowded_bitstream(1_000_001, 1001)
-    assert_problem(web.client.post("/decode", content=bitstream), 422, "limit of 1000000")
+    assert_problem(keeping.client.post("/decode", content=bitstream), 422, "limit of 1000000")
 
 
 @pytest.mark.thorough
