@@ -4,7 +4,6 @@ Only NumPy arrays are typed, although tensors would be accepted: torch exports i
 interrupt that arrives there is lost, because the binding takes any error for "not an array of this kind".
 """
 
-
 import numpy as np
 from numpy.typing import NDArray
 
