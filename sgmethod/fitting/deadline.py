@@ -130,29 +130,35 @@ class Pace:
 
     def __init__(self, clock: Clock, steps: int, until_s: Callable[[], float]) -> None:
         self._clock, self._until_s = clock, until_s
-        self._began_s = self._seen_s = clock.seconds()
+        self._began_s = clock.seconds()
         self.length, self.done, self.progress = steps, 0, 0.0
 
     def until(self, end: float) -> Iterator[float]:
         """Yield the progress before each step, until it reaches `end`."""
-        for (progress,) in self.together(end, lambda: 1):
-            yield progress
+        while self.progress < min(end, 1.0):
+            yield self.progress
+            end_s = self._until_s()
+            self._advance(1, self._clock.seconds() if math.isfinite(end_s) else 0.0, end_s)
 
     def together(self, end: float, most: Callable[[], int]) -> Iterator[list[float]]:
         """Yield the progress before each of some steps, at most most() at a time, until it reaches `end`.
 
         A stop is seen after about STEPS_S. Once time is limited, each step comes alone.
         """
-        end, step_s, end_s = min(end, 1.0), math.inf, self._until_s()
+        end, step_s, seen_s, end_s = min(end, 1.0), math.inf, self._clock.seconds(), self._until_s()
         while self.progress < end:
             many = 1 if math.isfinite(end_s) else min(most(), 1 + int(STEPS_S / step_s))
             further = (done / self.length for done in range(self.done + 1, self.done + many))
             steps = [self.progress, *takewhile(lambda progress: progress < end, further)]
             yield steps
-            self.done += len(steps)
-            self.progress = self.done / self.length
-            began_s, self._seen_s, end_s = self._seen_s, self._clock.seconds(), self._until_s()
-            step_s = max((self._seen_s - began_s) / len(steps), 1e-6)
-            if math.isfinite(end_s):
-                gone = (self._seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
-                self.progress = max(self.progress, gone)
+            began_s, seen_s, end_s = seen_s, self._clock.seconds(), self._until_s()
+            step_s = max((seen_s - began_s) / len(steps), 1e-6)
+            self._advance(len(steps), seen_s, end_s)
+
+    def _advance(self, steps: int, seen_s: float, end_s: float) -> None:
+        """Count steps, done by second seen_s of a run that is to end at second end_s, if that is limited."""
+        self.done += steps
+        self.progress = self.done / self.length
+        if math.isfinite(end_s):
+            gone = (seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
+            self.progress = max(self.progress, gone)
