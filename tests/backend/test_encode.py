@@ -51,7 +51,8 @@ def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
     files = [encoded(pixels, tune, backend) for backend in (Kernels(), Reference())]
     assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
     of_kernels, of_reference = (psnr(decode(file), pixels) for file in files)
-    assert of_reference > 29  # where the picture's mean colour alone has 16
+    # Where the picture's mean colour alone has 16. Tuned for the eye, what the fit misses of grain is left out.
+    assert of_reference > (29 if tune == "psnr" else 28.5)
     assert abs(of_kernels - of_reference) < 0.3  # dB; worst seen 0.22
 
 
