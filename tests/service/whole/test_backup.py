@@ -46,27 +46,36 @@ def moving(tmp_path: Path) -> Iterator[Service]:
         service.stop()
 
 
+def bitstream_of(service: Service, job_id: str) -> bytes:
+    answer = service.client.get(f"/bitstreams/{job_id}.sg")
+    assert answer.status_code == 200
+    return answer.content
+
+
 def test_backup_move_and_backup_again(tmp_path: Path, moving: Service, postgres: PostgresServer, s3: S3Server) -> None:
     """A job is still there after each, its file has the same bytes, and new jobs are encoded."""
     back_up, restore, back_up_stores, restore_stores, *_ = documented("Backup, restore, upgrade")
     places, move = documented("The move from one machine")
     service = moving
     kept = service.accepted()
-    job, bitstream = service.wait(kept), service.client.get(f"/jobs/{kept}/bitstream").content
+    job, bitstream = service.wait(kept), bitstream_of(service, kept)
     times = {name: value for name, value in job.items() if name.endswith("_at")}
 
     def assert_kept() -> None:
         assert {**service.job(kept), **times} == job  # a text of a time may have lost its last microseconds
-        assert service.client.get(f"/jobs/{kept}/bitstream").content == bitstream
+        assert bitstream_of(service, kept) == bitstream
         again = service.client.post(f"/jobs/{kept}/encode?bpp=0.5&time_limit_s=0.1")
         assert service.wait(again.json()["id"])["state"] == "done"
 
-    run(back_up, tmp_path, service.environment)
-    assert service.client.delete(f"/jobs/{kept}").status_code == 204
-    service.stop()
-    run(restore, tmp_path, service.environment)
-    service.start()
-    assert_kept()
+    def assert_restored(back_up: str, restore: str) -> None:
+        run(back_up, tmp_path, service.environment)
+        assert service.client.delete(f"/jobs/{kept}").status_code == 204
+        service.stop()
+        run(restore, tmp_path, service.environment)
+        service.start()
+        assert_kept()
+
+    assert_restored(back_up, restore)
     waiting = service.accepted_slow()
     service.stop()
 
@@ -81,9 +90,4 @@ def test_backup_move_and_backup_again(tmp_path: Path, moving: Service, postgres:
     assert_kept()
 
     shutil.move(tmp_path / "backup", tmp_path / "older")
-    run(back_up_stores, tmp_path, service.environment)
-    assert service.client.delete(f"/jobs/{kept}").status_code == 204
-    service.stop()
-    run(restore_stores, tmp_path, service.environment)
-    service.start()
-    assert_kept()
+    assert_restored(back_up_stores, restore_stores)
