@@ -322,7 +322,7 @@ class JobTable(ABC):
 
     def due_notice(self, address: str) -> Notice | None:
         """A notice that a job has ended, for the caller to send now; unless it is said to be delivered, it is due again
-        after a pause, which doubles. Those of more than three days ago are given up.
+        after a pause, which doubles. sign() gives up those of more than three days ago.
         """
         with self._connection() as db:
             return endings.take_notice(db, address)

@@ -27,7 +27,7 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.exact import EXACT, exact_schedule
 from sgmethod.settings.rd import RD, Times
 
-MOST_STEPS = 16  # between two reports
+STEPS_TOGETHER = 16  # between two reports
 OnStep = Callable[[float], None]  # called with the progress, 0 to 1
 
 
@@ -93,7 +93,7 @@ def _fitted(plan: Plan, state: State, stage: Stage, on_step: OnStep) -> State:
     """Take the steps of a stage."""
     s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, price = state.gaussians.copy(), state.moments.copy(), s.rate_weight * state.bit_price
-    for progress in stage.pace.together(stage.until, lambda: MOST_STEPS):
+    for progress in stage.pace.together(stage.until, lambda: STEPS_TOGETHER):
         level = plan.level_for(state, stage, size)
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         plan.request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
