@@ -38,7 +38,7 @@ import sgmethod.torch
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, pictures_in, sized
 from sgmethod.backend.pairs import Pairs
-from sgmethod.backend.protocol import CUTOFF, Frame
+from sgmethod.backend.protocol import CUTOFF, Descent, Frame
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.settings.rd import NEWTON_ADAM
@@ -154,17 +154,25 @@ class Bench:
 
     def steps(self, batch: int) -> Row:
         """Milliseconds of a step, and the error that some of them leave from a random start."""
-        from sgmethod.backend.tiles import Fits
+        from sgmethod.backend.tiles import take_step
 
         side, n, count = self.sizes.side, self.sizes.each, 2 * self.sizes.repeats
         target = torch.from_numpy(self._pictures(batch)).to(self.device).permute(0, 3, 1, 2).float() / 255
+        target = target - target.mean((2, 3), keepdim=True)
         values = self._gaussians(side, side, n, batch)
-        fits = Fits((side, side), NEWTON_ADAM, values[0], values[1], 0 * values[2])
-        quanta, prices = (torch.full((batch,), value, device=self.device) for value in (0.3, 1e-4))
-        means = target.mean((2, 3), keepdim=True)
-        first = fits.step(target - means, 1, 1.0, quanta, prices).mean().item()
-        seconds = self._seconds(lambda: fits.step(target - means, 1, 1.0, quanta, prices), count)
-        last = fits.step(target - means, 1, 1.0, quanta, prices).mean().item()
+        values[2].zero_()
+        moments = [torch.zeros(batch, n, 8, device=self.device) for _ in range(2)]
+        moments.append(torch.ones(batch, n, 2, device=self.device))
+        bits = [torch.full((batch,), value, device=self.device) for value in (0.3, 1e-4 / (3 * side * side))]
+        unused = np.empty(0, np.int16)
+        alike = Descent(Frame(side, side), unused, None, 0.0, 0.0, side, side, NEWTON_ADAM)
+
+        def step() -> Tensor:
+            return take_step(values, moments, bits, target, alike, 1.0)
+
+        first = step().mean().item()
+        seconds = self._seconds(step, count)
+        last = step().mean().item()
         return {"step_ms": 1e3 * seconds, "first_error": first, "last_error": last, "finite": bool(np.isfinite(last))}
 
     def fit(self, pictures: Callable[[], Pixels], n: int) -> Row:

@@ -39,7 +39,7 @@ NOT_IMPORTED = {
     f"sgmethod.{name}"
     for name in (
         *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch", "backend.reference"),
-        *("backend.tensors", "backend.pairs", "backend.tiles", "backend.tile_kernels"),
+        *("backend.tensors", "backend.pairs", "backend.tiles", "backend.together", "backend.tile_kernels"),
         *("native.reference", "metrics.perceptual"),
     )
 }

@@ -1,11 +1,13 @@
 """The backend for devices of PyTorch other than the CPU.
 
 Whatever reads all pixels runs on the device, by Triton's kernels (tiles.py), or by operations on tensors (pairs.py).
-Work on each Gaussian alone, and the final search over integers, stay with the kernels on the CPU.
+So do steps of the optimiser by Triton's kernels, if all pixels count alike. Other work on each Gaussian alone, and the
+final search over integers, stay with the kernels on the CPU.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +18,17 @@ from torch.nn.functional import conv2d
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.planes import all_halved
-from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility, step_by_step
+from sgmethod.backend.protocol import (
+    TARGET_WHITE,
+    VISIBLE,
+    Descent,
+    Frame,
+    Loss,
+    Moments,
+    Target,
+    Visibility,
+    step_by_step,
+)
 from sgmethod.scene import FloatArray, Gaussians
 
 if TYPE_CHECKING:
@@ -74,7 +86,32 @@ class Tensors(Kernels):
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return self._gradient(pairs, gaussians, frame, self._seen(drawn, alike)).colors
 
-    steps = step_by_step
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        if self._tiled and descent.visibility is None:
+            self.steps_of([(gaussians, moments, descent)], rates)
+        else:
+            step_by_step(self, gaussians, moments, descent, rates)
+
+    def steps_of(self, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
+        """Take the steps of several fits, whose frames, sizes and settings are alike, by Triton's kernels.
+
+        From the first step to the last nothing leaves the device.
+        """
+        from sgmethod.backend.tiles import take_step
+
+        most = max(len(gaussians) for gaussians, _, _ in fits)
+        arrays = [(*one.arrays, moments.first, moments.second, moments.bias) for one, moments, _ in fits]
+        filled = ([np.pad(one, ((0, most - len(one)), (0, 0))) for one in of] for of in zip(*arrays, strict=True))
+        state = [self._tensor(np.stack(values)) for values in filled]
+        descents = [descent for _, _, descent in fits]
+        target = torch.stack([self._image(one.target) for one in descents])
+        quanta = [one.quantum if one.price > 0 else 1.0 for one in descents]  # it may be 0 where bits are free
+        bits = [self._tensor(np.float32(of)) for of in (quanta, [one.price for one in descents])]
+        for rate in rates:
+            take_step(state[:3], state[3:], bits, target, descents[0], rate)
+        for values, of in zip(state, zip(*arrays, strict=True), strict=True):
+            for found, one in zip(_numpy(values), of, strict=True):
+                one[...] = found[: len(one)]
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs | Tiles, Tensor]:
         means, factors, colors = map(self._tensor, gaussians.arrays)

@@ -11,7 +11,7 @@ Nothing is read back: sizes of all tensors follow from the number of Gaussians a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,9 +22,8 @@ from torch import Tensor
 
 from sgmethod.backend import tile_kernels
 from sgmethod.backend.pairs import MAX_LEVEL
-from sgmethod.backend.protocol import Frame
+from sgmethod.backend.protocol import Descent, Frame
 from sgmethod.backend.tile_kernels import RECORD, TILE
-from sgmethod.settings.shared import OptimiserSettings
 
 PAIRS = 8  # tiles listed per Gaussian, on average; a round one meets at most 4 on its level
 ALIGNED = 16  # samples: pointers to levels are alike, so that kernels are compiled once
@@ -92,7 +91,7 @@ class Tiles:
         self._launch(tile_kernels.gradients, self._blocks(), *values, BLOCK)
         return out  # type: ignore[return-value]
 
-    def step(self, sums: Tensor, state: tuple[Tensor, ...], bits: tuple[Tensor, Tensor], *numbers: float) -> None:
+    def step(self, sums: Tensor, state: Sequence[Tensor], bits: Sequence[Tensor], *numbers: float) -> None:
         """Move the Gaussians in place. state: first and second moments and bias; bits: quanta and prices [B]."""
         arguments = *self._values, sums, *state, *bits, self._total, self._each, self._scale, *numbers
         self._launch(tile_kernels.step, self._blocks(), *arguments, self._frame.pyramid, BLOCK)
@@ -162,71 +161,28 @@ class Tiles:
             kernel[grid](*arguments, enable_fp_fusion=True, **options)
 
 
-class Fits:
-    """Fits of B pictures at once, N Gaussians each, with all that the optimiser remembers, on one device.
+def take_step(
+    values: Sequence[Tensor],
+    moments: Sequence[Tensor],
+    bits: Sequence[Tensor],
+    target: Tensor,
+    alike: Descent,
+    rate: float,
+) -> Tensor:
+    """Take a step of B fits, in place, as Backend does; return their mean squared errors [B] before it.
 
-    >>> fits = Fits((width, height), settings, means, factors, colors)  # [B, N, 2], [B, N, 3], [B, N, 3]
-    >>> errors = fits.step(target, 1, rate, quanta, prices)
-
-    means, factors, colors: the Gaussians, in pixels of the whole picture; zeros fill up pictures with fewer, and stay.
-    moments: first and second [B, N, 8] and bias [B, N, 2], as of protocol.Moments; those of the start by default.
+    values: means [B, N, 2], factors and colours [B, N, 3], contiguous; zeros fill up pictures with fewer, and stay.
+    moments: first and second [B, N, 8] and bias [B, N, 2], as of protocol.Moments.
+    bits: quanta and prices [B], as of Descent, whose other fields are alike for all.
+    target: float32 [B, 3, height, width].
     """
-
-    def __init__(
-        self,
-        size: tuple[int, int],
-        settings: OptimiserSettings,
-        means: Tensor,
-        factors: Tensor,
-        colors: Tensor,
-        moments: tuple[Tensor, ...] | None = None,
-    ) -> None:
-        values = (one.to(torch.float32, copy=True).contiguous() for one in (means, factors, colors))
-        self.means, self.factors, self.colors = values
-        self._size, self._settings = size, settings
-        self.moments = moments or _no_moments(means)
-
-    def step(self, target: Tensor, spacing: int, rate: float, quanta: Tensor, prices: Tensor) -> Tensor:
-        """Take a step of every fit, as Backend does; return the mean squared errors [B] before it, still on the device.
-
-        target: float32 [B, 3, height, width], the sum that the Gaussians should reach; spacing: side of its pixels;
-        rate: factor on all rates of the settings; quanta, prices: float32 [B], of each picture the quantum, and the
-        squared error, summed over the whole picture, that a bit is worth.
-        """
-        s, (width, height) = self._settings, self._size
-        samples, frame = 3 * width * height, Frame(target.shape[3], target.shape[2], spacing=spacing)
-        tiles = Tiles(frame, self.means, self.factors, self.colors)
-        errors, sums = tiles.compare(target)
-        rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
-        newton = s.newton_steps * samples / (2 * math.pi)
-        numbers = *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(width), float(height)
-        tiles.step(sums, self.moments, (quanta, prices / samples), *numbers)
-        return errors
-
-    def draw(self, width: int, height: int, spacing: int = 1) -> Tensor:
-        """Draw a frame of the pictures [B, 3, height, width]."""
-        return Tiles(Frame(width, height, spacing=spacing), self.means, self.factors, self.colors).draw()
-
-    def add(self, means: Tensor, factors: Tensor, colors: Tensor) -> None:
-        """Add K Gaussians [B, K, ...] to each picture."""
-        self._change(lambda old, new: torch.cat([old, new.to(old.dtype)], 1), means, factors, colors)
-
-    def keep(self, index: Tensor) -> None:
-        """Keep the Gaussians at the indices [B, K] of each picture, in that order."""
-        picture = torch.arange(len(index), device=index.device)[:, None]
-        self._change(lambda old, _: old[picture, index], self.means, self.factors, self.colors)
-
-    def _change(self, change: Callable[[Tensor, Tensor], Tensor], *values: Tensor) -> None:
-        own = self.means, self.factors, self.colors
-        self.means, self.factors, self.colors = map(change, own, values)
-        self.moments = tuple(map(change, self.moments, _no_moments(values[0])))
-
-
-def _no_moments(means: Tensor) -> tuple[Tensor, ...]:
-    """First and second moments [B, N, 8], and powers of beta [B, N, 2], before the first step."""
-    shape = means.shape[:2]
-    zeros = (torch.zeros(*shape, 8, device=means.device) for _ in range(2))
-    return *zeros, torch.ones(*shape, 2, device=means.device)
+    d, s = alike, alike.settings
+    tiles = Tiles(d.frame, *values)
+    errors, sums = tiles.compare(target)
+    rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
+    newton = s.newton_steps * d.values / (2 * math.pi)
+    tiles.step(sums, moments, bits, *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(d.width), float(d.height))
+    return errors
 
 
 @lru_cache(maxsize=64)

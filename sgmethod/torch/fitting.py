@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.backend.devices import backend_on, checked_device
+from sgmethod.backend.devices import backend_on, checked_device, has_tiles
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.budget import checked_integer, finite_number
 from sgmethod.codec import MAX_SEED
@@ -28,6 +28,8 @@ from sgmethod.trace import Stop
 OnProgress = Callable[[float], None]
 MOST_STEPS = 1_000_000
 POLLED_S = 0.05  # between two calls of the caller's functions
+# Pictures of a batch on a GPU: each has a thread, and some ten planes as large as itself in 32 bits.
+MOST_TOGETHER, SAMPLES_TOGETHER = 256, 1 << 26
 
 
 class Fit(NamedTuple):
@@ -104,13 +106,20 @@ def fit_pictures(
     stop: Stop | None = None,
     on_progress: OnProgress | None = None,
 ) -> list[Exact]:
-    """Fit pictures of any sizes, on the CPU one a core if there are enough.
+    """Fit pictures of any sizes: on the CPU one a core if there are enough, on a GPU many in one batch.
 
     The work is done in threads, and stop and on_progress are called in this one.
     """
-    backend, threads = backend_on(device), native.thread_count()
-    apart = device.type == "cpu" and len(pictures) >= threads
+    places, batches = 1, []
+    if has_tiles(device):
+        from sgmethod.backend.together import Together
+
+        places = max(1, min(MOST_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
+        batches = [Together(device, len(pictures[k : k + places])) for k in range(0, len(pictures), places)]
+    elif device.type == "cpu" and len(pictures) >= native.thread_count():
+        places = native.thread_count()
     shares, stopped, abandoned = [0.0] * len(pictures), Event(), Event()
+    backend = backend_on(device)
     clock = Clock(stopped.is_set)
 
     def fitted(index: int) -> Exact:
@@ -119,9 +128,15 @@ def fit_pictures(
             if abandoned.is_set():
                 raise SgError("the fits were abandoned")
 
-        return task.of(pictures[index], backend, clock, on_step)
+        if not batches:
+            return task.of(pictures[index], backend, clock, on_step)
+        batch = batches[index // places]
+        try:
+            return task.of(pictures[index], batch, clock, on_step)
+        finally:
+            batch.leave()
 
-    with ThreadPoolExecutor(threads if apart else 1, "fit", native.stay_alone if apart else None) as pool:
+    with ThreadPoolExecutor(places, "fit", native.stay_alone if places > 1 else None) as pool:
         futures = [pool.submit(fitted, index) for index in range(len(pictures))]
         try:
             while wait(futures, POLLED_S, FIRST_EXCEPTION).not_done:
@@ -134,6 +149,8 @@ def fit_pictures(
                     on_progress(math.fsum(shares) / len(shares))
         except BaseException:
             abandoned.set()
+            for batch in batches:
+                batch.end()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     if on_progress is not None:

@@ -5,7 +5,7 @@ Errors are measured as in the tests of the compiled kernels, whose cases these a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -15,13 +15,16 @@ from torch import Tensor
 from sgmethod.backend import tiles
 from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import TARGET_WHITE, Frame, Moments
+from sgmethod.backend.protocol import Descent, Frame, Moments
 from sgmethod.backend.reference import Reference
 from sgmethod.backend.tensors import Tensors
-from sgmethod.backend.tiles import Fits, Tiles
-from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.backend.tiles import Tiles
+from sgmethod.fitting.deadline import Clock
+from sgmethod.rd.exact import ExactFit
+from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import NEWTON_ADAM
 from sgmethod.settings.shared import ADAM, OptimiserSettings
+from sgmethod.torch.fitting import fit_pictures
 from tests.backend.cases import FRAMES, SIZE, VISIBILITIES, image, over, scattered, target, visibility, worst
 from tests.native import test_pyramid as pyramid
 from tests.native import test_render as plain
@@ -123,45 +126,50 @@ def test_nothing_to_draw(shape: tuple[int, int]) -> None:
     assert [by.shape for by in drawn.gradients(torch.ones(shape[0], 3, 33, 20))] == [(*shape, k) for k in (2, 3, 3)]
 
 
-def step_of_kernels(
-    gaussians: Gaussians, moments: Moments, frame: Frame, wanted: FloatArray, settings: OptimiserSettings, price: float
-) -> float:
-    """One step of a fit as profile rd takes it, on the CPU."""
-    kernels, size = Kernels(), (frame.width * frame.spacing, frame.height * frame.spacing)
-    samples = 3 * size[0] * size[1]
-    levels = np.asarray(np.round(wanted * TARGET_WHITE), np.int16)
-    error, gradient = kernels.gradients(gaussians, frame, levels)
-    kernels.add_rate_gradient(gaussians, gradient, 0.3, price / samples)
-    kernels.step(gaussians, gradient, moments, settings, 0.5, samples)
-    kernels.keep_in_range(gaussians, *size)
-    return error
-
-
 @pytest.mark.parametrize(("settings", "spacing"), [(NEWTON_ADAM, 1), (ADAM, 2)])
 def test_steps(settings: OptimiserSettings, spacing: int) -> None:
-    """Two pictures at once, each at its own price, beside the kernels; one has fewer Gaussians, and then more come."""
+    """Two pictures at once, each at its own price, which may be none, beside the kernels; one has fewer."""
     frame = Frame(*SIZE, spacing=spacing)
     size = frame.width * spacing, frame.height * spacing
-    every, prices = [over(frame, 0).rows(np.arange(12)), over(frame, 1).rows(np.arange(8))], (1e-3, 2e-2)
+    every, prices = [over(frame, 0).rows(np.arange(12)), over(frame, 1).rows(np.arange(8))], (0.0, 2e-6)
     every[0].factors[0] = (9000, 0, 8000)  # out of range
     every[0].colors[1] = 0
-    moments, wanted = [Moments.none(len(one)) for one in every], [image(0), image(1)]
-    filled = [[torch.nn.functional.pad(v, (0, 0, 0, 12 - v.shape[1])) for v in tensors(one)] for one in every]
-    fits = Fits(size, settings, *(torch.cat(values) for values in zip(*filled, strict=True)))
-    levels = torch.from_numpy(np.round(np.stack(wanted) * TARGET_WHITE) / np.float32(TARGET_WHITE))
-    for number in range(4):
-        if number == 2:
-            new = scattered(3, 7, size)
-            fits.add(*(values.expand(2, -1, -1) for values in tensors(new)))
-            fits.keep(torch.tensor([[*range(1, 15)], [*range(8), *range(12, 15), 8, 9, 10]]))
-            rows = np.arange(1, 12)
-            every = [every[0].rows(rows).with_more(new), every[1].with_more(new)]
-            moments = [moments[0].rows(rows).with_more(3), moments[1].with_more(3)]
-        errors = fits.step(levels, spacing, 0.5, torch.full((2,), 0.3), torch.tensor(prices))
-        for k, (one, beside, price) in enumerate(zip(every, moments, prices, strict=True)):
-            error = step_of_kernels(one, beside, frame, wanted[k], settings, price)
-            assert errors[k].item() == pytest.approx(error, rel=1e-5)
-            for found, true in zip((fits.means, fits.factors, fits.colors), one.arrays, strict=True):
-                assert worst(found[k, : len(one)].numpy(), true) < 1e-5
-                assert not found[k, len(one) :].any()
-    assert torch.equal(fits.draw(*SIZE, spacing), Tiles(frame, fits.means, fits.factors, fits.colors).draw())
+    fits = [
+        (one, Moments.none(len(one)), Descent(frame, target(k), None, 0.3 * (price > 0), price, *size, settings))
+        for k, (one, price) in enumerate(zip(every, prices, strict=True))
+    ]
+    wanted = [(one.copy(), moments.copy(), descent) for one, moments, descent in fits]
+    for _ in range(2):
+        Tensors(CPU, tiled=True).steps_of(fits, (0.5, 0.4))
+        for (found, moments, _), beside in zip(fits, wanted, strict=True):
+            Kernels().steps(*beside, (0.5, 0.4))
+            for own, true in zip((*found.arrays, moments.first), (*beside[0].arrays, beside[1].first), strict=True):
+                assert worst(own, true) < 2e-5
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # in threads, which no_warnings() does not reach
+def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their steps are taken together, and they end near those of the kernels; an error of one ends all."""
+    batches: list[int] = []
+    steps_of = Tensors.steps_of
+
+    def counted(own: Tensors, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
+        batches.append(len(fits))
+        steps_of(own, fits, rates)
+
+    monkeypatch.setattr(Tensors, "steps_of", counted)
+    pictures = [np.asarray(255 * (0.5 + 0.5 * image(k)).clip(0, 1), np.uint8).transpose(1, 2, 0) for k in range(3)]
+    task = ExactFit(12, steps=5)
+    found = fit_pictures(pictures, task, CPU)
+    assert max(batches) == 3
+    for one, picture in zip(found, pictures, strict=True):
+        wanted = task.of(picture, Kernels(), Clock(), lambda _: None)
+        assert one.error == pytest.approx(wanted.error, rel=0.1)
+        assert len(one.gaussians) == 12
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Tensors, "steps_of", fail)
+    with pytest.raises(MemoryError):
+        fit_pictures(pictures, task, CPU)

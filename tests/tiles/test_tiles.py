@@ -16,7 +16,7 @@ import torch
 from sgmethod.backend.devices import has_tiles
 from tests.harness.data import ROOT
 
-PARTS = ("pyramid or needles", "plain", "backend", "batch or nothing", "steps")
+PARTS = ("pyramid or needles", "plain", "backend", "batch or nothing", "steps or fits")
 POINTERS = {"table": "i32", "levels": "i32", "counts": "i32", "ends": "i64", "keys": "i64", "starts": "i64"}
 NUMBERS = {"reach", "floor", "scale", "mean_rate", "factor_rate", "color_rate", "beta1", "beta2", "least", "newton"}
 FLAGS = ("pyramid", "lists", "draws", "enlarges", "compares")
