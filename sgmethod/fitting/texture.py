@@ -49,8 +49,9 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
         for octave, (whole, part) in enumerate(zip(_energies(wanted), _energies(drawn), strict=True)):
             missing[octave, here] = settings.given * np.maximum(whole - part - settings.floor**2, 0)
         missing[:, here] *= _noisy(wanted)
-    strengths = [_strengths(np.sqrt(one), settings) / shown for one, shown in zip(missing, SHOWN, strict=True)]
-    codes = _codes(np.stack(strengths))
+    most = settings.most_levels
+    spreads = [most * np.tanh(_strengths(np.sqrt(one), settings) / most) for one in missing]
+    codes = _codes(np.stack([spread / shown for spread, shown in zip(spreads, SHOWN, strict=True)]))
     return codes if codes.any() else None
 
 
