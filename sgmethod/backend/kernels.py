@@ -54,7 +54,7 @@ class Kernels:
         def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
             raster, out = _raster(gaussians, frame), Gaussians.empty(len(gaussians))
             raster.render(gaussians.colors, drawn)
-            mse, _ = loss(drawn, by_image)
+            mse = loss(drawn, by_image)
             raster.backward(gaussians.colors, by_image, *out.arrays)
             return mse, _by_whole_pixels(out, frame)
 
@@ -118,7 +118,6 @@ class Kernels:
             coding.parameters,
             *gaussians.arrays,
             target,
-            native.CUTOFF_V2,
             limits.price,
             limits.sweeps,
             limits.seconds,

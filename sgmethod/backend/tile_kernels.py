@@ -365,7 +365,7 @@ def _sign(value):
 
 @triton.jit
 def _of_bits(l1, l2, l3, c1, c2, c3, quantum, weight):
-    """Gradients of `weight` times the bits by factor and colour (native/rd/rate.cpp)."""
+    """Gradients of `weight` times the bits by factor and colour (native/rd/steps.cpp)."""
     inverse, weight = _COLOR_SCALE * tl.sqrt(l1 * l3) / quantum, weight * _INVERSE_LN2
     grey, warm = (c1 + c2 + c3) * (_GREY * inverse), (c1 - c3) * (_WARM * inverse)
     green = (c1 - 2 * c2 + c3) * (_GREEN * inverse)

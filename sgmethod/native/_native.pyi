@@ -12,8 +12,6 @@ from sgmethod.scene import FloatArray
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
 CUTOFF_V2: float  # and of version 2
-MAX_CUTOFF: float  # the largest that the kernels support
-MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 """Orthonormal axes of a colour in profile rd, one per row: luma-like, and two chroma-like."""
 COLOR_SCALE: float
@@ -31,7 +29,7 @@ TILE_WIDTH: int
 TILE_HEIGHT: int
 
 def best_isa() -> int:
-    """Best instruction set of this processor: 0 baseline x86-64, 1 AVX2, 2 AVX-512."""
+    """Best instruction set of this processor: 0 the baseline, 1 AVX2, 2 AVX-512."""
 
 def available_cores() -> int:
     """Cores this process may use: its affinity, limited by the CPU quotas of its control groups; at least 1."""
@@ -144,8 +142,8 @@ class ReconstructionLoss:
     """MSE + lambda_g L_g against a target [3, height, width]."""
 
     def __init__(self, target: FloatArray, lambda_g: float) -> None: ...
-    def __call__(self, image: FloatArray, grad: FloatArray) -> tuple[float, float]:
-        """Return (MSE, L_g); fill grad with the gradient by the image."""
+    def __call__(self, image: FloatArray, grad: FloatArray) -> float:
+        """Return the MSE alone; fill grad with the gradient of both by the image."""
 
 class AdamSettings:
     """Settings of frame_adam(); rates are relative changes per step."""
@@ -250,7 +248,6 @@ def rd_refine(
     factors: FloatArray,
     colors: FloatArray,
     target: NDArray[np.int16],
-    cutoff: float,
     price: float,
     sweeps: int,
     seconds: float,

@@ -133,6 +133,7 @@ def test_the_plain_decoder_finds_the_same(name: str) -> None:
     for part in PARTS:
         assert rows(s.gaussians(part)) == file.part(math.ceil(part * len(s.payload)))
     assert container.serialise(s) == GOLDEN[name]
+    assert sum(container.info(GOLDEN[name]).bits.values()) == 8 * len(GOLDEN[name])
     assert s.file_bytes == len(GOLDEN[name])
 
 

@@ -78,7 +78,7 @@ def gradients() -> bytes:
 def refine() -> bytes:
     parameters = native.RdParameters(WIDTH, HEIGHT, 0.1)
     target = np.full((3, HEIGHT, WIDTH), native.TARGET_WHITE // 2, np.int16)
-    return native.rd_refine(parameters, *scattered(20), target, native.CUTOFF_V2, 0.01, 1, 60.0, 100)
+    return native.rd_refine(parameters, *scattered(20), target, 0.01, 1, 60.0, 100)
 
 
 def encode() -> bytes:

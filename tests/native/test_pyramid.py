@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
+from tests.native.test_codec import gaussians
 
 CUTOFF = native.CUTOFF_V2
 ISAS = range(native.best_isa() + 1)
@@ -26,10 +27,6 @@ GRADIENT_TOLERANCE = 1e-5  # worst seen 4.3e-6
 
 Size = tuple[int, int]
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
-
-
-def gaussians(means: object, factors: object, colors: object) -> Gaussians:
-    return Gaussians(*(np.ascontiguousarray(values, np.float32) for values in (means, factors, colors)))
 
 
 def scattered(size: Size, n: int, widest: float, seed: int) -> Gaussians:

@@ -49,7 +49,7 @@ def refined(
     visibility: NDArray[np.int16] | None = None,
 ) -> bytes:
     arrays = (values.means, values.factors, values.colors)
-    return native.rd_refine(parameters, *arrays, target, CUTOFF, price, sweeps, seconds, max_bytes, visibility)
+    return native.rd_refine(parameters, *arrays, target, price, sweeps, seconds, max_bytes, visibility)
 
 
 def error(parameters: native.RdParameters, payload: bytes, target: Target) -> float:

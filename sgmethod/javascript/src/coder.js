@@ -1,6 +1,6 @@
 // The entropy decoder of version 2: docs/format.md, "States and symbols" and "Raw bits and numbers".
 
-import { refuseUnless } from "./header.js";
+import { min, refuseUnless } from "./header.js";
 import { SEEN, SLOW, newModels } from "./models.js";
 
 /** The functions that decode a payload. A state is 0 or 1; a short file has one state for both. onCost(bits, state,
@@ -29,7 +29,7 @@ export function newCoder(payload, isShort, onCost) {
     const share = edge(found + 1) - low;
     const next = share * (states[which] >>> 15) + place - low;
     states[which] = next < 65536 ? next * 65536 + half() : next;
-    const j = Math.min(31 - Math.clz32(model[SEEN]++ + 16), 7);
+    const j = min(31 - Math.clz32(model[SEEN]++ + 16), 7);
     for (let i = 1; i < 16; i++) {
       const aim = 4 * i + (i > found && 32704);
       model[i] += (aim - model[i] + 15) >> 5;

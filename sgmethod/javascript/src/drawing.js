@@ -1,7 +1,7 @@
 // A view of a file: docs/format.md, "Views" and "Noise".
 
 import { CELL, OCTAVES, SgError, unknown } from "./header.js";
-import { TOP_LEVEL, drawGaussians, rounded, setAlpha } from "./planes.js";
+import { drawGaussians, rounded, setAlpha } from "./planes.js";
 
 export const MOST_PIXELS = 50e6;
 export const MOST_SCALE = 64; // and 1 / 64 at least
@@ -99,7 +99,7 @@ export function octavesOf({ sx, sy }) {
   const found = [];
   for (let octave = 0; octave < OCTAVES; octave++) {
     const level = octave + n;
-    if (level >= 0 && level <= TOP_LEVEL) found.push({ octave, level, gain: n < 0 && level === 0 ? 0.75 : 1 });
+    if (level >= 0) found.push({ octave, level, gain: n < 0 && level === 0 ? 0.75 : 1 });
   }
   return found;
 }

@@ -22,8 +22,7 @@ for (let row = COUNT + 1; row < SHAPE_SIGNS + 4; row++) described[row] = FIRST_R
 
 function refuseOthers([first, second]) {
   if (first === 0xd3 && second === 0xc2) return;
-  if (first === 0xd3 && second >> 4 === 12)
-    throw unknown("this version of the file is not known here");
+  if (first === 0xd3 && second >> 4 === 12) throw unknown("this version of the file is not known here");
   throw new SgError("this is no .sg file");
 }
 

@@ -3,7 +3,7 @@
 // Here and in the modules beside it, statements with the label WHOLE belong to the whole decoder. The npm package's
 // decoder of previews is built without them; it still finds damage, by the checksum and by how the payload ends.
 
-export const { ceil, exp, floor, fround, max, min, sqrt } = Math; // as formulas call them
+export const { ceil, exp, floor, fround, max, min, round, sqrt } = Math; // as formulas call them
 
 // Fields as in sgmethod/bitstream/: bits, bits in a short file, whether they grow. A test compares them.
 const HEADER = [
@@ -53,8 +53,8 @@ export function readHeader(bytes, readTexture) {
   let isShort = true;
   WHOLE: isShort = bytes[2] > 127;
   const end = bytes.length - (isShort ? 1 : 4);
-  refuseUnless(end > 5, "it ends too early");
-  const sum = bytes.subarray(end).reduce((sum, byte) => 256 * sum + byte, 0);
+  let sum = bytes[end];
+  WHOLE: sum = bytes.subarray(end).reduce((sum, byte) => 256 * sum + byte, 0);
   const whole = crc32(bytes.subarray(0, end));
   refuseUnless(sum === (isShort ? whole & 255 : whole), "its checksum is wrong");
   let at = 16; // bits
@@ -90,9 +90,8 @@ export function readHeader(bytes, readTexture) {
   WHOLE: refuseUnless(payloadAt <= end, "its alpha is cut short");
   if (ofAlpha) {
     const [code, level] = ofAlpha;
-    const payload = bytes.subarray(alphaAt, payloadAt);
-    const background = [level, level, level];
-    header.alpha = { ...header, quantum: quantumOf(code), background, grey: 1, upright: 0, payload };
+    header.alpha = { ...header, quantum: quantumOf(code), background: [level, level, level], grey: 1, upright: 0 };
+    header.alpha.payload = bytes.subarray(alphaAt, payloadAt);
   }
   header.payload = bytes.subarray(payloadAt, end);
   WHOLE: header.parts = [textureAt, alphaAt, payloadAt, end];

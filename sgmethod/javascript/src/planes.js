@@ -1,15 +1,15 @@
 // Gaussians to the samples of a pyramid: docs/format.md, "Gaussians to pixels" and "Views".
 
-import { ceil, exp, floor, fround, max, min, sqrt } from "./header.js";
+import { ceil, exp, floor, fround, max, min, round, sqrt } from "./header.js";
 
 const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
 const KEPT = (1 - EDGE * (1 + CUTOFF + (CUTOFF * CUTOFF) / 2)) / (1 - EDGE * (1 + CUTOFF));
 const NARROWEST = 1.4;
-export const TOP_LEVEL = 12;
+const TOP_LEVEL = 12;
 
 /** The nearest integer; the even one of two. */
-export const rounded = (x) => (x % 1 === 0.5 ? 2 * Math.round(x / 2) : Math.round(x));
+export const rounded = (x) => (x % 1 === 0.5 ? 2 * round(x / 2) : round(x));
 
 /** A Gaussian as a view shows it, after the low-pass filter of smaller views, and the level on which it is drawn. */
 function placed([x, y, l1, l2, l3, ...colour], view) {

@@ -1,6 +1,6 @@
 // Pictures of a few hundred bytes, from their text: docs/format.md, "A file as text".
 
-import { readHeader, refuseUnless } from "./header.js";
+import { max, readHeader, refuseUnless } from "./header.js";
 import { readGaussians } from "./payload.js";
 import { drawGaussians, rounded, setAlpha } from "./planes.js";
 
@@ -10,12 +10,13 @@ export { SgError } from "./header.js";
  * Throws an Error for a text that holds none. */
 export function decodePreview(text, size = 256) {
   const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+  const again = btoa(binary).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
   const bytes = Uint8Array.from(`\xd3${binary}`, (letter) => letter.charCodeAt(0));
-  // Version 2, short, without texture.
-  refuseUnless(bytes[1] === 0xc2 && (bytes[2] & 160) === 128, "it is no preview");
+  // Version 2, short, without texture; no padding, and nothing else that atob() ignores.
+  refuseUnless(again === text && bytes[1] === 0xc2 && (bytes[2] & 160) === 128, "it is no preview");
   const header = readHeader(bytes);
   const sides = [header.width, header.height];
-  const [width, height] = sides.map((side) => Math.max(rounded((side * size) / Math.max(...sides)), 1));
+  const [width, height] = sides.map((side) => max(rounded((side * size) / max(...sides)), 1));
   const view = { left: 0, top: 0, width, height, sx: width / header.width, sy: height / header.height, dx: 0, dy: 0 };
   const pixels = (of) => {
     const gaussians = [];

@@ -7,6 +7,6 @@ export class SgError extends Error {}
  * @param text what `sgmethod preview` prints and `POST /preview` answers
  * @param size pixels of the longer side of the picture that is returned; 256 by default
  * @returns an ImageData; where there is none, as in Node, an object with the same `width`, `height` and `data`
- * @throws SgError, or a DOMException for characters other than those of base64url
+ * @throws SgError, or a DOMException for characters that atob() refuses
  */
 export function decodePreview(text: string, size?: number): ImageData;

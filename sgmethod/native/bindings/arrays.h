@@ -12,6 +12,9 @@
 #include <utility>
 #include <vector>
 
+#include "core/gaussians.h"
+#include "texture/texture.h"
+
 namespace nb = nanobind;
 
 // Inputs of another type or layout are converted. Arguments of types that end in Out are bound with noconvert(),
@@ -32,14 +35,19 @@ inline void require(bool condition, const char* message) {
   if (!condition) throw nb::value_error(message);
 }
 
-constexpr int kBlock = 512;  // Gaussians of a task
-
 // The number of Gaussians, which is the number of rows of every array.
 template <typename First, typename... Others>
 int gaussians(const First& first, const Others&... others) {
   require(((others.shape(0) == first.shape(0)) && ...), "one row per Gaussian");
   require(first.shape(0) <= INT_MAX, "too many Gaussians");
   return static_cast<int>(first.shape(0));
+}
+
+inline sg::ConstGaussians rows(const Rows<2>& means, const Rows<3>& factors, const Rows<3>& colors) {
+  return {means.data(), factors.data(), colors.data()};
+}
+inline sg::MutableGaussians rows(const RowsOut<2>& means, const RowsOut<3>& factors, const RowsOut<3>& colors) {
+  return {means.data(), factors.data(), colors.data()};
 }
 
 template <typename Array>
@@ -74,6 +82,11 @@ template <size_t Columns>
 auto own_rows(std::vector<float>&& values) {
   const size_t rows = values.size() / Columns;
   return own<nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>>(std::move(values), {rows, Columns});
+}
+
+// A texture that a Rasterization keeps, or none for None.
+inline std::shared_ptr<const sg::Texture> shared(const sg::Texture* texture) {
+  return texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
 }
 
 // Each adds a room's classes and functions to the module.

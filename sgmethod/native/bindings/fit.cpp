@@ -1,6 +1,3 @@
-#include <nanobind/stl/tuple.h>
-
-#include <tuple>
 #include <utility>
 
 #include "bindings/arrays.h"
@@ -20,12 +17,11 @@ struct LossOfTarget {
   sg::ReconstructionLoss loss;
 };
 
-std::tuple<double, double> evaluate(LossOfTarget& held, Image image, ImageOut grad) {
+double evaluate(LossOfTarget& held, Image image, ImageOut grad) {
   require_size(image, held.loss.width(), held.loss.height());
   require_size(grad, held.loss.width(), held.loss.height());
   nb::gil_scoped_release release;
-  const sg::Loss value = held.loss(image.data(), grad.data());
-  return {value.mse, value.geometry};
+  return held.loss(image.data(), grad.data());
 }
 
 void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors,
@@ -33,17 +29,17 @@ void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, 
                 RowsOut<2> bias) {
   const int n = gaussians(means, factors, colors, by_means, by_factors, by_colors, first, second, bias);
   nb::gil_scoped_release release;
-  sg::parallel_chunks(n, kBlock, [&](int begin, int end, int) {
-    sg::frame_adam(settings, rate, begin, end, {means.data(), factors.data(), colors.data()},
-                   {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
+  sg::parallel_chunks(n, sg::kBlock, [&](int begin, int end, int) {
+    sg::frame_adam(settings, rate, begin, end, rows(means, factors, colors), rows(by_means, by_factors, by_colors),
+                   {first.data(), second.data(), bias.data()});
   });
 }
 
 void keep_in_range(float reach, float width, float height, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors) {
   const int n = gaussians(means, factors, colors);
   nb::gil_scoped_release release;
-  sg::parallel_chunks(n, kBlock, [&](int begin, int end, int) {
-    sg::keep_in_range(reach, width, height, begin, end, {means.data(), factors.data(), colors.data()});
+  sg::parallel_chunks(n, sg::kBlock, [&](int begin, int end, int) {
+    sg::keep_in_range(reach, width, height, begin, end, rows(means, factors, colors));
   });
 }
 
@@ -57,8 +53,8 @@ void bind_fit(nb::module_& m) {
       .def(nb::init<float, float, float, float, float, float, float, float>(), "mean_rate"_a, "factor_rate"_a,
            "color_rate"_a, "beta1"_a, "beta2"_a, "min_scale"_a, "newton_steps"_a, "values"_a);
   m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
-        "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(),
-        "bias"_a.noconvert());
-  m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
-        "colors"_a.noconvert());
+        "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(),
+        "second"_a.noconvert(), "bias"_a.noconvert());
+  m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(),
+        "factors"_a.noconvert(), "colors"_a.noconvert());
 }

@@ -26,8 +26,6 @@ NB_MODULE(_native, m) {
   m.attr("MAX_SIDE") = sg::kMaxSide;
   m.attr("CUTOFF_V1") = sg::kCutoffV1;
   m.attr("CUTOFF_V2") = sg::kCutoffV2;
-  m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
-  m.attr("MIN_SCALE") = sg::kMinScale;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;
   m.attr("VISIBLE") = sg::kVisible;
   m.attr("SEEN_COLOR") = sg::kSeenByEye.color;

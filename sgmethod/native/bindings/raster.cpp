@@ -20,18 +20,18 @@ sg::Rasterization* rasterization(Rows<2> means, Rows<3> factors, int width, int 
                                  int64_t max_pairs, bool pyramid, int x, int y, const sg::Texture* texture) {
   require(means.shape(0) == factors.shape(0), "means and factors differ in number");
   const int n = gaussians(means);
-  auto drawn = texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
   nb::gil_scoped_release release;
-  return new sg::Rasterization(means.data(), factors.data(), n, {x, y, width, height, cutoff, pyramid, std::move(drawn)}, isa,
-                               max_pairs);
+  const sg::Canvas canvas{x, y, width, height, cutoff, pyramid, shared(texture)};
+  return new sg::Rasterization(means.data(), factors.data(), n, canvas, isa, max_pairs);
 }
 
 auto unpack_texture(nb::bytes data, int width, int height) {
   require(width > 0 && height > 0, "the picture has no pixels");
   size_t used = 0;
   auto codes = sg::unpack_texture(static_cast<const uint8_t*>(data.data()), data.size(), width, height, used);
-  const std::initializer_list<size_t> shape = {sg::kTextureOctaves, sg::texture_cells(height), sg::texture_cells(width)};
-  return std::make_tuple(own<nb::ndarray<nb::numpy, uint8_t, nb::ndim<3>>>(std::move(codes), shape), used);
+  auto array = own<nb::ndarray<nb::numpy, uint8_t, nb::ndim<3>>>(
+      std::move(codes), {sg::kTextureOctaves, sg::texture_cells(height), sg::texture_cells(width)});
+  return std::make_tuple(std::move(array), used);
 }
 
 sg::Texture* texture(Codes codes, double cell_x, double cell_y, double x, double y, int shift) {
@@ -43,10 +43,10 @@ void require_colors(const sg::Rasterization& r, const Rows<3>& colors) {
   require(gaussians(colors) == r.gaussians(), "one colour per Gaussian");
 }
 
-sg::Gradients gradients(const sg::Rasterization& r, const Rows<3>& colors, const RowsOut<2>& means,
+sg::MutableGaussians gradients(const sg::Rasterization& r, const Rows<3>& colors, const RowsOut<2>& means,
                         const RowsOut<3>& factors, const RowsOut<3>& out_colors) {
   require(gaussians(colors, means, factors, out_colors) == r.gaussians(), "one row per Gaussian");
-  return {means.data(), factors.data(), out_colors.data()};
+  return rows(means, factors, out_colors);
 }
 
 void render(const sg::Rasterization& r, Rows<3> colors, ImageOut image) {
@@ -84,7 +84,7 @@ void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Co
 
 double squared_error(const sg::Rasterization& r, Rows<3> colors, Target target, RowsOut<2> means, RowsOut<3> factors,
                      RowsOut<3> out_colors, std::optional<Visibility> visibility, bool by_eye) {
-  const sg::Gradients out = gradients(r, colors, means, factors, out_colors);
+  const sg::MutableGaussians out = gradients(r, colors, means, factors, out_colors);
   require_size(target, r.width(), r.height());
   const int16_t* seen = values_of(visibility, r.width(), r.height());
   nb::gil_scoped_release release;
@@ -107,7 +107,7 @@ void gram(const sg::Rasterization& r, Rows<3> colors, RowsOut<3> out_colors, std
 
 void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors,
               RowsOut<3> out_colors) {
-  const sg::Gradients out = gradients(r, colors, means, factors, out_colors);
+  const sg::MutableGaussians out = gradients(r, colors, means, factors, out_colors);
   require_size(grad, r.width(), r.height());
   nb::gil_scoped_release release;
   sg::backward(r, colors.data(), grad.data(), out);
@@ -122,15 +122,17 @@ void bind_raster(nb::module_& m) {
       .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);
   nb::class_<sg::Rasterization>(m, "Rasterization")
       .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
-           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0, "texture"_a.none() = nb::none())
+           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0,
+           "texture"_a.none() = nb::none())
       .def_prop_ro("width", &sg::Rasterization::width)
       .def_prop_ro("height", &sg::Rasterization::height)
       .def("render", &render, "colors"_a, "image"_a.noconvert())
       .def("missing", &missing, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert())
       .def("missing_halved", &missing_halved, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert())
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
-      .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(), "factors"_a.noconvert(),
-           "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true)
+      .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(),
+           "factors"_a.noconvert(), "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none(),
+           "by_eye"_a = true)
       .def("error", &error, "colors"_a, "target"_a.noconvert())
       .def("gram", &gram, "colors"_a, "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none())
       .def("backward", &backward, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(),

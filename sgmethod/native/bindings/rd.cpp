@@ -8,45 +8,44 @@
 #include "core/thread_pool.h"
 #include "rd/codec.h"
 #include "rd/lay_out.h"
-#include "rd/rate.h"
-#include "refine/refine.h"
 #include "rd/steps.h"
 #include "rd/symbols.h"
+#include "refine/refine.h"
 
 using namespace nb::literals;
 
 namespace {
 
-// Runs a function that gives bytes, without Python's lock.
-template <typename Encode>
-nb::bytes bytes_of(const Encode& encode) {
-  std::vector<uint8_t> bytes;
-  {
-    nb::gil_scoped_release release;
-    bytes = encode();
-  }
-  return nb::bytes(bytes.data(), bytes.size());
+// The result of a function that runs without Python's lock.
+template <typename Function>
+auto unlocked(const Function& function) {
+  nb::gil_scoped_release release;
+  return function();
 }
+
+nb::bytes bytes_of(const std::vector<uint8_t>& bytes) { return nb::bytes(bytes.data(), bytes.size()); }
 
 void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors, RowsOut<3> by_factors,
                    RowsOut<3> by_colors) {
   const int n = gaussians(factors, colors, by_factors, by_colors);
   nb::gil_scoped_release release;
-  sg::parallel_chunks(n, kBlock, [&](int first, int last, int) {
-    sg::add_rate_gradient(quantum, weight, first, last, factors.data(), colors.data(), by_factors.data(), by_colors.data());
+  sg::parallel_chunks(n, sg::kBlock, [&](int first, int last, int) {
+    sg::add_rate_gradient(quantum, weight, first, last, {nullptr, factors.data(), colors.data()},
+                          {nullptr, by_factors.data(), by_colors.data()});
   });
 }
 
 void steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
            const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height,
-           RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
-           std::optional<Visibility> visibility, bool by_eye) {
-  const int n = gaussians(means, factors, colors, first, second, bias), across = side(target, 2), down = side(target, 1);
+           RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second,
+           RowsOut<2> bias, std::optional<Visibility> visibility, bool by_eye) {
+  const int n = gaussians(means, factors, colors, first, second, bias);
+  const int across = side(target, 2), down = side(target, 1);
   const sg::Descent descent{{0, 0, across, down, cutoff, pyramid}, spacing, target.data(),
                             values_of(visibility, across, down), by_eye ? sg::kSeenByEye : sg::kSeenAlike,
                             quantum, price, settings, reach, width, height};
   nb::gil_scoped_release release;
-  sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, {means.data(), factors.data(), colors.data()},
+  sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, rows(means, factors, colors),
                {first.data(), second.data(), bias.data()});
 }
 
@@ -54,49 +53,37 @@ void quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3>
               RowsOut<3> out_factors, RowsOut<3> out_colors) {
   const int n = gaussians(means, factors, colors, out_means, out_factors, out_colors);
   nb::gil_scoped_release release;
-  sg::rd_quantise(p, means.data(), factors.data(), colors.data(), n, out_means.data(), out_factors.data(),
-                  out_colors.data());
+  sg::rd_quantise(p, rows(means, factors, colors), n, rows(out_means, out_factors, out_colors));
 }
 
 nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors) {
   const int n = gaussians(means, factors, colors);
-  return bytes_of([&] { return sg::rd_encode(p, means.data(), factors.data(), colors.data(), n); });
+  return bytes_of(unlocked([&] { return sg::rd_encode(p, rows(means, factors, colors), n); }));
 }
 
-nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Target target, float cutoff,
-                 double price, int sweeps, double seconds, uint64_t max_bytes, std::optional<Visibility> visibility,
-                 bool by_eye, int halvings) {
+nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Target target, double price,
+                 int sweeps, double seconds, uint64_t max_bytes, std::optional<Visibility> visibility, bool by_eye,
+                 int halvings) {
   const int n = gaussians(means, factors, colors);
   const int width = sg::halved(p.width, halvings), height = sg::halved(p.height, halvings);
   require_size(target, width, height);
-  const sg::RefineSettings settings{cutoff, price, sweeps, seconds, max_bytes, values_of(visibility, width, height),
+  const sg::RefineSettings settings{price, sweeps, seconds, max_bytes, values_of(visibility, width, height),
                                     by_eye ? sg::kSeenByEye : sg::kSeenAlike, halvings};
-  return bytes_of(
-      [&] { return sg::rd_refine(p, means.data(), factors.data(), colors.data(), n, target.data(), settings); });
+  return bytes_of(unlocked([&] { return sg::rd_refine(p, rows(means, factors, colors), n, target.data(), settings); }));
 }
 
 auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max_gaussians) {
-  sg::GaussianArrays decoded;
-  {
-    const auto* bytes = static_cast<const uint8_t*>(data.data());
-    const size_t size = data.size();
-    nb::gil_scoped_release release;
-    decoded = sg::rd_decode(p, bytes, size, prefix, max_gaussians);
-  }
+  const auto* bytes = static_cast<const uint8_t*>(data.data());
+  sg::GaussianArrays decoded =
+      unlocked([&, size = data.size()] { return sg::rd_decode(p, bytes, size, prefix, max_gaussians); });
   return std::make_tuple(own_rows<2>(std::move(decoded.means)), own_rows<3>(std::move(decoded.factors)),
                          own_rows<3>(std::move(decoded.colors)));
 }
 
 auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, const sg::Texture* texture) {
-  auto drawn = texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
-  const sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV2, true, std::move(drawn)};
-  sg::LaidOut laid_out;
-  {
-    const auto* bytes = static_cast<const uint8_t*>(data.data());
-    const size_t size = data.size();
-    nb::gil_scoped_release release;
-    laid_out = sg::lay_out(p, bytes, size, prefix, canvas);
-  }
+  const auto* bytes = static_cast<const uint8_t*>(data.data());
+  sg::LaidOut laid_out =
+      unlocked([&, size = data.size()] { return sg::lay_out(p, bytes, size, prefix, shared(texture)); });
   nb::object raster = nb::cast(laid_out.raster.release(), nb::rv_policy::take_ownership);
   return std::make_tuple(std::move(raster), own_rows<3>(std::move(laid_out.colors)));
 }
@@ -108,8 +95,8 @@ void bind_rd(nb::module_& m) {
       .def(nb::init<int, int, double, bool, bool, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
            "upright"_a = false, "is_short"_a = false);
   m.def("rd_clipped_values", &sg::clipped_values);
-  m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(),
-        "by_colors"_a.noconvert());
+  m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a,
+        "by_factors"_a.noconvert(), "by_colors"_a.noconvert());
   m.def("rd_steps", &steps, "target"_a.noconvert(), "cutoff"_a, "pyramid"_a, "spacing"_a, "quantum"_a, "price"_a,
         "settings"_a, "rates"_a, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "first"_a.noconvert(), "second"_a.noconvert(), "bias"_a.noconvert(),
@@ -117,8 +104,9 @@ void bind_rd(nb::module_& m) {
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
-  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "cutoff"_a, "price"_a,
-        "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true, "halvings"_a = 0);
+  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(),
+        "price"_a, "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true,
+        "halvings"_a = 0);
   m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "texture"_a.none() = nb::none());
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

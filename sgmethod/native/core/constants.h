@@ -46,7 +46,7 @@ constexpr int kTileHeight = 64;
 constexpr double kColorBasis[3][3] = {{0.57735026918962576, 0.57735026918962576, 0.57735026918962576},
                                       {0.70710678118654752, 0.0, -0.70710678118654752},
                                       {0.40824829046386302, -2 * 0.40824829046386302, 0.40824829046386302}};
-constexpr double kColorScale = 1.5;  // a colour's step is quantum / (kColorScale s), with s the Gaussian's size in pixels
+constexpr double kColorScale = 1.5;  // a colour's step is quantum / (kColorScale s), s being the Gaussian's size
 
 // Ratio of the steps of r = l2 / l3 and v = log sqrt(l1 / l3), at which both change the picture by the same energy.
 constexpr double kRStep = 2.0;

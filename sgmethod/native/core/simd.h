@@ -1,5 +1,5 @@
-// Vectors of W floats and the few functions the kernels need, in the vector extensions of GCC and Clang, which work on
-// every processor. Assembly, where a compiler does worse than the processor could, is here and nowhere else.
+// Vectors of W lanes and the few functions the kernels need, in the vector extensions of GCC and Clang, which work on
+// every processor; in assembly where a compiler does worse than the processor could.
 #pragma once
 
 #include <cstdint>
@@ -24,30 +24,44 @@
 
 // GCC uses vectors of half the width of AVX-512 unless told to prefer the full width. Clang has no such option.
 #ifdef __clang__
-#define SG_AVX512 "avx512f,avx512dq,avx512vl"
+#define SG_AVX512 "avx512f,avx512dq,avx512vl,fma"
 #else
-#define SG_AVX512 "avx512f,avx512dq,avx512vl,prefer-vector-width=512"
+#define SG_AVX512 "avx512f,avx512dq,avx512vl,fma,prefer-vector-width=512"
 #endif
 
 namespace sg {
 
+// Each calls a kernel's body, which is always inlined, and is compiled for one instruction set (isa.h).
+template <auto body, typename... Arguments>
+auto for_baseline(Arguments... arguments) {
+  return body(arguments...);
+}
+#if SG_X86
+template <auto body, typename... Arguments>
+[[gnu::target("avx2,fma")]] auto for_avx2(Arguments... arguments) {
+  return body(arguments...);
+}
+template <auto body, typename... Arguments>
+[[gnu::target(SG_AVX512)]] auto for_avx512(Arguments... arguments) {
+  return body(arguments...);
+}
+#endif
+
+// Specialised for each width: GCC does not accept a vector_size that depends on a parameter.
 template <int W>
-struct Lanes;  // specialised for each width: GCC does not accept a vector_size that depends on a parameter
-template <>
-struct Lanes<4> {
-  typedef float F __attribute__((vector_size(16)));
-  typedef int32_t I __attribute__((vector_size(16)));
-};
-template <>
-struct Lanes<8> {
-  typedef float F __attribute__((vector_size(32)));
-  typedef int32_t I __attribute__((vector_size(32)));
-};
-template <>
-struct Lanes<16> {
-  typedef float F __attribute__((vector_size(64)));
-  typedef int32_t I __attribute__((vector_size(64)));
-};
+struct Lanes;
+#define SG_LANES(W)                                         \
+  template <>                                               \
+  struct Lanes<W> {                                         \
+    typedef float F __attribute__((vector_size(4 * W)));    \
+    typedef int32_t I __attribute__((vector_size(4 * W)));  \
+    typedef uint32_t U __attribute__((vector_size(4 * W))); \
+    typedef int16_t S __attribute__((vector_size(2 * W)));  \
+  };
+SG_LANES(4)
+SG_LANES(8)
+SG_LANES(16)
+#undef SG_LANES
 
 // Lanes of a and b, numbered consecutively, at the given places. Clang's builtin takes only constant places, but Clang
 // recognises the unrolled loop.
@@ -199,6 +213,14 @@ struct Simd {
   }
 };
 
+// Without a branch, so that the compiler vectorises loops that call it.
+SG_INLINE double power_of_two(int exponent) {
+  const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
+  double value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
 // Counts the numbers not greater than `place` among 16 ascending ones, of which the last is greater. p is aligned to 16
 // bytes.
 SG_INLINE uint32_t count_until(const int16_t* p, int place) {
@@ -206,7 +228,8 @@ SG_INLINE uint32_t count_until(const int16_t* p, int place) {
   __m128i at = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
   at = _mm_unpacklo_epi64(at, at);
   const auto* v = reinterpret_cast<const __m128i*>(p);
-  const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(_mm_load_si128(v), at), _mm_cmpgt_epi16(_mm_load_si128(v + 1), at));
+  const __m128i low = _mm_cmpgt_epi16(_mm_load_si128(v), at), high = _mm_cmpgt_epi16(_mm_load_si128(v + 1), at);
+  const __m128i above = _mm_packs_epi16(low, high);
   return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above))));
 #elif defined(__ARM_NEON) && defined(__aarch64__)
   const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a true comparison is -1

@@ -228,7 +228,8 @@ int parallel_while(int size, const std::function<void(const std::function<void(i
     if (task == 0) come();
     while (true) {
       const int chunk = next.fetch_add(1, std::memory_order_relaxed), first = chunk * size;
-      for (int spin = 0; !ended.load(std::memory_order_acquire) && there.load(std::memory_order_acquire) < first + size;)
+      const auto enough = [&] { return there.load(std::memory_order_acquire) >= first + size; };
+      for (int spin = 0; !ended.load(std::memory_order_acquire) && !enough();)
         ++spin < kSpins ? wait_a_moment() : std::this_thread::yield();
       const int last = std::min(there.load(std::memory_order_acquire), first + size);
       if (first >= last) return;

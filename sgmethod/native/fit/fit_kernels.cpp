@@ -8,25 +8,9 @@
 namespace sg {
 namespace {
 
-// Vectors of the target's values, specialised for each width (core/simd.h).
-template <int W>
-struct Shorts;
-template <>
-struct Shorts<4> {
-  typedef int16_t S __attribute__((vector_size(8)));
-};
-template <>
-struct Shorts<8> {
-  typedef int16_t S __attribute__((vector_size(16)));
-};
-template <>
-struct Shorts<16> {
-  typedef int16_t S __attribute__((vector_size(32)));
-};
-
 template <int W>
 SG_INLINE typename Simd<W>::F load_target(const int16_t* in) {
-  typename Shorts<W>::S values;
+  typename Lanes<W>::S values;
   std::memcpy(&values, in, sizeof values);
   // In two steps, by integers as wide as floats: GCC uses more instructions for a direct conversion.
   return __builtin_convertvector(__builtin_convertvector(values, typename Simd<W>::I), typename Simd<W>::F);
@@ -117,8 +101,8 @@ SG_INLINE void weigh_body(float* values, const int16_t* visibility, int64_t stri
 // 1) / 2 are running sums of running sums, and z2 is substituted after the loop. Little precision is lost, because z2
 // changes by at most 9 within a segment.
 template <int W>
-SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch& batch, const float* colors,
-                             const float* tile_gradient, float* pair_gradients) {
+SG_INLINE void backward_batch(const Rasterization& raster, int tile, const Batch& batch, const float* colors,
+                              const float* tile_gradient, float* pair_gradients) {
   using V = Simd<W>;
   using F = typename V::F;
   const int x0 = raster.tile_x(tile), y0 = raster.tile_y(tile);
@@ -178,18 +162,24 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
 }
 
 template <int W>
-SG_INLINE double any_difference_body(float* values, const TileTarget& target) {
-  return target.visibility == nullptr ? difference_body<W>(values, target) : seen_difference_body<W>(values, target);
+SG_INLINE void backward_body(const Rasterization& raster, int tile, const float* colors, const float* tile_gradient,
+                             float* pair_gradients) {
+  const auto draw = [&](const Batch& batch) SG_INLINE_LAMBDA {
+    backward_batch<W>(raster, tile, batch, colors, tile_gradient, pair_gradients);
+    pair_gradients += (batch.end - batch.begin) * kPairGradients;
+  };
+  for_batches<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), draw);
 }
 
 template <int W>
-SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors, const TileTarget& target,
-                                    float* first, float* values, float* pair_gradients) {
+SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors,
+                                    const TileTarget& target, float* first, float* values, float* pair_gradients) {
   first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first);
   const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first};
-  forward_body<W>(raster, all, colors, values);
-  const double error = any_difference_body<W>(values, target);
-  backward_body<W>(raster, tile, all, colors, values, pair_gradients);
+  add_batch<W>(raster, all, colors, values);
+  const double error =
+      target.visibility == nullptr ? difference_body<W>(values, target) : seen_difference_body<W>(values, target);
+  backward_batch<W>(raster, tile, all, colors, values, pair_gradients);
   return error;
 }
 
@@ -206,7 +196,9 @@ SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* as
       __builtin_prefetch(out + 2 * W + 2, 1);
       F half[2];
       for (int i = 0; i < 2; ++i) {
-        const auto row_of = [&](int t) SG_INLINE_LAMBDA { return V::load(gradient + (3 * t + k) * kTileWidth + i * W); };
+        const auto row_of = [&](int t) SG_INLINE_LAMBDA {
+          return V::load(gradient + (3 * t + k) * kTileWidth + i * W);
+        };
         half[i] = (row_of(2 * w - 3) + row_of(2 * w)) * 0.25f + (row_of(2 * w - 2) + row_of(2 * w - 1)) * 0.75f;
       }
       // Shifted by one sample: the first lane of a rotated vector belongs to the next one.
@@ -249,8 +241,8 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
 }
 
 template <int W>
-SG_INLINE void weights_body(const Footprint& f, float floor, const Span* spans, int count, int first_row, int64_t stride,
-                            float* patch) {
+SG_INLINE void weights_body(const Footprint& f, float floor, const Span* spans, int count, int first_row,
+                            int64_t stride, float* patch) {
   using V = Simd<W>;
   for (const Span* span = spans; span != spans + count; ++span)
     for (int lane = 0; lane < kTileWidth; lane += W) {
@@ -295,73 +287,36 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
     for_weights<W>(f, floor, spans, count, picture,
                    [&](typename V::F weight, float* values, int64_t) SG_INLINE_LAMBDA { add(weight, weight, values); });
   else
-    for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values, int64_t at) SG_INLINE_LAMBDA {
-      add(weight, weight * V::load(visibility + at), values);
-    });
+    for_weights<W>(f, floor, spans, count, picture,
+                   [&](typename V::F weight, float* values, int64_t at) SG_INLINE_LAMBDA {
+                     add(weight, weight * V::load(visibility + at), values);
+                   });
   products[0] = V::sum(p0);
   products[1] = V::sum(p1);
   products[2] = V::sum(p2);
   products[3] = V::sum(square);
 }
 
-#define SG_FIT_KERNELS(name, width, attribute)                                                                      \
-  attribute double squared_error_##name(const Rasterization& r, int tile, const float* colors, const TileTarget& target, \
-                                        float* first, float* values, float* pair_gradients) {                        \
-    return squared_error_body<width>(r, tile, colors, target, first, values, pair_gradients);                        \
-  }                                                                                                                  \
-  attribute double difference_##name(float* values, const TileTarget& target) {                                      \
-    return any_difference_body<width>(values, target);                                                               \
-  }                                                                                                                  \
-  attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
-                                 float* pair_gradients) {                                                            \
-    for_batches<width>(r, tile, r.tile_begin(tile), r.tile_end(tile), [&](const Batch& batch) SG_INLINE_LAMBDA {     \
-      backward_body<width>(r, tile, batch, colors, gradient, pair_gradients);                                        \
-      pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
-    });                                                                                                              \
-  }                                                                                                                  \
-  attribute void weigh_##name(float* values, const int16_t* visibility, int64_t stride, int columns, int rows) {     \
-    weigh_body(values, visibility, stride, columns, rows);                                                           \
-  }                                                                                                                  \
-  attribute void reduce_##name(const float* gradient, int rows, float* to, float* aside, int64_t stride) {           \
-    reduce_body(gradient, rows, to, aside, stride);                                                                  \
-  }                                                                                                                  \
-  attribute void weights_##name(const Footprint& f, float floor, const Span* spans, int count, int first_row,        \
-                                int64_t stride, float* patch) {                                                      \
-    weights_body<width>(f, floor, spans, count, first_row, stride, patch);                                           \
-  }                                                                                                                  \
-  attribute void add_##name(const Footprint& f, float floor, const Span* spans, int count, const float* color,       \
-                            const Strips& picture) {                                                                 \
-    add_body<width>(f, floor, spans, count, color, picture);                                                         \
-  }                                                                                                                  \
-  attribute void project_##name(const Footprint& f, float floor, const Span* spans, int count,                       \
-                                const Strips& picture, const float* visibility, float* products) {                   \
-    project_body<width>(f, floor, spans, count, picture, visibility, products);                                      \
-  }                                                                                                                  \
-  constexpr FitKernels k_##name = {squared_error_##name, difference_##name, weigh_##name, backward_##name, reduce_##name, \
-                                   weights_##name,       add_##name,        project_##name};
-
-SG_FIT_KERNELS(baseline, 4, )
+#define SG_FIT_KERNELS(wrapper, W)                                                                               \
+  {wrapper<squared_error_body<W>>, wrapper<difference_body<W>>, wrapper<weigh_body>, wrapper<backward_body<W>>, \
+   wrapper<reduce_body>, wrapper<weights_body<W>>, wrapper<add_body<W>>, wrapper<project_body<W>>}
+constexpr FitKernels kKernels[] = {
+    SG_FIT_KERNELS(for_baseline, 4),
 #if SG_X86
-SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])
-SG_FIT_KERNELS(avx512, 16, [[gnu::target(SG_AVX512 ",fma")]])
+    SG_FIT_KERNELS(for_avx2, 8),
+    SG_FIT_KERNELS(for_avx512, 16),
 #endif
+};
 
 }  // namespace
 
 int64_t first_value_count(const Rasterization& raster, int tile) {
   int64_t count = 0;
-  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair) count += segments(raster, *pair);
+  for (const Pair *pair = raster.tile_begin(tile), *end = raster.tile_end(tile); pair != end; ++pair)
+    count += segments(raster, *pair);
   return count * 2 * kTileWidth;
 }
 
-const FitKernels& fit_kernels(int isa) {
-#if SG_X86
-  static const FitKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};
-  return *table[isa];
-#else
-  static_cast<void>(isa);
-  return k_baseline;
-#endif
-}
+const FitKernels& fit_kernels(int isa) { return kKernels[isa]; }
 
 }  // namespace sg

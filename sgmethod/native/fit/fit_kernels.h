@@ -37,19 +37,20 @@ struct FitKernels {
   // tile below its own Gaussians; on output, the gradient by the tile's picture.
   double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* first,
                           float* values, float* pair_gradients);
-  // values = (values - target) * scale, and 0 beyond the picture. Returns the squared error. With a visibility, the
-  // error is weighted by it (core/constants.h), and values become half of its gradient times scale.
+  // values = (values - target) * scale, and 0 beyond the picture. Returns the squared error, without a visibility.
   double (*difference)(float* values, const TileTarget&);
   // Multiplies values by the visibility of their pixels, whose rows are `stride` apart.
   void (*weigh)(float* values, const int16_t* visibility, int64_t stride, int columns, int rows);
   // pair_gradients from the gradient by the tile's picture, in the layout of accumulators.
-  void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
+  void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient,
+                   float* pair_gradients);
   // Reduces a gradient by the tile's picture to the next level, and adds it there: kReducedRows rows of kTileWidth / 2
   // + 2 samples, up to `rows` of the first ones to `to`, the last kOverRows to `aside`. There rows have three colours,
   // each `stride` floats long. The tile must have kMarginFloats zeros before and after it.
   void (*reduce)(const float* gradient, int rows, float* to, float* aside, int64_t stride);
   // patch [rows][stride] = the weights of one Gaussian, from the first span's strip on; values outside spans are kept.
-  void (*weights)(const Footprint&, float floor, const Span* spans, int count, int first_row, int64_t stride, float* patch);
+  void (*weights)(const Footprint&, float floor, const Span* spans, int count, int first_row, int64_t stride,
+                  float* patch);
   // picture += color [3] times the weights of one Gaussian.
   void (*add)(const Footprint&, float floor, const Span* spans, int count, const float* color, const Strips& picture);
   // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight, all

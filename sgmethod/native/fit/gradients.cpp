@@ -42,7 +42,8 @@ void to_pixels(const float* factor, int level, float by_gain, float* by_mean, fl
 }
 
 // Sums in the order of each Gaussian's pairs, so that the result is the same for every number of threads.
-void sum_pairs(const Rasterization& raster, const float* colors, const float* pair_gradients, const Gradients& out) {
+void sum_pairs(const Rasterization& raster, const float* colors, const float* pair_gradients,
+               const MutableGaussians& out) {
   raster.for_places([&](int64_t i, const int32_t* place, const int32_t* end) {
     float sum[kPairGradients] = {};
     for (; place < end; ++place) {
@@ -130,7 +131,7 @@ void reduce_all(const Rasterization& raster, const Each& each, Planes& planes) {
 // Computes gradients. fill(tile, gradient, pair_gradients) must set both for each tile of the picture; gradient is
 // [kTileHeight][3][kTileWidth].
 template <typename Fill>
-void gradients(const Rasterization& raster, const float* colors, const Fill& fill, const Gradients& out) {
+void gradients(const Rasterization& raster, const float* colors, const Fill& fill, const MutableGaussians& out) {
   Scratch pair_gradients(static_cast<size_t>(raster.pairs()) * kPairGradients);  // all written below
   const auto gradients_of = [&](int tile) { return pair_gradients.get() + raster.first_pair(tile) * kPairGradients; };
   Planes planes(raster.grids());
@@ -199,10 +200,11 @@ void missing_halved(const Rasterization& raster, const float* colors, const int1
   constexpr int kRow = 3 * kTileWidth;
   const int64_t width = (raster.width() + 1) / 2, height = (raster.height() + 1) / 2;
   raster.draw_tiles(colors, [&](int tile, float* values) {
-    raster.for_rows(tile, values, [&](float* row, int64_t at, int columns) { subtract(target + at, row, columns, row); });
+    raster.for_rows(tile, values,
+                    [&](float* row, int64_t at, int columns) { subtract(target + at, row, columns, row); });
     const Rasterization::Area a = raster.area(tile);
     if (a.columns % 2 != 0)
-      for (int row = 0; row < 3 * a.rows; ++row) values[row * kTileWidth + a.columns] = values[row * kTileWidth + a.columns - 1];
+      for (float* end = values + a.columns; end < values + a.rows * kRow; end += kTileWidth) end[0] = end[-1];
     if (a.rows % 2 != 0) std::copy_n(values + (a.rows - 1) * kRow, kRow, values + a.rows * kRow);
     alignas(64) float half[kTileFloats / 4];
     halve(values, a.rows, half);
@@ -228,10 +230,11 @@ void leave(const Rasterization& raster, const float* colors, const int16_t* targ
   reduce_all(raster, each, reduced);
 }
 
-void backward(const Rasterization& raster, const float* colors, const float* image_grad, const Gradients& out) {
+void backward(const Rasterization& raster, const float* colors, const float* image_grad, const MutableGaussians& out) {
   const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
     std::fill_n(gradient, kTileFloats, 0.0f);
-    raster.for_rows(tile, gradient, [&](float* to, int64_t at, int columns) { std::copy_n(image_grad + at, columns, to); });
+    raster.for_rows(tile, gradient,
+                    [&](float* to, int64_t at, int columns) { std::copy_n(image_grad + at, columns, to); });
     fit_kernels(raster.isa()).backward(raster, tile, colors, gradient, pair_gradients);
   };
   gradients(raster, colors, fill, out);
@@ -245,16 +248,18 @@ void gram(const Rasterization& raster, const float* colors, float* out_colors, c
   const auto fill = [&](int tile, float* picture, float* pair_gradients) {
     raster.draw_tile(tile, coarse, colors, picture);
     const Rasterization::Area a = raster.area(tile);  // beyond it, values are set to zero
-    for (int row = 0; row < kTileHeight * 3; ++row)
-      std::fill(picture + row * kTileWidth + (row < a.rows * 3 ? a.columns : 0), picture + (row + 1) * kTileWidth, 0.0f);
+    for (int row = 0; row < kTileHeight * 3; ++row) {
+      float* const values = picture + row * kTileWidth;
+      std::fill(values + (row < a.rows * 3 ? a.columns : 0), values + kTileWidth, 0.0f);
+    }
     if (visibility != nullptr) weigh(raster, tile, visibility, picture);
     fit_kernels(raster.isa()).backward(raster, tile, colors, picture, pair_gradients);
   };
   gradients(raster, colors, fill, {means.data(), factors.data(), out_colors});
 }
 
-double squared_error(const Rasterization& raster, const float* colors, const int16_t* target, const Gradients& out,
-                     const int16_t* visibility, const Seen& seen) {
+double squared_error(const Rasterization& raster, const float* colors, const int16_t* target,
+                     const MutableGaussians& out, const int16_t* visibility, const Seen& seen) {
   if (raster.canvas().x != 0 || raster.canvas().y != 0) refuse<std::invalid_argument>("a fit is of the whole picture");
   const float scale = 2.0f / static_cast<float>(samples(raster));
   Planes coarse(raster.grids(), Planes::Rows::kWhole);

@@ -5,17 +5,12 @@
 #include <cstdint>
 
 #include "core/constants.h"
+#include "core/gaussians.h"
 #include "fit/fit_kernels.h"
 #include "raster/planes.h"
 #include "raster/rasterization.h"
 
 namespace sg {
-
-struct Gradients {
-  float* means;    // [n, 2]
-  float* factors;  // [n, 3]
-  float* colors;   // [n, 3]
-};
 
 // A target is [3, height, width], in which white is kTargetWhite; a visibility is [height, width] (core/constants.h).
 
@@ -30,14 +25,14 @@ void leave(const Rasterization& raster, const float* colors, const int16_t* targ
            const int16_t* visibility = nullptr);
 
 // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
-void backward(const Rasterization& raster, const float* colors, const float* image_grad, const Gradients& out);
+void backward(const Rasterization& raster, const float* colors, const float* image_grad, const MutableGaussians& out);
 // out_colors = A^T V A colors, with A the weights of the Gaussians and V the visibility, or 1: the inner product of
 // each Gaussian with the picture of all.
 void gram(const Rasterization& raster, const float* colors, float* out_colors, const int16_t* visibility = nullptr);
 // Mean squared error and its gradients: drawing, loss and backward at once, so that no picture is written to memory.
 // With a visibility, errors are weighted by it and by `seen`. Throws std::invalid_argument for a part of a picture.
-double squared_error(const Rasterization& raster, const float* colors, const int16_t* target, const Gradients& out,
-                     const int16_t* visibility = nullptr, const Seen& seen = kSeenByEye);
+double squared_error(const Rasterization& raster, const float* colors, const int16_t* target,
+                     const MutableGaussians& out, const int16_t* visibility = nullptr, const Seen& seen = kSeenByEye);
 // Mean squared error only.
 double squared_error(const Rasterization& raster, const float* colors, const int16_t* target);
 

@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 #include "core/platform.h"
 #include "core/thread_pool.h"
@@ -36,10 +35,6 @@ SG_CLONES double subtract(const float* a, const float* b, float* out, int count)
   return total;
 }
 
-SG_CLONES void scale_row(const float* in, float* out, int count, float scale) {
-  for (int i = 0; i < count; ++i) out[i] = in[i] * scale;
-}
-
 // Sobel responses at `count` pixels of the row `p`; rows are `stride` apart.
 SG_CLONES void sobel(const float* p, int64_t stride, float* gx, float* gy, int count) {
   const float *a = p - stride, *b = p + stride;
@@ -49,26 +44,11 @@ SG_CLONES void sobel(const float* p, int64_t stride, float* gx, float* gy, int c
   }
 }
 
-// u *= wx, v *= wy; returns the sum of wx u^2 + wy v^2.
-SG_CLONES double weigh(const float* wx, const float* wy, float* u, float* v, int count) {
-  float partial[kLanes] = {};
-  double total = 0.0;
-  int c = 0;
-  for (; c + kLanes <= count; c += kLanes)
-    for (int k = 0; k < kLanes; ++k) {
-      const float a = wx[c + k] * u[c + k], b = wy[c + k] * v[c + k];
-      partial[k] += a * u[c + k] + b * v[c + k];
-      u[c + k] = a;
-      v[c + k] = b;
-    }
-  for (; c < count; ++c) {
-    const float a = wx[c] * u[c], b = wy[c] * v[c];
-    total += static_cast<double>(a * u[c] + b * v[c]);
-    u[c] = a;
-    v[c] = b;
+SG_CLONES void weigh(const float* wx, const float* wy, float* u, float* v, int count) {
+  for (int c = 0; c < count; ++c) {
+    u[c] *= wx[c];
+    v[c] *= wy[c];
   }
-  for (float p : partial) total += static_cast<double>(p);
-  return total;
 }
 
 // grad = mse_scale D + g_scale (Sobel_x^T(u) + Sobel_y^T(v)) along one row.
@@ -86,7 +66,6 @@ SG_CLONES void gradient_row(const float* d, const float* u, const float* v, int6
 
 ReconstructionLoss::ReconstructionLoss(const float* target, int width, int height, float lambda_g)
     : width_(width), height_(height), stride_(width + 2), lambda_g_(lambda_g), target_(target) {
-  if (lambda_g == 0.0f) return;
   const int64_t padded = 3 * static_cast<int64_t>(height + 2) * stride_;
   for (auto* plane : {&weight_x_, &weight_y_, &difference_, &u_, &v_}) plane->assign(padded, 0.0f);
   for (int k = 0; k < 3; ++k)
@@ -104,42 +83,32 @@ ReconstructionLoss::ReconstructionLoss(const float* target, int width, int heigh
     }
 }
 
-Loss ReconstructionLoss::operator()(const float* image, float* grad) {
+double ReconstructionLoss::operator()(const float* image, float* grad) {
   const int bands = (height_ + kBand - 1) / kBand;
   const double values = 3.0 * static_cast<double>(width_) * height_;
-  const float mse_scale = static_cast<float>(2.0 / values);
-  const bool plain = lambda_g_ == 0.0f;
-  std::vector<double> squares(3 * bands), geometry(3 * bands);
+  const float mse_scale = static_cast<float>(2.0 / values), g_scale = 0.125f * lambda_g_ * mse_scale;
+  std::vector<double> squares(3 * bands);
   const auto for_rows = [&](const auto& body) {
     parallel_for(3 * bands, [&](int task) {
       const int channel = task / bands, first = (task % bands) * kBand;
       for (int row = first; row < std::min(height_, first + kBand); ++row)
-        body(task, channel, row, (static_cast<int64_t>(channel) * height_ + row) * width_);
+        body(task, at(channel, row), (static_cast<int64_t>(channel) * height_ + row) * width_);
     });
   };
-
-  for_rows([&](int task, int channel, int row, int64_t offset) {
-    float* d = plain ? grad + offset : difference_.data() + at(channel, row);
-    squares[task] += subtract(image + offset, target_ + offset, d, width_);
-    if (plain) scale_row(d, d, width_, mse_scale);
+  float *const d = difference_.data(), *const u = u_.data(), *const v = v_.data();
+  for_rows([&](int task, int64_t p, int64_t offset) {
+    squares[task] += subtract(image + offset, target_ + offset, d + p, width_);
   });
-  if (!plain) {
-    for_rows([&](int task, int channel, int row, int64_t) {
-      const int64_t p = at(channel, row);
-      sobel(difference_.data() + p, stride_, u_.data() + p, v_.data() + p, width_);
-      geometry[task] += weigh(weight_x_.data() + p, weight_y_.data() + p, u_.data() + p, v_.data() + p, width_);
-    });
-    const float g_scale = 0.125f * lambda_g_ * mse_scale;
-    for_rows([&](int, int channel, int row, int64_t offset) {
-      const int64_t p = at(channel, row);
-      gradient_row(difference_.data() + p, u_.data() + p, v_.data() + p, stride_, grad + offset, width_, mse_scale,
-                   g_scale);
-    });
-  }
-  Loss loss{};
-  for (double s : squares) loss.mse += s / values;
-  for (double g : geometry) loss.geometry += g / values;
-  return loss;
+  for_rows([&](int, int64_t p, int64_t) {
+    sobel(d + p, stride_, u + p, v + p, width_);
+    weigh(weight_x_.data() + p, weight_y_.data() + p, u + p, v + p, width_);
+  });
+  for_rows([&](int, int64_t p, int64_t offset) {
+    gradient_row(d + p, u + p, v + p, stride_, grad + offset, width_, mse_scale, g_scale);
+  });
+  double mse = 0;
+  for (double s : squares) mse += s / values;
+  return mse;
 }
 
 }  // namespace sg

@@ -6,18 +6,13 @@
 
 namespace sg {
 
-struct Loss {
-  double mse;       // mean squared error over pixels and channels
-  double geometry;  // L_g, 0 when lambda_g is 0
-};
-
 // The loss against one target image [3, height, width] in [0, 1], which must outlive it.
 class ReconstructionLoss {
  public:
   ReconstructionLoss(const float* target, int width, int height, float lambda_g);
 
-  // image, grad [3, height, width]; grad = d(mse + lambda_g geometry) / d(image).
-  Loss operator()(const float* image, float* grad);
+  // Returns the MSE over pixels and channels. image, grad [3, height, width]; grad = d L_train / d image.
+  double operator()(const float* image, float* grad);
 
   int width() const { return width_; }
   int height() const { return height_; }

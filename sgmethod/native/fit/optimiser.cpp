@@ -21,7 +21,8 @@ constexpr double kPi = 3.14159265358979;
 
 // A step of up to kTogether Gaussians. The element-wise computation has its own loop, which the compiler vectorises.
 SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const MutableGaussians& p,
-                             const ConstGaussians& grad, float* first, float* second, float* bias) {
+                             const ConstGaussians& grad, const Averages& averages) {
+  float *const first = averages.first, *const second = averages.second, *const bias = averages.bias;
   float gradients[kTogether * kAdamValues], most[kTogether * kAdamValues], unbias[kTogether * 2];
   for (int j = 0; j < count; ++j) {
     const int i = begin + j;
@@ -67,18 +68,17 @@ SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const 
 
 }  // namespace
 
-AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale,
-                           float newton_steps, float values)
+AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2,
+                           float min_scale, float newton_steps, float values)
     : rates{mean_rate, mean_rate, factor_rate, factor_rate, factor_rate, color_rate, color_rate, color_rate},
       beta1(beta1), beta2(beta2), min_scale(min_scale),
       newton(static_cast<float>(newton_steps * values / (2 * kPi))) {}
 
 void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
-                const ConstGaussians& grad, float* first, float* second, float* bias) {
+                const ConstGaussians& grad, const Averages& averages) {
   AdamSettings s = settings;
   for (float& r : s.rates) r *= rate;
-  for (int i = begin; i < end; i += kTogether)
-    step_together(s, i, std::min(kTogether, end - i), p, grad, first, second, bias);
+  for (int i = begin; i < end; i += kTogether) step_together(s, i, std::min(kTogether, end - i), p, grad, averages);
 }
 
 void keep_in_range(float reach, float width, float height, int begin, int end, const MutableGaussians& p) {

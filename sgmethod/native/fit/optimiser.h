@@ -1,8 +1,11 @@
 // The optimiser: Adam in each Gaussian's own frame (sgmethod/backend/protocol.py).
 #pragma once
 
+#include "core/gaussians.h"
+
 namespace sg {
 
+constexpr int kBlock = 512;     // Gaussians of a task
 constexpr int kAdamValues = 8;  // d (2), S (3), colour (3): a step moves the mean by L d and the factor by L S
 
 struct AdamSettings {
@@ -16,19 +19,15 @@ struct AdamSettings {
   float newton;     // longest step, in multiples of the gradient divided by l1 l3 and by the curvature
 };
 
-// Rows of 2, 3 and 3 values per Gaussian.
-struct MutableGaussians {
-  float *means, *factors, *colors;
-};
-struct ConstGaussians {
-  const float *means, *factors, *colors;
+// first, second [n, 8]: Adam's averages; bias [n, 2]: beta1 and beta2 to the power of the Gaussian's steps so far,
+// which is the weight of the initial zeros in the averages.
+struct Averages {
+  float *first, *second, *bias;
 };
 
-// One step down the gradients of the Gaussians from begin to before end, with all rates times `rate`. first, second [n,
-// 8] are Adam's averages. bias [n, 2] is beta1 and beta2 to the power of the Gaussian's steps so far: the weight of the
-// initial zeros in the averages.
+// One step down the gradients of the Gaussians from begin to before end, with all rates times `rate`.
 void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
-                const ConstGaussians& grad, float* first, float* second, float* bias);
+                const ConstGaussians& grad, const Averages& averages);
 
 // Clamps the Gaussians from begin to before end to values that every file can represent: scale, slant and amplitude to
 // the limits in constants.h, and means to within reach sqrt(l1 l3) of the picture.

@@ -6,8 +6,8 @@
 // segment has sigma < kFar in the segment's first row.
 #pragma once
 
-#include "raster/rasterization.h"
 #include "core/simd.h"
+#include "raster/rasterization.h"
 
 namespace sg {
 namespace {
@@ -126,7 +126,8 @@ SG_INLINE Column<W> next_column(const float*& first) {
 
 // Calls draw(batch) for pairs of a tile, in batches that fit a small array.
 template <int W, typename Draw>
-SG_INLINE void for_batches(const Rasterization& raster, int tile, const Pair* begin, const Pair* last, const Draw& draw) {
+SG_INLINE void for_batches(const Rasterization& raster, int tile, const Pair* begin, const Pair* last,
+                           const Draw& draw) {
   constexpr int kMost = 2 * kTileHeight;  // segments of a batch; one pair has at most kTileHeight
   alignas(64) float first[kMost * 2 * kTileWidth];
   while (begin != last) {
@@ -143,7 +144,7 @@ SG_INLINE void for_batches(const Rasterization& raster, int tile, const Pair* be
 
 // Adds a batch to the tile's picture.
 template <int W>
-SG_INLINE void forward_body(const Rasterization& raster, const Batch& batch, const float* colors, float* accumulators) {
+SG_INLINE void add_batch(const Rasterization& raster, const Batch& batch, const float* colors, float* accumulators) {
   using V = Simd<W>;
   const float floor = raster.floor();
   const float* first = batch.first;

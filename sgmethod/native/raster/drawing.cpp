@@ -40,7 +40,8 @@ void Rasterization::draw_coarse(const float* colors, int last, Planes& planes) c
     parallel_for(tiles(level), [&](int k) {
       const int tile = first_tile_[level] + k;
       const auto [x, y] = corner(tile);
-      draw_coarse_tile(tile, {0, rows_of(tile)}, below(planes, tile), colors, planes.at(level, x, y), planes.stride(level));
+      draw_coarse_tile(tile, {0, rows_of(tile)}, below(planes, tile), colors, planes.at(level, x, y),
+                       planes.stride(level));
     });
 }
 
@@ -67,7 +68,8 @@ void Rasterization::begin_tile(Rows rows, Samples coarse, const float* backgroun
   const int first = rows.first / 2 * 2;  // rows are enlarged in pairs
   float* const to = accumulators + first * 3 * kTileWidth;
   if (coarse.first != nullptr) {
-    kernels(isa_).enlarge(coarse.first + first / 2 * 3 * coarse.stride, coarse.stride, rows.end - first, background, to);
+    const float* const from = coarse.first + first / 2 * 3 * coarse.stride;
+    kernels(isa_).enlarge(from, coarse.stride, rows.end - first, background, to);
     return;
   }
   for (int i = 0; i < 3 * kTileWidth; ++i) to[i] = background[i / kTileWidth];

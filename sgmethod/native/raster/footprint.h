@@ -52,9 +52,9 @@ struct Footprint {
 
   // A subnormal scale counts as zero, whether or not the processor flushes it.
   SG_INLINE bool drawable(float l1, float l2, float l3) const {
-    constexpr float kLeast = std::numeric_limits<float>::min();
-    const auto finite = [](float v) SG_INLINE_LAMBDA -> int { return std::abs(v) <= std::numeric_limits<float>::max(); };
-    return finite(x) & finite(y) & finite(l2) & (l1 >= kLeast) & (l3 >= kLeast) & finite(l1) & finite(l3) & finite(inv_l1) &
+    constexpr float kLeast = std::numeric_limits<float>::min(), kLargest = std::numeric_limits<float>::max();
+    const auto finite = [](float v) SG_INLINE_LAMBDA -> int { return std::abs(v) <= kLargest; };
+    return finite(x) & finite(y) & finite(l2) & (l1 >= kLeast) & (l3 >= kLeast) & finite(l1) & finite(l3) &
            finite(1.0f / (l3 * l3)) & finite(shear);
   }
   // The rows of a column segment. A lane with sigma <= kMaxCutoff anywhere in the segment has

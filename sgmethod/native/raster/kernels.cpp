@@ -25,7 +25,8 @@ SG_INLINE Bytes levels(const float* in) {
 // Writes bytes for the baseline, which has no byte shuffle on x86-64.
 SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
-    const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
+    const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth);
+    const Bytes b = levels(accumulators + 2 * kTileWidth);
     // Red and green go to their places first, then blue between them.
     const Bytes out[3] = {
         shuffle(shuffle(r, g, Bytes{0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5}), b,
@@ -73,6 +74,14 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
 }
 
 template <int W>
+SG_INLINE void forward_body(const Rasterization& raster, int tile, const Pair* begin, const Pair* end,
+                            const float* colors, float* accumulators) {
+  for_batches<W>(raster, tile, begin, end, [&](const Batch& batch) SG_INLINE_LAMBDA {
+    add_batch<W>(raster, batch, colors, accumulators);
+  });
+}
+
+template <int W>
 SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   if constexpr (W == 4) packed_bytes(accumulators, columns, rows, pixels, stride);
   else shuffled_bytes(accumulators, columns, rows, pixels, stride);
@@ -81,7 +90,8 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
 // Along an axis, sample 2u of the result is (3 c[u + 1] + c[u]) / 4 and sample 2u + 1 is (3 c[u + 1] + c[u + 2]) / 4,
 // with c the coarse samples: first along x, then along y. c is already divided by 16, which is exact.
 template <int W>
-SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators) {
+SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const float* background,
+                            float* accumulators) {
   using V = Simd<W>;
   using F = typename V::F;
   // AVX2 shuffles faster within halves than across them, so the upper half is loaded separately.
@@ -137,45 +147,19 @@ SG_INLINE void sixteenth_body(const float* accumulators, int columns, int rows, 
     }
 }
 
-#define SG_KERNELS(name, width, attribute)                                                                        \
-  attribute void cross_##name(const Placed& placed, const Grid* grids, const int* first_tile, float reach, Cursor& at, \
-                              Crossings& crossings) {                                                             \
-    cross_strips<std::min(width, 8)>(placed, grids, first_tile, reach, at, crossings);                            \
-  }                                                                                                               \
-  attribute void forward_##name(const Rasterization& r, int tile, const Pair* begin, const Pair* end,             \
-                                const float* colors, float* accumulators) {                                       \
-    for_batches<width>(r, tile, begin, end, [&](const Batch& batch) SG_INLINE_LAMBDA {                            \
-      forward_body<width>(r, batch, colors, accumulators);                                                        \
-    });                                                                                                           \
-  }                                                                                                               \
-  attribute void enlarge_##name(const float* coarse, int64_t stride, int rows, const float* background,           \
-                                float* accumulators) {                                                            \
-    enlarge_body<width>(coarse, stride, rows, background, accumulators);                                          \
-  }                                                                                                               \
-  attribute void sixteenth_##name(const float* accumulators, int columns, int rows, float* samples, int64_t stride) { \
-    sixteenth_body<width>(accumulators, columns, rows, samples, stride);                                             \
-  }                                                                                                               \
-  attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
-    bytes_body<width>(accumulators, columns, rows, pixels, stride);                                                \
-  }                                                                                                               \
-  constexpr TileKernels k_##name = {cross_##name, forward_##name, enlarge_##name, sixteenth_##name, bytes_##name};
-
-SG_KERNELS(baseline, 4, )
+#define SG_KERNELS(wrapper, W)                                                                \
+  {wrapper<cross_strips<std::min(W, 8)>>, wrapper<forward_body<W>>, wrapper<enlarge_body<W>>, \
+   wrapper<sixteenth_body<W>>, wrapper<bytes_body<W>>}
+constexpr TileKernels kKernels[] = {
+    SG_KERNELS(for_baseline, 4),
 #if SG_X86
-SG_KERNELS(avx2, 8, [[gnu::target("avx2")]])
-SG_KERNELS(avx512, 16, [[gnu::target(SG_AVX512)]])
+    SG_KERNELS(for_avx2, 8),
+    SG_KERNELS(for_avx512, 16),
 #endif
+};
 
 }  // namespace
 
-const TileKernels& kernels(int isa) {
-#if SG_X86
-  static const TileKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};
-  return *table[isa];
-#else
-  static_cast<void>(isa);
-  return k_baseline;
-#endif
-}
+const TileKernels& kernels(int isa) { return kKernels[isa]; }
 
 }  // namespace sg

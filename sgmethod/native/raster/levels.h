@@ -26,16 +26,9 @@ constexpr double kNarrowest = 1.4;  // samples
 constexpr int kBorder = 2;
 inline int border_of(int level) { return level == 0 ? 0 : kBorder; }
 
-// This and level_of() have no branch, so that the compiler vectorises loops over many Gaussians. They give the same
-// result on every machine: only arithmetic, roots and comparisons in double precision.
-SG_INLINE double power_of_two(int exponent) {
-  const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
-  double value;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
-}
-
-// The level of a Gaussian with factor (l1, l2, l3); 0 if it is not an ellipse.
+// The level of a Gaussian with factor (l1, l2, l3); 0 if it is not an ellipse. Without a branch, so that the compiler
+// vectorises loops over many; and the same on every machine: only arithmetic, roots and comparisons in double
+// precision.
 SG_INLINE int level_of(const float* factor) {
   const double l1 = factor[0], l2 = factor[1], l3 = factor[2];
   const double a = l1 * l1, c = l2 * l2 + l3 * l3;
@@ -47,13 +40,6 @@ SG_INLINE int level_of(const float* factor) {
   const bool wide = (l1 > 0) & (l3 > 0) & (squared >= 4.0);
   return wide ? std::min(octaves >> 1, kMaxLevel) : 0;
 }
-
-// A Gaussian to draw, in samples of its level.
-struct Levelled {
-  SG_INLINE Levelled(const float* m, const float* l, int level);
-  float mean[2], factor[3];
-  float gain;  // factor on the colour
-};
 
 // A Gaussian's factor before and after narrowing, in samples of its level.
 struct Narrowed {
@@ -67,18 +53,23 @@ struct Narrowed {
   double q1, q2, q3;  // factor after narrowing
 };
 
-SG_INLINE Levelled::Levelled(const float* m, const float* l, int level) {
-  const double scale = power_of_two(-level);
-  const Narrowed n(l, level);
-  const auto on_level = [level](float pixels, double samples) SG_INLINE_LAMBDA {
-    return level == 0 ? pixels : static_cast<float>(samples);
-  };
-  for (int k = 0; k < 2; ++k) mean[k] = on_level(m[k], m[k] * scale + kBorder);
-  factor[0] = on_level(l[0], n.q1);
-  factor[1] = on_level(l[1], n.q2);
-  factor[2] = on_level(l[2], n.q3);
-  gain = on_level(1.0f, n.p1 * n.p3 / (n.q1 * n.q3));
-}
+// A Gaussian to draw, in samples of its level.
+struct Levelled {
+  SG_INLINE Levelled(const float* m, const float* l, int level) {
+    const double scale = power_of_two(-level);
+    const Narrowed n(l, level);
+    const auto on_level = [level](float pixels, double samples) SG_INLINE_LAMBDA {
+      return level == 0 ? pixels : static_cast<float>(samples);
+    };
+    for (int k = 0; k < 2; ++k) mean[k] = on_level(m[k], m[k] * scale + kBorder);
+    factor[0] = on_level(l[0], n.q1);
+    factor[1] = on_level(l[1], n.q2);
+    factor[2] = on_level(l[2], n.q3);
+    gain = on_level(1.0f, n.p1 * n.p3 / (n.q1 * n.q3));
+  }
+  float mean[2], factor[3];
+  float gain;  // factor on the colour
+};
 
 // The grids of levels 0 to top needed to draw pixels from (x, y) on. Level 0 begins with the tile of the first pixel.
 std::vector<Grid> grids_of(int x, int y, int width, int height, int top);

@@ -24,7 +24,8 @@ SG_INLINE float decay(float inv_l3) {
 float exp_minus(double x) { return static_cast<float>(exact_exp_minus(x)); }
 float decay_of(float inv_l3) { return decay(inv_l3); }
 
-SG_CLONES void place(const float* means, const float* factors, int first, int count, bool pyramid, float reach, Placed& p) {
+SG_CLONES void place(const float* means, const float* factors, int first, int count, bool pyramid, float reach,
+                     Placed& p) {
   means += 2 * static_cast<int64_t>(first), factors += 3 * static_cast<int64_t>(first);
   constexpr int kMost = Placed::kMost;
   // The arrays are zero behind the last Gaussian, because whole vectors are computed.

@@ -68,8 +68,8 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, co
   set_textures();
 }
 
-Rasterization::Rasterization(const StreamedGaussians& stream, const Canvas& canvas, int isa)
-    : Rasterization(canvas, isa, stream.most) {
+Rasterization::Rasterization(const StreamedGaussians& stream, const Canvas& canvas)
+    : Rasterization(canvas, -1, stream.most) {
   factors_.resize(3 * static_cast<size_t>(n_));
   const std::unique_ptr<float[]> means(new float[2 * static_cast<size_t>(n_)]);
   const int64_t pairs = find_pairs(means.get(), kPairsAtOnce, kPairsAtOnce, [&](const Chunk& body) {
@@ -102,11 +102,13 @@ void Rasterization::set_textures() {
   for (int level = 0; level <= top(); ++level) {
     const Grid& grid = grids_[level];
     const int border = border_of(level);
-    texture_.emplace_back(*canvas_.texture, level, grid.x - border, grid.y - border, grid.strips() * kTileWidth, grid.height);
+    texture_.emplace_back(*canvas_.texture, level, grid.x - border, grid.y - border, grid.strips() * kTileWidth,
+                          grid.height);
   }
 }
 
-Rasterization::Bin::Bin(int first_gaussian, int end, int tiles) : first(first_gaussian), counts(end - first), next(tiles) {
+Rasterization::Bin::Bin(int first_gaussian, int end, int tiles)
+    : first(first_gaussian), counts(end - first), next(tiles) {
   pairs.reserve(kPairsExpected * counts.size());
   places.reserve(kPairsExpected * counts.size());
 }
@@ -177,8 +179,10 @@ void Rasterization::bin(const Crossings& c, int64_t pairs, Bin& bin) const {
     add(gaussian, c.within[k], c.tile[k]);
     if (blocks == 1) continue;
     const int32_t lanes = c.within[k] >> 16 << 16, across = grids_[levels_[gaussian]].strips();
-    for (int block = 1; block < blocks; ++block)
-      add(gaussian, lanes | std::min(c.last_row[k] - block * kTileHeight, kTileHeight - 1) << 8, c.tile[k] + block * across);
+    for (int block = 1; block < blocks; ++block) {
+      const int32_t last_row = std::min(c.last_row[k] - block * kTileHeight, kTileHeight - 1);
+      add(gaussian, lanes | last_row << 8, c.tile[k] + block * across);
+    }
   }
 }
 

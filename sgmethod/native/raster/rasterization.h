@@ -56,7 +56,7 @@ class Rasterization {
   // invalid size, cutoff or instruction set.
   Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa, int64_t max_pairs);
   // The same while the Gaussians are still being produced, with most_pairs() as the limit.
-  Rasterization(const StreamedGaussians& stream, const Canvas& canvas, int isa);
+  Rasterization(const StreamedGaussians& stream, const Canvas& canvas);
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;

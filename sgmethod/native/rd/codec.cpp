@@ -1,16 +1,15 @@
 // The stream of profile rd (docs/format.md, version 2).
 //
 // Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
-// Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance along
-// that curve from the one before: no bits are spent on the order, which a set does not have. Then come the colour, u
-// within its class, v, r, and the position within the cell.
+// Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance
+// along that curve from the one before: no bits are spent on the order, which a set does not have. Then come the
+// colour, u within its class, v, r, and the position within the cell.
 //
 // The integers of many Gaussians are decoded first. What follows from each by itself comes after, in vectors and on
 // several threads.
 #include "rd/codec.h"
 
 #include <algorithm>
-#include <atomic>
 #include <memory>
 
 #include "core/errors.h"
@@ -22,9 +21,8 @@ namespace sg {
 namespace {
 
 constexpr int kClassBits = 6, kMostRawDistanceBits = 24;
-constexpr int kQuantiseChunk = 256;  // Gaussians of one task
-constexpr int kBatch = 2048;         // Gaussians whose values are made together
-std::atomic<int64_t> clipped{0};
+constexpr int kChunk = 256;   // Gaussians of one task
+constexpr int kBatch = 2048;  // Gaussians whose values are made together
 
 // The number of low bits of a distance that are sent without a model. `count` Gaussians in the cells of a class are
 // cells / count apart on average. A model pays only for the bits from a quarter of that upwards.
@@ -49,27 +47,10 @@ uint64_t most_in(const RdParameters& p, size_t bytes) {
   return std::min({pixels, kMaxGaussians, uint64_t{8} * bytes + 64});
 }
 
-// Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it.
-template <typename Visit>
-void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
-                        const Visit& visit) {
-  parallel_each(n, kQuantiseChunk, [&](int64_t i) {
-    Symbols s{};
-    int moved = 0;
-    visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s, moved) ? &s : nullptr);
-    if (moved != 0) clipped.fetch_add(moved, std::memory_order_relaxed);
-  });
-}
-
 template <typename Coder>
 uint32_t code_class_number(Coder& coder, uint32_t value = 0) {
   coder.fetch(kClassBits);
   return coder.raw(value, kClassBits);
-}
-
-template <typename Coder>
-uint32_t code_count(Coder& coder, Models& models, uint32_t value = 0) {
-  return code_whole(coder, kColorLane, models.count, value);
 }
 
 void encode_class(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
@@ -92,9 +73,9 @@ struct Batch {
   std::unique_ptr<Symbols[]> symbols;
   std::unique_ptr<Parts[]> parts;
 
-  // Of [first, last), which have come.
-  void values(const RdParameters& p, size_t first, size_t last, float* means, float* factors, float* colors) const {
-    dequantise(p, &symbols[first], &parts[first], static_cast<int>(last - first), means, factors, colors);
+  // Writes those of [first, last), which have come.
+  void values(const RdParameters& p, int first, int last, const MutableGaussians& out) const {
+    dequantise(p, &symbols[first], &parts[first], last - first, out);
   }
 };
 
@@ -103,27 +84,27 @@ namespace {
 // The state of a decoder. With prefix = true, it goes up to the first Gaussian that needs more.
 template <size_t kStates>
 struct Decoding {
-  using Decoder = DecoderOf<kStates>;
+  using Coder = Decoder<kStates>;
 
   const RdParameters& p;
   const size_t size;
   const bool prefix;
   Batch& batch;
   const std::function<void()>& reached;  // the batch's stop: it sets another
-  Decoder coder;
+  Coder coder;
   Models models{};
 
   // All that follow take the decoder in its current state, since a loop has a copy of its own.
-  bool overrun(const Decoder& now) const { return now.read() > size; }
+  bool overrun(const Coder& now) const { return now.read() > size; }
   // False if a prefix has ended.
-  bool whole(const Decoder& now) const {
+  bool whole(const Coder& now) const {
     if (!overrun(now)) return true;
     if (!prefix) refuse<std::runtime_error>("the data end too early");
     return false;
   }
   // Runs a loop that decodes by `now`. What is refused past the end of a prefix means nothing.
   template <typename Loop>
-  SG_INLINE void attempt(const Decoder& now, const Loop& loop) const {
+  SG_INLINE void attempt(const Coder& now, const Loop& loop) const {
     try {
       loop();
     } catch (const std::runtime_error&) {
@@ -132,8 +113,8 @@ struct Decoding {
   }
 };
 
-// Adds `wanted` Gaussians of a class to the batch, or less where a prefix ends: the first of the class if `begin`, not its
-// last if `more`. of_next: of the Gaussian behind them.
+// Adds `wanted` Gaussians of a class to the batch, or less where a prefix ends: the first of the class if `begin`, not
+// its last if `more`. of_next: of the Gaussian behind them.
 template <size_t kStates>
 SG_INLINE void decode_batch_body(Decoding<kStates>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
                                  bool more) {
@@ -163,25 +144,21 @@ SG_INLINE void decode_batch_body(Decoding<kStates>& d, ColorSize& of_next, const
   of_next = size;
   d.coder = coder;
 }
-template <size_t kStates>
-void decode_batch_baseline(Decoding<kStates>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin, bool more) {
-  decode_batch_body(d, of_next, c, wanted, begin, more);
-}
 #if SG_X86
-template <size_t kStates>
-__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<kStates>& d, ColorSize& of_next,
-                                                                      const SizeClass& c, int wanted, bool begin,
-                                                                      bool more) {
-  decode_batch_body(d, of_next, c, wanted, begin, more);
+template <auto body, typename... Arguments>
+[[gnu::target("avx2,bmi,bmi2,lzcnt")]] auto with_bit_operations(Arguments... arguments) {
+  return body(arguments...);
 }
 #endif
 
 template <size_t kStates>
-auto best_decode_batch() {
+using DecodeBatch = void (*)(Decoding<kStates>&, ColorSize&, const SizeClass&, int wanted, bool begin, bool more);
+template <size_t kStates>
+DecodeBatch<kStates> best_decode_batch() {
 #if SG_X86
-  if (best_isa() >= kAvx2 && has_bit_operations()) return decode_batch_avx2<kStates>;
+  if (best_isa() >= kAvx2 && has_bit_operations()) return with_bit_operations<decode_batch_body<kStates>>;
 #endif
-  return decode_batch_baseline<kStates>;
+  return for_baseline<decode_batch_body<kStates>>;
 }
 
 template <size_t kStates>
@@ -211,7 +188,7 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
   if (!begun || last < kMinClass) refuse<std::runtime_error>("no encoder begins like this");
   size_t done = 0;
   for (int c = first; c >= last; --c) {
-    const uint32_t count = code_count(d.coder, d.models);
+    const uint32_t count = code_whole(d.coder, kColorLane, d.models.count);
     if (!d.whole(d.coder)) return false;
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
@@ -227,9 +204,9 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
 template <size_t kStates>
 void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit, Batch& batch,
                  const std::function<void()>& reached) {
-  std::vector<uint8_t> padded(size + DecoderOf<kStates>::kSlack);
+  std::vector<uint8_t> padded(size + Decoder<kStates>::kSlack);
   std::copy_n(data, size, padded.begin());
-  Decoding<kStates> d{p, size, prefix, batch, reached, DecoderOf<kStates>(padded.data())};
+  Decoding<kStates> d{p, size, prefix, batch, reached, Decoder<kStates>(padded.data())};
   const bool ended = decode_payload(d, limit);
   const size_t read = std::min(d.coder.read(), size);
   if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
@@ -239,7 +216,20 @@ void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool p
 
 auto decode_into(const RdParameters& p) { return p.is_short ? decode_into<1> : decode_into<kLanes>; }
 
-std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
+}  // namespace
+
+RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, bool is_short)
+    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), is_short(is_short) {
+  if (!(width > 0 && height > 0 && quantum > 0)) refuse<std::invalid_argument>("parameters must be positive");
+  if (width > kMaxSide || height > kMaxSide) refuse<std::invalid_argument>("a side is more than 65535 pixels");
+}
+
+std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
+  if (all.empty()) return {};
+  if (all.size() > most_in(p, SIZE_MAX / 16)) refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
+  std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
+    return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
+  });
   Encoder coder;
   const int first = all.front().size_class, last = all.back().size_class;
   code_class_number(coder, static_cast<uint32_t>(kMaxClass - first));
@@ -249,62 +239,19 @@ std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, M
   for (int c = first; c >= last; --c) {
     Symbols* end = at;
     while (end < behind && end->size_class == c) ++end;
-    code_count(coder, models, static_cast<uint32_t>(end - at));
+    code_whole(coder, kColorLane, models.count, static_cast<uint32_t>(end - at));
     encode_class(coder, models, p, c, at, end);
     at = end;
   }
-  return coder.finish(p.is_short ? 1 : kLanes);
-}
-
-}  // namespace
-
-RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, bool is_short)
-    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), is_short(is_short) {
-  if (!(width > 0 && height > 0 && quantum > 0)) refuse<std::invalid_argument>("parameters must be positive");
-  if (width > kMaxSide || height > kMaxSide) refuse<std::invalid_argument>("a side is more than 65535 pixels");
-}
-
-int64_t clipped_values() { return clipped.load(std::memory_order_relaxed); }
-
-std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors,
-                               int n) {
-  std::vector<Symbols> all(n);
-  for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
-    if (s) all[i] = *s;
-  });
-  erase_empty(all);
-  return all;
-}
-
-void rd_quantise(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
-                 float* out_means, float* out_factors, float* out_colors) {
-  for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
-    if (s) {
-      dequantise(p, *s, Geometry(*s, Steps(*s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
-    } else {
-      std::copy_n(means + 2 * i, 2, out_means + 2 * i);
-      std::copy_n(factors + 3 * i, 3, out_factors + 3 * i);
-      std::fill_n(out_colors + 3 * i, 3, 0.0f);
-    }
-  });
-}
-
-std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
-  if (all.empty()) return {};
-  if (all.size() > most_in(p, SIZE_MAX / 16)) refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
-  std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
-    return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
-  });
-  std::vector<uint8_t> bytes = encoded(p, all, models);
+  std::vector<uint8_t> bytes = coder.finish(p.is_short ? 1 : kLanes);
   // Thousands of equal Gaussians take less than a bit each, and may be more than the payload may hold. Zeros behind the
   // last of them mean nothing.
   while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);
   return bytes;
 }
 
-std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const float* factors, const float* colors,
-                               int n) {
-  std::vector<Symbols> all = quantised(p, means, factors, colors, n);
+std::vector<uint8_t> rd_encode(const RdParameters& p, const ConstGaussians& gaussians, int n) {
+  std::vector<Symbols> all = quantised(p, gaussians, n);
   Models models;
   return encode_symbols(p, all, models);
 }
@@ -322,9 +269,9 @@ GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size
     out.means.resize(2 * all);
     out.factors.resize(3 * all);
     out.colors.resize(3 * all);
-    parallel_chunks(static_cast<int>(batch.n), kQuantiseChunk, [&](int first, int last, int) {
+    parallel_chunks(static_cast<int>(batch.n), kChunk, [&](int first, int last, int) {
       const size_t at = done + static_cast<size_t>(first);
-      batch.values(p, first, last, &out.means[2 * at], &out.factors[3 * at], &out.colors[3 * at]);
+      batch.values(p, first, last, {&out.means[2 * at], &out.factors[3 * at], &out.colors[3 * at]});
     });
     batch.symbols[0] = batch.symbols[batch.n];
     batch.n = 0;
@@ -332,7 +279,7 @@ GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size
   return out;
 }
 
-Arriving::Arriving(const RdParameters& p, size_t room) : p_(p), room_(room), batch_(new Batch(room, kQuantiseChunk)) {}
+Arriving::Arriving(const RdParameters& p, size_t room) : p_(p), room_(room), batch_(new Batch(room, kChunk)) {}
 Arriving::~Arriving() = default;
 
 void Arriving::decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived) {
@@ -344,8 +291,6 @@ void Arriving::decode(const uint8_t* data, size_t size, bool prefix, const std::
   });
 }
 
-void Arriving::values(int first, int last, float* means, float* factors, float* colors) const {
-  batch_->values(p_, static_cast<size_t>(first), static_cast<size_t>(last), means, factors, colors);
-}
+void Arriving::values(int first, int last, const MutableGaussians& out) const { batch_->values(p_, first, last, out); }
 
 }  // namespace sg

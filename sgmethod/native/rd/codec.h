@@ -7,6 +7,8 @@
 #include <memory>
 #include <vector>
 
+#include "core/gaussians.h"
+
 namespace sg {
 
 struct RdParameters {
@@ -21,23 +23,9 @@ struct RdParameters {
 
 constexpr uint64_t kMaxGaussians = 1 << 24;
 
-struct GaussianArrays {
-  std::vector<float> means, factors, colors;  // [n, 2], [n, 3], [n, 3]
-};
-
-// The values that decoding an encoding of the given Gaussians would give, in the order given; Gaussians whose
-// colour rounds to nothing get colour 0. means [n, 2], factors [n, 3], colors [n, 3].
-void rd_quantise(const RdParameters& parameters, const float* means, const float* factors, const float* colors, int n,
-                 float* out_means, float* out_factors, float* out_colors);
-
-// Values that lay outside of the range of their integer and were moved to its end, since the process began: of Gaussians
-// that came to be quantised, encoded or refined.
-int64_t clipped_values();
-
-// The payload's bytes. Gaussians whose colour rounds to nothing, and those with values that are not finite or scales that
-// are not positive, are left out. Throws std::invalid_argument for more Gaussians than pixels or than 2^24.
-std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* means, const float* factors,
-                               const float* colors, int n);
+// The payload's bytes. Gaussians whose colour rounds to nothing, and those with values that are not finite or scales
+// that are not positive, are left out. Throws std::invalid_argument for more Gaussians than pixels or than 2^24.
+std::vector<uint8_t> rd_encode(const RdParameters& parameters, const ConstGaussians& gaussians, int n);
 
 // Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
 // Gaussians up to there are returned, at most 8 for each byte and 64. Throws std::overflow_error for more than
@@ -57,8 +45,8 @@ class Arriving {
   // Decodes as rd_decode() does. arrived(n) is called again and again when the first n are there. Throws
   // std::overflow_error where the room may not do.
   void decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived);
-  // Of [first, last), which are there: means [last - first, 2], factors and colors [last - first, 3].
-  void values(int first, int last, float* means, float* factors, float* colors) const;
+  // Writes those of [first, last), which are there.
+  void values(int first, int last, const MutableGaussians& out) const;
 
  private:
   const RdParameters p_;

@@ -1,14 +1,15 @@
 // Adaptive models of 16 symbols, and rANS over them with two states (J. Duda, "Asymmetric numeral systems",
-// 2013; interleaved as by F. Giesen, 2014). Integers only, so that every machine decodes the same. Decoding a symbol has no
-// division and no branch that depends on the data.
+// 2013; interleaved as by F. Giesen, 2014). Integers only, so that every machine decodes the same. Decoding a symbol
+// has no division and no branch that depends on the data.
 //
-// A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state of
-// its own, and calling for the one and the other in turns decodes two symbols in that time. Raw bits wait for neither.
+// A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state
+// of its own, and calling for the one and the other in turns decodes two symbols in that time. Raw bits wait for
+// neither.
 //
 // In a short file (docs/format.md) both lanes share one state: two more would cost more than their time is worth.
 //
-// All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw bits
-// take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
+// All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw
+// bits take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
 #pragma once
 
 #include <algorithm>
@@ -65,15 +66,17 @@ struct Adaptation {
 };
 inline constexpr Adaptation kAdaptation;
 
-// The probabilities of 16 symbols: the mean of a fast and a slow estimate of the edges between them. Edges are kept less
-// kProbabilityOne, so that the last is 0 and vectors compare them with signs.
+// The probabilities of 16 symbols: the mean of a fast and a slow estimate of the edges between them. Edges are kept
+// less kProbabilityOne, so that the last is 0 and vectors compare them with signs.
 class Model {
  public:
   // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
   explicit Model(const uint8_t* start) {
     ends()[-1] = -kOne;
-    for (int i = 0; i + 1 < kSymbols; ++i)
-      fast_[i] = slow_[i] = ends()[i] = static_cast<int16_t>(Adaptation::kRoom * start[i] / 256 + Adaptation::least_end(i));
+    for (int i = 0; i + 1 < kSymbols; ++i) {
+      const int end = Adaptation::kRoom * start[i] / 256 + Adaptation::least_end(i);
+      fast_[i] = slow_[i] = ends()[i] = static_cast<int16_t>(end);
+    }
   }
 
   // Where symbol i begins, in 1/2^kProbabilityBits; no symbol's share is ever zero.
@@ -189,13 +192,13 @@ class Encoder {
 // Does not look for the end of the data, which kSlack zeros must follow. The caller compares read() with the size
 // before these are used up. kStates: 1 where the lanes share a state, or kLanes.
 template <size_t kStates>
-class DecoderOf {
+class Decoder {
  public:
   static constexpr bool kCodesCells = true;
   static constexpr size_t kSlack = 128;  // enough for 16 calls of symbol() or fetch()
 
   // data: what is to be read, and kSlack zeros.
-  explicit DecoderOf(const uint8_t* data) : begin_(data), next_(data + kStates * kStateBytes) {
+  explicit Decoder(const uint8_t* data) : begin_(data), next_(data + kStates * kStateBytes) {
     std::memcpy(states_.data(), data, kStates * kStateBytes);
   }
 
@@ -252,6 +255,5 @@ class DecoderOf {
   uint64_t raw_ = 0;
   int bits_ = 0;  // in raw_ that are not spoken for
 };
-using Decoder = DecoderOf<kLanes>;
 
 }  // namespace sg

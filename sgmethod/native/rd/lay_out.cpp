@@ -1,6 +1,7 @@
 #include "rd/lay_out.h"
 
 #include <stdexcept>
+#include <utility>
 
 namespace sg {
 namespace {
@@ -9,14 +10,16 @@ constexpr size_t kFewestBits = 18;    // of a Gaussian; a file may have smaller 
 constexpr size_t kMostRoom = 1 << 18;  // Gaussians for which memory is taken before they are counted
 
 LaidOut laid_out(GaussianArrays&& g, const Canvas& canvas) {
-  const int n = static_cast<int>(g.means.size() / 2);
-  const int64_t most = most_pairs(n, canvas.width, canvas.height);
-  return {std::make_unique<Rasterization>(g.means.data(), g.factors.data(), n, canvas, -1, most), std::move(g.colors)};
+  const int64_t most = most_pairs(g.count(), canvas.width, canvas.height);
+  auto raster = std::make_unique<Rasterization>(g.means.data(), g.factors.data(), g.count(), canvas, -1, most);
+  return {std::move(raster), std::move(g.colors)};
 }
 
 }  // namespace
 
-LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, const Canvas& canvas) {
+LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool prefix,
+                std::shared_ptr<const Texture> texture) {
+  const Canvas canvas{0, 0, p.width, p.height, kCutoffV2, true, std::move(texture)};
   const size_t room = 8 * size / kFewestBits + 1;
   if (room > kMostRoom) return laid_out(rd_decode(p, data, size, prefix), canvas);
   Arriving arriving(p, room);
@@ -31,9 +34,9 @@ LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool pr
     }
   };
   streamed.values = [&](int first, int last, float* means, float* factors) {
-    arriving.values(first, last, means, factors, &colors[3 * static_cast<size_t>(first)]);
+    arriving.values(first, last, {means, factors, &colors[3 * static_cast<size_t>(first)]});
   };
-  auto raster = std::make_unique<Rasterization>(streamed, canvas, -1);
+  auto raster = std::make_unique<Rasterization>(streamed, canvas);
   if (crowded) return laid_out(rd_decode(p, data, size, prefix), canvas);
   colors.resize(3 * static_cast<size_t>(raster->gaussians()));
   return {std::move(raster), std::move(colors)};

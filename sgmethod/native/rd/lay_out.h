@@ -16,7 +16,8 @@ struct LaidOut {
   std::vector<float> colors;  // [n, 3]
 };
 
-// Throws std::runtime_error as rd_decode() does, std::overflow_error for more pairs than a picture needs.
-LaidOut lay_out(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix, const Canvas& canvas);
+// The whole picture. Throws std::runtime_error as rd_decode() does, std::overflow_error for more pairs than it needs.
+LaidOut lay_out(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
+                std::shared_ptr<const Texture> texture);
 
 }  // namespace sg

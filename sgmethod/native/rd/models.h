@@ -1,5 +1,5 @@
-// Profile rd: the adaptive models of a stream, and the one order in which integers are coded, for the encoder, the decoder
-// and the estimate of bits alike.
+// Profile rd: the adaptive models of a stream, and the one order in which integers are coded, for the encoder, the
+// decoder and the estimate of bits alike.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +14,8 @@
 
 namespace sg {
 
-// A number below 2^32. Each of 0 to 3 has a symbol. So has each half of an octave up to 191, and the number's lower bits
-// follow without a model. The last symbol is an escape: the length of a larger number and its bits follow.
+// A number below 2^32. Each of 0 to 3 has a symbol. So has each half of an octave up to 191, and the number's lower
+// bits follow without a model. The last symbol is an escape: the length of a larger number and its bits follow.
 constexpr uint32_t kEscape = 15, kFirstEscaped = 192;
 
 struct Number {
@@ -77,7 +77,9 @@ std::array<Model, N> models_from(const uint8_t (&start)[N][kSymbols - 1]) {
   return models_from(start, std::make_index_sequence<N>());
 }
 
-inline uint32_t magnitude(int value) { return value < 0 ? 0u - static_cast<uint32_t>(value) : static_cast<uint32_t>(value); }
+inline uint32_t magnitude(int value) {
+  return value < 0 ? 0u - static_cast<uint32_t>(value) : static_cast<uint32_t>(value);
+}
 SG_INLINE int with_sign(uint32_t size, uint32_t negative) {
   return negative ? -static_cast<int>(size) : static_cast<int>(size);
 }
@@ -107,8 +109,9 @@ struct SizeClass {
   uint32_t last_column, last_row;  // of the cells, as bits of a Morton code
 };
 
-// There are few contexts, because a small picture has only a few hundred symbols for each to learn from. Contexts by size
-// class, by the neighbour along the curve, and of r by v were measured and gained next to nothing (docs/design.md).
+// There are few contexts, because a small picture has only a few hundred symbols for each to learn from. Contexts by
+// size class, by the neighbour along the curve, and of r by v were measured and gained next to nothing
+// (docs/notebook/bitstream.md).
 struct Models {
   Model count{kStartCount}, distance{kStartDistance}, luma{kStartLuma};
   std::array<Model, 4> a = models_from(kStartA), b = models_from(kStartB);
@@ -117,9 +120,9 @@ struct Models {
 
   // One turn. The Gaussians of a class come one after another, and each in two parts: cell and colour, then shape and
   // place. A turn has the former of one, `next`, and the latter of the Gaussian before it, `now`, whose cell is `from`.
-  // Symbols of the two alternate, and with them the lanes. What chooses a symbol's model should not wait for raw bits of the
-  // same turn, and one fetch() is for at most 56 of these. `size` is of the colour of `now` at first, then of `next`.
-  // Returns the parts of `now`.
+  // Symbols of the two alternate, and with them the lanes. What chooses a symbol's model should not wait for raw bits
+  // of the same turn, and one fetch() is for at most 56 of these. `size` is of the colour of `now` at first, then of
+  // `next`. Returns the parts of `now`.
   template <bool kNext, bool kNow, typename Coder>
   SG_INLINE Parts pair(Coder& coder, const RdParameters& p, const SizeClass& c, uint32_t from, ColorSize& size,
                        Symbols& next, Symbols& now) {

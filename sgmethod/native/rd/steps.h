@@ -1,4 +1,5 @@
-// The steps of a fit: Gaussians move down the gradient of their error and of the price of their bits.
+// The steps of a fit: Gaussians move down the gradient of their error and of the price of their bits. The fit moves
+// real numbers, so the number of bits is a smooth estimate.
 #pragma once
 
 #include <cstdint>
@@ -21,10 +22,10 @@ struct Descent {
   float reach, width, height;  // of keep_in_range()
 };
 
-// The optimiser's averages [n, 8] and powers of beta [n, 2].
-struct Averages {
-  float *first, *second, *bias;
-};
+// Adds the gradient by factors and colours that Backend.add_rate_gradient (sgmethod/backend/protocol.py) describes, for
+// the Gaussians from first to before last. Means are neither read nor written.
+void add_rate_gradient(float quantum, float weight, int first, int last, const ConstGaussians& p,
+                       const MutableGaussians& grad);
 
 // A step for each of the rates [steps], factors on all rates of the settings.
 void rd_steps(const Descent& descent, const float* rates, int steps, int n, const MutableGaussians& p,

@@ -1,11 +1,10 @@
 #include "rd/symbols.h"
 
+#include <atomic>
 #include <cmath>
-#include <cstring>
 
-#include "core/constants.h"
 #include "core/isa.h"
-#include "core/simd.h"
+#include "core/thread_pool.h"
 
 namespace sg {
 namespace {
@@ -15,6 +14,8 @@ constexpr double kLeastScale = static_cast<float>(kMinScale);
 // Cells beyond each edge of the picture. A centre further out is moved into the outermost of them. So is one that a
 // 16-bit coordinate does not reach: this happens to the smallest classes at the far end of sides above 65,531 pixels.
 constexpr int kBorderCells = 2;
+constexpr int kChunk = 256;  // Gaussians of one task
+std::atomic<int64_t> clipped_in_all{0};
 
 typedef double Pair __attribute__((vector_size(16)));
 
@@ -28,7 +29,7 @@ SG_INLINE T exact_exp(T x) {
   return e;
 }
 
-SG_INLINE double class_size(int c) { return ((c & 1) ? 1.4142135623730951 : 1.0) * Steps::power((c - (c & 1)) / 2); }
+SG_INLINE double class_size(int c) { return ((c & 1) ? 1.4142135623730951 : 1.0) * power_of_two((c - (c & 1)) / 2); }
 
 // A colour along the axes of kColorBasis.
 struct Luma {
@@ -55,7 +56,7 @@ SG_INLINE uint32_t gather_bits(uint32_t v) {
 
 // Within the class.
 SG_INLINE double shape_u(const Symbols& s, const Steps& steps) {
-  return ((s.u + 0.5) * Steps::power(-steps.u_bits()) - 0.5) * kClassWidth;
+  return ((s.u + 0.5) * power_of_two(-steps.u_bits()) - 0.5) * kClassWidth;
 }
 
 double color_step(const RdParameters& p, int size_class) {
@@ -64,15 +65,15 @@ double color_step(const RdParameters& p, int size_class) {
 
 // A coordinate of a mean, from that of its cell, the part of the cell, and by how many bits this is divided.
 SG_INLINE float place(uint32_t cell, uint32_t part, int bits, double side) {
-  return static_cast<float>((static_cast<double>(cell) - kBorderCells + (part + 0.5) * Steps::power(-bits)) * side);
+  return static_cast<float>((static_cast<double>(cell) - kBorderCells + (part + 0.5) * power_of_two(-bits)) * side);
 }
 
 }  // namespace
 
 bool in_range(const float* l, const float* color) {
   const auto small = [](float v, double most) { return std::abs(v) <= 1.5 * most; };
-  return small(l[1], kMaxSlant * l[2]) && small(l[0], kMaxScale) && small(l[2], kMaxScale) && small(color[0], kMaxAmplitude) &&
-         small(color[1], kMaxAmplitude) && small(color[2], kMaxAmplitude);
+  return small(l[1], kMaxSlant * l[2]) && small(l[0], kMaxScale) && small(l[2], kMaxScale) &&
+         small(color[0], kMaxAmplitude) && small(color[1], kMaxAmplitude) && small(color[2], kMaxAmplitude);
 }
 
 Geometry::Geometry(const Symbols& s, const Steps& steps) {
@@ -96,7 +97,8 @@ uint32_t cells_along(int side, int bits) {
   return static_cast<uint32_t>(std::min((side >> bits) + 1 + 2 * kBorderCells, 1 << 16));
 }
 
-bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s, int& clipped) {
+bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s,
+              int& clipped) {
   const double l1 = factor[0], l3 = factor[2];
   const auto finite = [](const float* values, int n) {
     return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
@@ -117,10 +119,11 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   if (s.empty()) return false;
   const Steps steps(s);
   const double levels = static_cast<double>(1u << steps.u_bits());
-  s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
+  const double level = std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels);
+  s.u = static_cast<uint32_t>(std::clamp(level, 0.0, levels - 1));
   s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::floor(kMostV / steps.v()));
-  // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded instead,
-  // the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
+  // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded
+  // instead, the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
   s.r = 0;
   const Geometry flat(s, steps);
   s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(kMostR / steps.r()));
@@ -143,8 +146,23 @@ void erase_empty(std::vector<Symbols>& all) {
   all.erase(std::remove_if(all.begin(), all.end(), [](const Symbols& s) { return s.empty(); }), all.end());
 }
 
+namespace {
+
+// Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it.
+template <typename Visit>
+void for_each_quantised(const RdParameters& p, const ConstGaussians& g, int n, const Visit& visit) {
+  parallel_each(n, kChunk, [&](int64_t i) {
+    Symbols s{};
+    int moved = 0;
+    visit(i, quantise(p, g.means + 2 * i, g.factors + 3 * i, g.colors + 3 * i, s, moved) ? &s : nullptr);
+    if (moved != 0) clipped_in_all.fetch_add(moved, std::memory_order_relaxed);
+  });
+}
+
+}  // namespace
+
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color) {
-  const double side = Steps::power(cell_bits(s.size_class));
+  const double side = power_of_two(cell_bits(s.size_class));
   mean[0] = place(gather_bits(s.cell), s.px, g.parts.x_bits, side);
   mean[1] = place(gather_bits(s.cell >> 1), s.py, g.parts.y_bits, side);
   factor[0] = static_cast<float>(g.l1);
@@ -154,11 +172,36 @@ void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, floa
   to_rgb({s.y * step, s.a * step, s.b * step}, color);
 }
 
+int64_t clipped_values() { return clipped_in_all.load(std::memory_order_relaxed); }
+
+std::vector<Symbols> quantised(const RdParameters& p, const ConstGaussians& gaussians, int n) {
+  std::vector<Symbols> all(n);
+  for_each_quantised(p, gaussians, n, [&](int64_t i, const Symbols* s) {
+    if (s) all[i] = *s;
+  });
+  erase_empty(all);
+  return all;
+}
+
+void rd_quantise(const RdParameters& p, const ConstGaussians& gaussians, int n, const MutableGaussians& out) {
+  for_each_quantised(p, gaussians, n, [&](int64_t i, const Symbols* s) {
+    float *const mean = out.means + 2 * i, *const factor = out.factors + 3 * i, *const color = out.colors + 3 * i;
+    if (s) {
+      dequantise(p, *s, Geometry(*s, Steps(*s)), mean, factor, color);
+    } else {
+      std::copy_n(gaussians.means + 2 * i, 2, mean);
+      std::copy_n(gaussians.factors + 3 * i, 3, factor);
+      std::fill_n(color, 3, 0.0f);
+    }
+  });
+}
+
 namespace {
 
-// Operation by operation what Geometry and dequantise() do of one Gaussian, in loops of which the compiler makes vectors.
-SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const Parts* parts, int n, float* means,
-                               float* factors, float* colors) {
+// Operation by operation what Geometry and dequantise() do of one Gaussian, in loops of which the compiler makes
+// vectors.
+SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const Parts* parts, int n,
+                               const MutableGaussians& out) {
   constexpr int kBlock = 64, kClasses = kMaxClass - kMinClass + 1;
   double sizes[kClasses], color_steps[kClasses];
   for (int c = 0; c < kClasses; ++c) {
@@ -169,7 +212,8 @@ SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const 
     const int count = std::min(kBlock, n - first);
     const Symbols* const s = all + first;
     const Parts* const part = parts + first;
-    float *const mean = means + 2 * first, *const factor = factors + 3 * first, *const color = colors + 3 * first;
+    float *const mean = out.means + 2 * first, *const factor = out.factors + 3 * first;
+    float* const color = out.colors + 3 * first;
     double l1[kBlock], l3[kBlock], slants[kBlock];
     uint32_t columns[kBlock], rows[kBlock];
     for (int i = 0; i < count; ++i) {
@@ -198,30 +242,19 @@ SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const 
       to_rgb({s[i].y * step, s[i].a * step, s[i].b * step}, color + 3 * i);
     }
     for (int i = 0; i < count; ++i)
-      mean[2 * i] = place(columns[i], s[i].px, part[i].x_bits, Steps::power(cell_bits(s[i].size_class)));
+      mean[2 * i] = place(columns[i], s[i].px, part[i].x_bits, power_of_two(cell_bits(s[i].size_class)));
     for (int i = 0; i < count; ++i)
-      mean[2 * i + 1] = place(rows[i], s[i].py, part[i].y_bits, Steps::power(cell_bits(s[i].size_class)));
+      mean[2 * i + 1] = place(rows[i], s[i].py, part[i].y_bits, power_of_two(cell_bits(s[i].size_class)));
   }
 }
-void dequantise_baseline(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
-                         float* colors) {
-  dequantise_body(p, s, parts, n, means, factors, colors);
-}
-#if SG_X86
-__attribute__((target("avx2"))) void dequantise_avx2(const RdParameters& p, const Symbols* s, const Parts* parts, int n,
-                                                     float* means, float* factors, float* colors) {
-  dequantise_body(p, s, parts, n, means, factors, colors);
-}
-#endif
 
 }  // namespace
 
-void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
-                float* colors) {
+void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, const MutableGaussians& out) {
 #if SG_X86
-  if (best_isa() >= kAvx2) return dequantise_avx2(p, s, parts, n, means, factors, colors);
+  if (best_isa() >= kAvx2) return for_avx2<dequantise_body>(p, s, parts, n, out);
 #endif
-  dequantise_baseline(p, s, parts, n, means, factors, colors);
+  dequantise_body(p, s, parts, n, out);
 }
 
 }  // namespace sg

@@ -8,25 +8,25 @@
 //     v = log sqrt(l1 / l3)       d^2 pi s^2 |c|^2
 //     r = l2 / l3                 d^2 pi s^2 |c|^2 / 4
 //     the mean, in units of L     d^2 pi s^2 |c|^2 / 2
-// Colours are coded in steps of quantum / (1.5 s), where sqrt(pi) for 1.5 would make the quantum's square the energy of a
-// step. With m the length of the integer colour vector, steps of equal energy are then 0.707 / m in u, 1 / m in v, 2 / m in
-// r and 1.414 / m in the mean: only m decides.
+// Colours are coded in steps of quantum / (1.5 s), where sqrt(pi) for 1.5 would make the quantum's square the energy of
+// a step. With m the length of the integer colour vector, steps of equal energy are then 0.707 / m in u, 1 / m in v, 2
+// / m in r and 1.414 / m in the mean: only m decides.
 #pragma once
 
 #include <algorithm>
 #include <cstdint>
-#include <cstring>
 #include <vector>
 
 #include "core/constants.h"
+#include "core/simd.h"
 #include "rd/codec.h"
 
 namespace sg {
 
 constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
 
-// What the integers may be. The range of v and r ends at values that do not depend on the steps: a slanted needle in a fine
-// file is what it is in a coarse one. Steps are no finer than single precision can use.
+// What the integers may be. The range of v and r ends at values that do not depend on the steps: a slanted needle in a
+// fine file is what it is in a coarse one. Steps are no finer than single precision can use.
 constexpr int kMostColor = 1 << 22;          // of each part of a colour, in steps
 constexpr int kMostV = 8, kMostR = 4096;     // of |v| and |r|
 constexpr int kMostExponent = 18;            // of the length of the colour vector, as far as it decides steps
@@ -55,19 +55,13 @@ struct Steps {
   uint64_t square;  // m^2
   int exponent;     // of the power of two nearest to m
   int u_bits() const { return std::clamp(exponent - 1, 0, kMostUBits); }  // 0.3466 / 2^bits against 0.707 / m
-  double v() const { return power(-exponent); }
+  double v() const { return power_of_two(-exponent); }
   double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
   // Whether there is a shape with these steps of v and r.
   bool allow(uint32_t v_steps, uint32_t r_steps) const {
     const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };
     return within(v_steps, kMostV) && within(r_steps, kMostR / kRStep);
-  }
-  static double power(int exponent) {  // of two
-    const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
-    double value;
-    std::memcpy(&value, &bits, sizeof value);
-    return value;
   }
 };
 
@@ -113,19 +107,26 @@ uint32_t spread_bits(uint32_t v);
 // with room for the steps that refining takes.
 bool in_range(const float* factor, const float* color);
 
-// Rounds one Gaussian to integers. False if nothing of it is left. What lies outside of the range of its integer is moved
-// to its end, and added to `clipped`.
-bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s, int& clipped);
+// Rounds one Gaussian to integers. False if nothing of it is left. What lies outside of the range of its integer is
+// moved to its end, and added to `clipped`.
+bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s,
+              int& clipped);
 inline bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s) {
   int clipped = 0;
   return quantise(p, mean, factor, color, s, clipped);
 }
 void erase_empty(std::vector<Symbols>& all);
 // What is left of n Gaussians.
-std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n);
+std::vector<Symbols> quantised(const RdParameters& p, const ConstGaussians& gaussians, int n);
+// The values that decoding an encoding of the given Gaussians would give, in the order given; Gaussians whose colour
+// rounds to nothing get colour 0.
+void rd_quantise(const RdParameters& p, const ConstGaussians& gaussians, int n, const MutableGaussians& out);
+// Number of values that lay outside of the range of their integer and were moved to its end since the process began, of
+// Gaussians that were quantised, encoded or refined.
+int64_t clipped_values();
+
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color);
 // The same of n Gaussians whose parts are known, in vectors.
-void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
-                float* colors);
+void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, const MutableGaussians& out);
 
 }  // namespace sg

@@ -14,17 +14,19 @@ namespace {
 
 constexpr int kLanes = 16;  // partial sums, so that their order does not depend on the instruction set
 
+using Rows = const float* const[Patch::kTaps];
+
 // out = weighted sum of five rows, or of one row at five offsets.
-SG_CLONES void weighted_sum(const float* const (&in)[Patch::kTaps], const float* const (&weights)[Patch::kTaps], float* out,
-                            int count) {
+SG_CLONES void weighted_sum(const Rows& in, const Rows& weights, float* out, int count) {
   for (int i = 0; i < count; ++i)
     out[i] = weights[0][i] * in[0][i] + weights[1][i] * in[1][i] + weights[2][i] * in[2][i] + weights[3][i] * in[3][i] +
              weights[4][i] * in[4][i];
 }
 
-SG_CLONES void weighted_sum(const float* const (&in)[Patch::kTaps], const float (&weights)[Patch::kTaps], float* out, int count) {
+SG_CLONES void weighted_sum(const Rows& in, const float (&weights)[Patch::kTaps], float* out, int count) {
   const float w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3], w4 = weights[4];
-  for (int i = 0; i < count; ++i) out[i] = w0 * in[0][i] + w1 * in[1][i] + w2 * in[2][i] + w3 * in[3][i] + w4 * in[4][i];
+  for (int i = 0; i < count; ++i)
+    out[i] = w0 * in[0][i] + w1 * in[1][i] + w2 * in[2][i] + w3 * in[3][i] + w4 * in[4][i];
 }
 
 SG_CLONES void add_products(const float* a, const float* b, int count, float (&partial)[kLanes]) {
@@ -60,8 +62,9 @@ void Patch::draw(const Footprint& f, float floor, const std::vector<Span>& spans
   y_ = first - kMarginRows;
   rows_ = last - first + 1 + 2 * kMarginRows;
   weights_.assign(static_cast<size_t>(rows_) * columns_, 0.0f);
-  fit_kernels(best_isa())
-      .weights(f, floor, spans.data(), static_cast<int>(spans.size()), first, columns_, weights(kMarginRows) + kMarginColumns);
+  const int count = static_cast<int>(spans.size());
+  float* const from = weights(kMarginRows) + kMarginColumns;
+  fit_kernels(best_isa()).weights(f, floor, spans.data(), count, first, columns_, from);
 }
 
 // Computed level by level: fine samples i and j that both lie in the picture each come from two coarse ones, near and
@@ -206,8 +209,7 @@ void Gram::add(int level, Planes& picture, Planes& reduced) const {
         rows[k] = half(within ? from : y, color);
         taps[k] = within ? *down.at(k, y) : 0.0f;
       }
-      weighted_sum({rows[0], rows[1], rows[2], rows[3], rows[4]}, {taps[0], taps[1], taps[2], taps[3], taps[4]}, sum.data(),
-                   grid.width);
+      weighted_sum(rows, taps, sum.data(), grid.width);
       float* to = reduced.at(level, 0, y) + color * reduced.stride(level);
       for (size_t x = 0; x < width; ++x) to[x] += sum[x] * (root == nullptr ? 1.0f : root[x]);
     }
@@ -229,7 +231,8 @@ void Gram::project(const Patch& patch, int level, Planes& reduced, float* sums) 
 
 void Gram::add(const Patch& patch, int level, const float* color, Planes& reduced) {
   const Grid& grid = reduced.grid(level);
-  const int left = std::max(grid.x, patch.x_ + patch.begin_), right = std::min(grid.x + grid.width, patch.x_ + patch.end_);
+  const int left = std::max(grid.x, patch.x_ + patch.begin_);
+  const int right = std::min(grid.x + grid.width, patch.x_ + patch.end_);
   const int top = std::max(grid.y - patch.y_, 0), bottom = std::min(patch.rows_, grid.y + grid.height - patch.y_);
   for (int row = top; row < bottom; ++row)
     for (int k = 0; k < 3; ++k)

@@ -59,8 +59,9 @@ class Gram {
   // U^T U along an axis: at(tap, place) is the element of samples `place` and `place` + tap - 2.
   struct Band {
     explicit Band(int size) : stride(size + 2 * kPad), values(static_cast<size_t>(Patch::kTaps) * stride) {}
-    float* at(int tap, int place) { return values.data() + static_cast<size_t>(tap) * stride + place + kPad; }
-    const float* at(int tap, int place) const { return values.data() + static_cast<size_t>(tap) * stride + place + kPad; }
+    float* at(int tap, int place) { return values.data() + index(tap, place); }
+    const float* at(int tap, int place) const { return values.data() + index(tap, place); }
+    size_t index(int tap, int place) const { return static_cast<size_t>(tap) * stride + place + kPad; }
     int stride;
     std::vector<float> values;
   };

@@ -43,7 +43,7 @@ class Refinement {
   Refinement(const RdParameters& p, std::vector<Symbols> all, const int16_t* target, const RefineSettings& settings)
       : target_(target), width_(halved(p.width, settings.halvings)), height_(halved(p.height, settings.halvings)),
         gram_(grids_of(0, 0, width_, height_, kMaxLevel), settings.visibility),
-        state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr, gram_, nullptr, {}},
+        state_{p, settings, exp_minus(kCutoffV2), std::sqrt(2.0f * kCutoffV2), {}, nullptr, gram_, nullptr, {}},
         all_(std::move(all)) {
     const int64_t width = width_, height = height_, strips = (width + kTileWidth - 1) / kTileWidth;
     values_.assign(strips * height * 3 * kTileWidth, 0.0f);
@@ -126,8 +126,8 @@ class Refinement {
   }
 
   Rasterization rasterised(const GaussianArrays& g) const {
-    const Canvas canvas{0, 0, width_, height_, state_.settings.cutoff, true};
-    return Rasterization(g.means.data(), g.factors.data(), static_cast<int>(g.means.size() / 2), canvas, -1, kMaxPairs);
+    const Canvas canvas{0, 0, width_, height_, kCutoffV2, true};
+    return Rasterization(g.means.data(), g.factors.data(), g.count(), canvas, -1, kMaxPairs);
   }
 
   // Visits all Gaussians once, level by level from the top. Returns the number of changed ones.
@@ -226,7 +226,8 @@ class Refinement {
     std::sort(order.begin(), order.end());
     std::vector<Symbols> staying = all_;
     size_t next = 0;
-    const auto excess = [&] { return static_cast<double>(payload.size()) - static_cast<double>(state_.settings.max_bytes); };
+    const auto most = static_cast<double>(state_.settings.max_bytes);
+    const auto excess = [&] { return static_cast<double>(payload.size()) - most; };
     do {
       double bits = 0.6 * 8.0 * excess();  // less than the excess, because the sizes are estimates
       for (; next < order.size() && bits > 0; ++next) {
@@ -254,9 +255,9 @@ class Refinement {
 
 }  // namespace
 
-std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
-                               const int16_t* target, const RefineSettings& settings) {
-  return Refinement(p, quantised(p, means, factors, colors, n), target, settings).run();
+std::vector<uint8_t> rd_refine(const RdParameters& p, const ConstGaussians& gaussians, int n, const int16_t* target,
+                               const RefineSettings& settings) {
+  return Refinement(p, quantised(p, gaussians, n), target, settings).run();
 }
 
 }  // namespace sg

@@ -10,7 +10,6 @@
 namespace sg {
 
 struct RefineSettings {
-  float cutoff;      // sigma at which a Gaussian ends
   double price;      // squared error, summed over the target, that one bit is worth
   int sweeps;        // most sweeps over all Gaussians
   double seconds;    // no sweep begins later, and a running one ends soon after
@@ -26,7 +25,7 @@ inline int halved(int side, int halvings) { return (side + (1 << halvings) - 1) 
 // Encodes Gaussians, rounded, with integers changed one Gaussian at a time wherever that lowers squared error plus
 // price times bits. target [3, height, width]: the sum that they should reach, kTargetWhite being white; smaller than
 // the picture by `halvings` if Gaussians are few and wide.
-std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
-                               const int16_t* target, const RefineSettings& settings);
+std::vector<uint8_t> rd_refine(const RdParameters& p, const ConstGaussians& gaussians, int n, const int16_t* target,
+                               const RefineSettings& settings);
 
 }  // namespace sg

@@ -77,7 +77,8 @@ struct State {
     float seen[3] = {c.color[0], c.color[1], c.color[2]};
     if (visibility != nullptr) settings.seen.weigh(seen);
     double error = 0;
-    for (int k = 0; k < 3; ++k) error += seen[k] * (static_cast<double>(c.color[k]) * products[3] + times * products[k]);
+    for (int k = 0; k < 3; ++k)
+      error += seen[k] * (static_cast<double>(c.color[k]) * products[3] + times * products[k]);
     return error;
   }
 
@@ -114,27 +115,22 @@ class Visitor {
     best.cost = 0;
     consider(now, best);
     const Steps steps(s);
-    const Geometry g(s, steps);
+    const Parts parts = parts_of(s, steps);
     for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
       // One step of u may lead to another size class, so the Gaussian is scaled and rounded again.
-      const float grow = std::exp(static_cast<float>(sign * 0.34657359 * Steps::power(-steps.u_bits())));
+      const float grow = std::exp(static_cast<float>(sign * 0.34657359 * power_of_two(-steps.u_bits())));
       const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
       Candidate c;
       if (quantised(now.mean, grown, now.color, c)) consider(c, best);
       for (int which = 0; which < 4 && !outside_; ++which) {
+        if (which == 1 && state_.p.upright) continue;
         Symbols moved = s;
-        if (which == 0) {
-          moved.v += sign;
-        } else if (which == 1) {
-          if (state_.p.upright) continue;
-          moved.r += sign;
-        } else if (which == 2) {
-          moved.px += sign;
-        } else {
-          moved.py += sign;
-        }
+        if (which == 0) moved.v += sign;
+        else if (which == 1) moved.r += sign;
+        else if (which == 2) moved.px += sign;
+        else moved.py += sign;
         if (!steps.allow(std::abs(moved.v), std::abs(moved.r))) continue;
-        if (moved.px >> g.parts.x_bits || moved.py >> g.parts.y_bits) continue;
+        if (moved.px >> parts.x_bits || moved.py >> parts.y_bits) continue;
         c = state_.decoded(moved);
         // Another shape divides the cell differently, so the mean is rounded again.
         if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
@@ -246,8 +242,8 @@ class Visitor {
     const Steps before(c.symbols), after(same);
     Candidate found;
     if (same.size_class == s.size_class && before.exponent == after.exponent) {
-      const Geometry old_geometry(c.symbols, before), geometry(same, after);
-      if (old_geometry.parts.x_bits == geometry.parts.x_bits && old_geometry.parts.y_bits == geometry.parts.y_bits) {
+      const Parts old_parts = parts_of(c.symbols, before), parts = parts_of(same, after);
+      if (old_parts.x_bits == parts.x_bits && old_parts.y_bits == parts.y_bits) {
         found = state_.decoded(same);
         found.cost = cost(found, products);
         if (found.cost < best.cost) best = found;

@@ -23,19 +23,6 @@ constexpr float kMiddle = 128.0f;
 struct Noise {
   uint32_t words[kSide / 4][kSide + kBeyond];
 };
-const Noise& noise_of(int octave);
-
-typedef uint32_t Unsigned4 __attribute__((vector_size(16)));
-typedef uint32_t Unsigned8 __attribute__((vector_size(32)));
-typedef uint32_t Unsigned16 __attribute__((vector_size(64)));
-template <int W>
-struct UnsignedLanes;
-template <>
-struct UnsignedLanes<4> { using U = Unsigned4; };
-template <>
-struct UnsignedLanes<8> { using U = Unsigned8; };
-template <>
-struct UnsignedLanes<16> { using U = Unsigned16; };
 
 // A bijection that mixes all bits ("lowbias32" of C. Wellons, hash-prospector, 2018).
 uint32_t mixed(uint32_t h) {
@@ -61,7 +48,7 @@ SG_INLINE void add_body(const Strip& strip, int place, const float* part, int fi
   using V = Simd<W>;
   using F = typename V::F;
   using I = typename V::I;
-  using U = typename UnsignedLanes<W>::U;
+  using U = typename Lanes<W>::U;
   constexpr int kVectors = kTileWidth / W;
   F upper[kVectors], change[kVectors];
   for (int i = 0; i < kVectors; ++i) {
@@ -89,22 +76,14 @@ SG_INLINE void add_body(const Strip& strip, int place, const float* part, int fi
   }
 }
 
-using Add = void (*)(const Strip&, int, const float*, int, int, float*);
-
-#define SG_TEXTURE(name, width, attribute)                                                                       \
-  attribute void add_##name(const Strip& s, int place, const float* part, int first, int end, float* accumulators) { \
-    add_body<width>(s, place, part, first, end, accumulators);                                                    \
-  }
-
-SG_TEXTURE(baseline, 4, )
+using Add = void (*)(const Strip&, int place, const float* part, int first, int end, float* accumulators);
+constexpr Add kAdd[] = {
+    for_baseline<add_body<4>>,
 #if SG_X86
-SG_TEXTURE(avx2, 8, [[gnu::target("avx2")]])
-SG_TEXTURE(avx512, 16, [[gnu::target(SG_AVX512)]])
-
-constexpr Add kAdd[] = {add_baseline, add_avx2, add_avx512};
-#else
-constexpr Add kAdd[] = {add_baseline};
+    for_avx2<add_body<8>>,
+    for_avx512<add_body<16>>,
 #endif
+};
 
 // Positions of a level's samples between cells, along one axis: the cell before each sample (clamped), and the position
 // from it to the next, 0 to 1.
@@ -208,8 +187,9 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
 
 Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
   const auto fits = [](double v) { return std::abs(v) <= 1e9; };
-  const bool possible = grid.columns > 0 && grid.rows > 0 && grid.cell_x >= 0.5 && grid.cell_y >= 0.5 && fits(grid.cell_x) &&
-                        fits(grid.cell_y) && fits(grid.x) && fits(grid.y) && std::abs(grid.shift) <= 8;
+  const bool possible = grid.columns > 0 && grid.rows > 0 && grid.cell_x >= 0.5 && grid.cell_y >= 0.5 &&
+                        fits(grid.cell_x) && fits(grid.cell_y) && fits(grid.x) && fits(grid.y) &&
+                        std::abs(grid.shift) <= 8;
   if (!possible) refuse<std::invalid_argument>("the texture's cells cannot be placed");
   const size_t cells = static_cast<size_t>(grid.columns) * static_cast<size_t>(grid.rows);
   strengths_.resize(kTextureOctaves * cells);
@@ -236,7 +216,8 @@ TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int 
   float* strength = strengths_.data();
   uint8_t* busy = busy_.data();
   for (int row = first; row < end; ++row) {
-    const float* from = &texture.strengths_[(int64_t{octave_} * grid.rows + std::min(row, grid.rows - 1)) * grid.columns];
+    const int64_t row_of_all = int64_t{octave_} * grid.rows + std::min(row, grid.rows - 1);
+    const float* from = &texture.strengths_[row_of_all * grid.columns];
     for (int i = 0; i < columns; ++i) {
       const float left = from[across.cells[i]], right = from[std::min(across.cells[i] + 1, grid.columns - 1)];
       strength[i] = left + (right - left) * across.parts[i];

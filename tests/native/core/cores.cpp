@@ -35,7 +35,9 @@ class System {
   }
   // The process's groups, and a limit of one folder of groups.
   System& groups(const std::string& lines) { return file("proc/self/cgroup", lines); }
-  System& v2(const std::string& group, const std::string& text) { return file("sys/fs/cgroup" + group + "/cpu.max", text); }
+  System& v2(const std::string& group, const std::string& text) {
+    return file("sys/fs/cgroup" + group + "/cpu.max", text);
+  }
   System& v1(const std::string& folder, const std::string& quota, const std::string& period) {
     file("sys/fs/cgroup/" + folder + "/cpu.cfs_period_us", period);
     return file("sys/fs/cgroup/" + folder + "/cpu.cfs_quota_us", quota);
@@ -99,9 +101,14 @@ TEST(cores_of_the_own_group_and_those_above_it) {
 TEST(cores_of_version_1) {
   CHECK(System().v1("cpu", "-1", "100000").cores() == INT_MAX);
   CHECK(System().v1("cpu,cpuacct", "350000", "100000").cores() == 3);
-  CHECK(System().groups("7:memory:/m\n4:cpu,cpuacct:/a/b\n").v1("cpu/a/b", "-1", "100000").v1("cpu/a", "200000", "100000").cores() == 2);
-  CHECK(System().groups("4:cpuset:/a\n3:cpu:/b\n").v1("cpu/a", "100000", "100000").v1("cpu/b", "500000", "100000").cores() == 5);
-  CHECK(System().groups("4:cpu:/a\n0::/b\n").v1("cpu/a", "600000", "100000").v2("/unified/b", "500000 100000").cores() == 5);
+  const std::string period = "100000";
+  System above, other, both;
+  above.groups("7:memory:/m\n4:cpu,cpuacct:/a/b\n").v1("cpu/a/b", "-1", period).v1("cpu/a", "200000", period);
+  CHECK(above.cores() == 2);
+  other.groups("4:cpuset:/a\n3:cpu:/b\n").v1("cpu/a", "100000", period).v1("cpu/b", "500000", period);
+  CHECK(other.cores() == 5);
+  both.groups("4:cpu:/a\n0::/b\n").v1("cpu/a", "600000", period).v2("/unified/b", "500000 100000");
+  CHECK(both.cores() == 5);
 }
 
 TEST(cores_with_a_list_of_groups_that_is_none) {

@@ -40,8 +40,7 @@ std::shared_ptr<const sg::Texture> texture() {
 
 TEST(a_golden_file_is_drawn_as_everywhere) {
   const std::vector<uint8_t> bytes = payload();
-  const sg::Canvas canvas{0, 0, kPicture.width, kPicture.height, sg::kCutoffV2, true, texture()};
-  const sg::LaidOut laid_out = sg::lay_out(kPicture, bytes.data(), bytes.size(), false, canvas);
+  const sg::LaidOut laid_out = sg::lay_out(kPicture, bytes.data(), bytes.size(), false, texture());
   std::vector<uint8_t> pixels(3 * static_cast<size_t>(kPicture.width * kPicture.height));
   const auto level = static_cast<float>(kBackground / 255.0);
   const float background[3] = {level, level, level};

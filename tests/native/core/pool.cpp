@@ -1,5 +1,5 @@
-// The thread pool: every task once, exceptions, nested calls, subnormal numbers, forks, several callers. Memory that calls
-// hand on.
+// The thread pool: every task once, exceptions, nested calls, subnormal numbers, forks, several callers. Memory that
+// calls hand on.
 #include "core/platform.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
@@ -125,7 +125,8 @@ TEST(pool_runs_a_call_within_a_task_where_it_is) {
     }));
     std::atomic<int> caught{0};
     sg::parallel_for(20, [&](int) {
-      caught += check::throws<std::range_error>([] { sg::parallel_for(3, [](int) { throw std::range_error("kept"); }); });
+      const auto fail = [](int) { throw std::range_error("kept"); };
+      caught += check::throws<std::range_error>([&] { sg::parallel_for(3, fail); });
     });
     CHECK(caught == 20);
     CHECK(all_run_once(100));

@@ -1,4 +1,5 @@
-// The pyramid against itself written down slowly, in double precision: levels, enlarging, and what refining takes from it.
+// The pyramid against itself written down slowly, in double precision: levels, enlarging, and what refining takes from
+// it.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -89,8 +90,8 @@ Matrix transposed(const Matrix& a) {
 // Where sample i of a level has its centre, in pixels.
 double centre(int i, int level) { return (i - (level > 0 ? sg::kBorder : 0) + 0.5) * std::ldexp(1.0, level); }
 
-// The pixels [pixels, samples] of each sample of a level, along one axis: level by level a finer sample takes three quarters
-// of the nearest coarse one and a quarter of the next.
+// The pixels [pixels, samples] of each sample of a level, along one axis: level by level a finer sample takes three
+// quarters of the nearest coarse one and a quarter of the next.
 Matrix enlarging(const std::vector<sg::Grid>& grids, int level, int sg::Grid::*side) {
   const auto samples = [&](int l) { return grids[static_cast<size_t>(l)].*side; };
   Matrix all(samples(0), samples(0));

@@ -22,8 +22,7 @@ constexpr int64_t kMaxPixels = 1 << 15;
 constexpr uint64_t kMostGaussians = 1 << 14;
 
 std::vector<uint8_t> picture(const sg::GaussianArrays& g, const sg::Canvas& canvas, int isa, int64_t max_pairs) {
-  const int n = static_cast<int>(g.means.size() / 2);
-  const sg::Rasterization raster(g.means.data(), g.factors.data(), n, canvas, isa, max_pairs);
+  const sg::Rasterization raster(g.means.data(), g.factors.data(), g.count(), canvas, isa, max_pairs);
   std::vector<uint8_t> pixels(3 * static_cast<size_t>(canvas.width) * canvas.height);
   const float background[3] = {0.0f, 0.5f, 1.0f};
   raster.render_bytes(g.colors.data(), background, pixels.data());
@@ -41,7 +40,7 @@ std::shared_ptr<const sg::Texture> texture_of(const uint8_t* data, size_t size, 
 
 void draw(const sg::RdParameters& p, sg::GaussianArrays g, int flags, const uint8_t* data, size_t size) {
   if (int64_t{p.width} * p.height > kMaxPixels) return;
-  const int64_t max_pairs = sg::most_pairs(static_cast<int>(g.means.size() / 2), p.width, p.height);
+  const int64_t max_pairs = sg::most_pairs(g.count(), p.width, p.height);
   sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV2, true};
   if (flags & kFarOut) {
     canvas.x = kFarX;

@@ -40,7 +40,8 @@ static int find(struct dl_phdr_info* info, size_t size, void* data) {
 static int within(uintptr_t caller, const Code* code) { return caller >= code->low && caller < code->high; }
 
 void fail_allocation(long number, int other_threads) {
-  throw_bad_alloc = (void (*)(void))dlsym(dlopen("libstdc++.so.6", RTLD_NOLOAD | RTLD_LAZY), "_ZSt17__throw_bad_allocv");
+  void* library = dlopen("libstdc++.so.6", RTLD_NOLOAD | RTLD_LAZY);
+  throw_bad_alloc = (void (*)(void))dlsym(library, "_ZSt17__throw_bad_allocv");
   dl_iterate_phdr(find, &kernels);
   dl_iterate_phdr(find, &loader);
   of_other_threads = other_threads;

@@ -22,7 +22,9 @@ SIZE = 96  # of the longer side, pixels
 SHORT = [golden(2)[name] for name in ("v2-color", "v2-grey", "v2-empty")]
 GOOD = to_text(SHORT[0])
 TEXTURED, LONG = to_text(golden(2)["v2-short-alpha"]), to_text(golden(2)["v2-long"])
+STRAY_BITS = GOOD[:-1] + chr(ord(GOOD[-1]) + 1)
 BAD = ["", "x", "no preview", GOOD[:-4], GOOD[:200] + "A" + GOOD[201:], TEXTURED, LONG, "A" + GOOD[1:]]
+BAD += [GOOD + "=", GOOD + "\n", STRAY_BITS]
 DECODE = """
 const answers = %s.map((text) => {
   try {
