@@ -13,8 +13,9 @@ from typing import Any
 
 from sgmethod.budget import DEFAULT_BUDGET, checked_integer
 from sgmethod.client.client import Client, bytes_of
-from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
+from sgmethod.many.folder import Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
+from sgmethod.many.processes import MAX_JOBS
 from sgmethod.many.run import Finished, Make, OnRow, Tally, Task, caught
 
 
