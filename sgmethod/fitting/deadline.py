@@ -46,9 +46,9 @@ class Deadline:
         self._began_s = clock.seconds()
 
     def part(self, share: float) -> Deadline:
-        """A deadline at `share` of the total time."""
+        """A deadline at `share` (above 0) of the total time."""
         part = Deadline(self._clock, None, 0, self.settings)
-        part._end_s = self._end_s if math.isinf(self._end_s) else share * self._end_s
+        part._end_s = share * self._end_s
         return part
 
     def part_from_now(self, share: float) -> Deadline:

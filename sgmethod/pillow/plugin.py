@@ -49,10 +49,9 @@ class SgImageFile(ImageFile.ImageFile):
         self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, self._mode)]
 
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
-        """Reduce the size at which the picture will be drawn, but not below `size`."""
+        """Reduce the size at which the picture will be drawn, but not below `size`. The mode stays as it is."""
         from sgmethod.view import MIN_SCALE, View
 
-        del mode  # cannot be changed
         if size is None or not self.tile:
             return None
         width, height = self._file.size

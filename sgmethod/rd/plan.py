@@ -1,4 +1,4 @@
-"""Plan: the settings and picture sizes that fit into the time there is; State: how far the fit is."""
+"""Plan: the settings and picture sizes that fit into the available time; State: the progress of the fit."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Plan:
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
-        """What steps on a level minimise. price: squared error of the whole picture that a bit costs."""
+        """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""
         price, optimiser = price / self.request.samples, self.settings.fit.optimiser
         return Descent(level.frame, level.target, level.visibility, quantum, price, *self.request.size, optimiser)
 
@@ -200,8 +200,8 @@ def stages(pace: Pace, times: Times) -> Iterator[Stage]:
 class State:
     """The state of a fit.
 
-    moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: of the
-    file in bytes, about; saturated_price: price of a bit at which growth last found next to nothing.
+    moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: estimated
+    size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing.
     """
 
     gaussians: Gaussians
