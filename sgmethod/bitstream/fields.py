@@ -64,7 +64,7 @@ class Header:
 
 @dataclass(frozen=True)
 class BitField:
-    """An unsigned integer of so many bits, most significant first.
+    """An unsigned integer of `bits` bits, most significant first.
 
     short_bits: the number of upper bits, at least half, that a short file has; they are repeated to give the lower
     ones. grows: the bits are a number n, n bits follow, and the value is 2^n plus these.

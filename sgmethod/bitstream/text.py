@@ -28,7 +28,7 @@ def from_text(text: str) -> bytes:
     except (binascii.Error, UnicodeEncodeError) as error:
         raise BitstreamError("this is not the text of an .sg file") from error
     parse(data)
-    if to_text(data) != text:  # padding, or bits behind the last byte
+    if to_text(data) != text:  # padding, or bits after the last byte
         raise BitstreamError("this is not the text of an .sg file")
     return data
 

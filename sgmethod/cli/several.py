@@ -111,7 +111,7 @@ class _Report:
         """Print a line for an outcome."""
         done = tally.encoded + tally.failed
         pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
-        self.clear()  # or what is said would stand behind it
+        self.clear()  # or the next line would follow it
         say_notes(outcome, self._arguments)
         if outcome.error:
             self.failed.append(outcome)

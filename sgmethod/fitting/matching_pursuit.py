@@ -128,7 +128,7 @@ class _Level:
             np.maximum(self.gain, more, out=self.gain)
 
     def most(self, coarser: int) -> FloatArray:
-        """Largest gain on this level and so many coarser ones."""
+        """Largest gain on this level and the next `coarser` ones."""
         coarser = min(coarser, self.depth)
         if self.coarser is None or coarser == 0:
             return self.gain

@@ -84,7 +84,7 @@ def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
 
 def register() -> None:
     """Register .sg files with Pillow."""
-    # Files of later versions too, so that the error tells what they are.
+    # Files of later versions too, so that the error names their version.
     Image.register_open(FORMAT, SgImageFile, lambda prefix: b"\xd3\xc0" < prefix[:2] < b"\xd3\xd0")
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")

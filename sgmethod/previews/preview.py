@@ -28,7 +28,7 @@ from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
 PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
-# Least l1 and l3 of Gaussians, in pixels, up to so many bytes; less with more of them. A soft blur is a better
+# Least l1 and l3 of Gaussians, in pixels, up to this many bytes; less beyond. A soft blur is a better
 # placeholder than sharp splinters, which squared error prefers (docs/notebook/eye.md).
 SOFT_PX, SOFT_BYTES = 10.0, 200
 DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)

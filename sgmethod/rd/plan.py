@@ -75,7 +75,7 @@ class Plan:
         return State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
 
     def level_for(self, state: State, stage: Stage, gaussians: int) -> Level:
-        """Choose the level that so many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
+        """Choose the level that this many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
         progress, times, s = stage.pace.progress, stage.times, self.settings.pyramid
         if progress >= times.many_from:
             level = self.finest
@@ -145,7 +145,7 @@ def within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
 
 
 def sized(settings: RdSettings, pixels: int) -> RdSettings:
-    """Adapt settings to a picture of so many pixels: a large one gets fewer steps, and reduced pictures for longer."""
+    """Adapt settings to this many pixels: a large picture gets fewer steps, and reduced pictures for longer."""
     s, effort = settings.schedule, settings.effort
     small, large = s.large
     share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
