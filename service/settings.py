@@ -18,9 +18,9 @@ from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
-from sgmethod import MAX_THREADS
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
+from sgmethod.threads import MAX_THREADS
 
 MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it

@@ -13,7 +13,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     profiles    names of profiles, tunings and efforts
     native/     compiled kernels: drawing, gradients, entropy coding
     backend/    the protocol through which the encoder draws, differentiates and refines
-    threads     NumPy and OpenCV on as many threads as the kernels use
+    threads     the number of threads; NumPy and OpenCV on as many as the kernels use
     io/         image files -> arrays; arrays -> image files; whole files
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        drawing any part at any size
@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from sgmethod.many.run import Tally
     from sgmethod.previews.preview import Preview, preview
     from sgmethod.scene import Gaussians
+    from sgmethod.threads import set_threads
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
 
@@ -132,27 +133,13 @@ _HOMES = {
     "many.run": ("Tally",),
     "previews.preview": ("Preview", "preview"),
     "scene": ("Gaussians",),
+    "threads": ("set_threads",),
     "trace": ("TracePoint",),
     "view": ("View",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
-
-MAX_THREADS = 256
-
 plugin.register()
-
-
-def set_threads(count: int) -> None:
-    """Set the number of threads for decoding and encoding in this process, 1 to 256.
-
-    The default is SG_THREADS, or else the number of cores that the process and its control group may use. Raises
-    SgError.
-    """
-    from sgmethod.budget import checked_integer
-    from sgmethod.native import native
-
-    native.set_thread_count(checked_integer(count, "the number of threads", 1, MAX_THREADS))
 
 
 def __getattr__(name: str) -> Any:

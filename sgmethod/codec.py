@@ -40,7 +40,7 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
-from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
+from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, profile_of, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
 from sgmethod.rd.budgets import rate_of
@@ -96,15 +96,10 @@ class Stats:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
             found.append(f"the requested PSNR is missed by {missed}")
         if self.looks_missed is not None and self.looks_missed >= REPORTED_MISS_LOOKS:
-            found.append(
-                f"the requested looks are missed by {self.looks_missed:.1f}: the file has {self.ssimulacra2:.1f}"
-            )
-        if (
-            self.psnr_missed_db is None
-            and self.looks_missed is None
-            and self.gaussians == 0
-            and math.isfinite(self.psnr)
-        ):
+            missed = f"{self.looks_missed:.1f}: the file has {self.ssimulacra2:.1f}"
+            found.append(f"the requested looks are missed by {missed}")
+        has_aim = self.psnr_missed_db is not None or self.looks_missed is not None
+        if not has_aim and self.gaussians == 0 and math.isfinite(self.psnr):
             found.append("the file contains only a background and no Gaussians: try a larger budget")
         if self.source_bytes is not None and self.bytes > self.source_bytes:
             found.append(f"the file is larger than its source: {self.bytes:,} bytes, source {self.source_bytes:,}")
@@ -190,7 +185,8 @@ def encode(
     kinds: dict[BudgetKind, float | None] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality}
     kinds |= {"looks": None if looks is None else looks_value(looks), "gaussians": gaussians}
     budget = _only_budget(budget, kinds)
-    tuned_for = tuning(tune, checked_profile(profile), budget)
+    profile = checked_profile(profile) if settings is None else profile_of(settings)
+    tuned_for = tuning(tune, profile, budget)
     effort, backend = checked_effort(effort), backend_on(device)
     settings = settings_of(profile, effort) if settings is None else settings
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
@@ -209,19 +205,12 @@ def encode(
         data, steps = paper.encode(request)
     measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "looks" else []
     encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort), measures)
-    psnr_missed, looks_missed = _missed(budget, encoded.stats)
-    stats = replace(
-        encoded.stats, source_bytes=_file_bytes(image), psnr_missed_db=psnr_missed, looks_missed=looks_missed
-    )
+    stats = replace(encoded.stats, source_bytes=_file_bytes(image))
+    if budget.kind == "psnr":
+        stats = replace(stats, psnr_missed_db=max(budget.value - stats.psnr, 0.0))
+    if budget.kind == "looks" and stats.ssimulacra2 is not None:
+        stats = replace(stats, looks_missed=max(budget.value - stats.ssimulacra2, 0.0))
     return replace(encoded, stats=stats)
-
-
-def _missed(budget: Budget, stats: Stats) -> tuple[float | None, float | None]:
-    """Shortfall from the requested PSNR (dB) and looks; None where not requested."""
-    psnr_missed = max(budget.value - stats.psnr, 0.0) if budget.kind == "psnr" else None
-    if budget.kind != "looks" or stats.ssimulacra2 is None:
-        return psnr_missed, None
-    return psnr_missed, max(budget.value - stats.ssimulacra2, 0.0)
 
 
 def _file_bytes(image: Input) -> int | None:

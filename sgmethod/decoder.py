@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +12,11 @@ from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
 from sgmethod.bitstream.text import file_of
 from sgmethod.budget import checked_integer
 from sgmethod.errors import BitstreamError, ViewError
-from sgmethod.io.files import checked_path
+from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians, Scene
 from sgmethod.view import View, recut
 
-File = str | os.PathLike[str] | bytes
 WHOLE = View()
 MAX_LIMIT = 2**63 - 1
 MAX_PIXELS = 100_000_000  # 300 MB of output, as many as ImageLimits reads: a damaged header may claim any size
@@ -143,11 +141,7 @@ class SgFile:
 
 
 def _bytes_of(file: File) -> bytes:
-    if isinstance(file, str | os.PathLike):
-        file = checked_path(file, BitstreamError).read_bytes()
-    if isinstance(file, bytes | bytearray | memoryview):
-        return file_of(bytes(file))
-    raise BitstreamError(f"an .sg file must be a path or bytes, not {type(file).__name__}")
+    return file_of(bytes_of(file, BitstreamError, "an .sg file"))
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:

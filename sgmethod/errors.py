@@ -4,7 +4,7 @@ SgError                 base of all errors that this package raises, with one cl
 ├── ImageError          the input is not an image that can be read, or exceeds the limits
 ├── BitstreamError      the bytes are not an intact .sg file
 ├── ViewError           the scale, region or prefix is invalid for the picture
-├── GaussiansError      the arrays are no valid Gaussians, or no file can hold them
+├── GaussiansError      the arrays are not valid Gaussians, or no file can hold them
 ├── BudgetError         the budget is invalid, or too small for any file
 ├── ServerError         the service cannot be reached, refuses, or fails to encode
 ├── NativeModuleError   the compiled kernels are missing; the message says how to build them
@@ -15,6 +15,7 @@ ImageWarning            something was dropped from the image, and the rest is us
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -66,3 +67,13 @@ def extra(name: str) -> Iterator[None]:
 
 class ImageWarning(UserWarning):
     """Something was dropped from the image: further pictures, transparency, a damaged profile."""
+
+
+@contextmanager
+def noted() -> Iterator[list[str]]:
+    """Collect the warnings of a block instead of showing them: the list is filled when the block ends."""
+    notes: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ImageWarning)
+        yield notes
+    notes += [str(warning.message) for warning in caught]

@@ -22,6 +22,7 @@ __all__ = [
     "Tune",
     "checked_effort",
     "checked_profile",
+    "profile_of",
     "settings_of",
     "tuning",
 ]
@@ -70,3 +71,10 @@ def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
     if effort != DEFAULT_EFFORT:
         raise BudgetError("only profile rd has an effort")
     return settings
+
+
+def profile_of(settings: PaperSettings | RdSettings) -> str:
+    """Return the profile that settings belong to."""
+    if isinstance(settings, RdSettings):
+        return "rd"
+    return "paper" if settings.start.structure_guided else "baseline"

@@ -1,4 +1,4 @@
-"""A thread pool for NumPy and OpenCV, which release Python's lock while they compute."""
+"""The number of threads, and a pool of them for NumPy and OpenCV, which release Python's lock while they compute."""
 
 from __future__ import annotations
 
@@ -8,10 +8,21 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TypeVar
 
+from sgmethod.budget import checked_integer
 from sgmethod.native import native
 
+MAX_THREADS = 256
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def set_threads(count: int) -> None:
+    """Set the number of threads for decoding and encoding in this process, 1 to 256.
+
+    The default is SG_THREADS, or else the number of cores that the process and its control group may use. Raises
+    SgError.
+    """
+    native.set_thread_count(checked_integer(count, "the number of threads", 1, MAX_THREADS))
 
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

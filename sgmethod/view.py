@@ -69,7 +69,7 @@ class View:
         return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
 
     def within(self, size: tuple[int, int], width: int | None, height: int | None) -> View:
-        """Scale the same part to fit into width and height; None is no limit.
+        """Scale the same part to fit into width and height; None means no limit.
 
         size: width and height of the picture. Raises ViewError, also if the view already has a scale.
         """

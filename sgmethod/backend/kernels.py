@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import (
     GRID_REACH,
@@ -113,7 +114,6 @@ class Kernels:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        values, by_eye = (None, False) if visibility is None else (visibility.values, visibility.by_eye)
         return native.rd_refine(
             coding.parameters,
             *gaussians.arrays,
@@ -122,8 +122,7 @@ class Kernels:
             limits.sweeps,
             limits.seconds,
             limits.max_bytes,
-            values,
-            by_eye,
+            *_seen(visibility),
             halvings=limits.spacing.bit_length() - 1,
         )
 
@@ -149,5 +148,5 @@ def _by_whole_pixels(gradient: Gaussians, frame: Frame) -> Gaussians:
     return gradient
 
 
-def _seen(visibility: Visibility | None) -> tuple[()] | tuple[object, bool]:
-    return () if visibility is None else (visibility.values, visibility.by_eye)
+def _seen(visibility: Visibility | None) -> tuple[NDArray[np.int16] | None, bool]:
+    return (None, True) if visibility is None else (visibility.values, visibility.by_eye)

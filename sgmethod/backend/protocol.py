@@ -135,9 +135,9 @@ class RefineLimits:
 
 @dataclass(frozen=True)
 class Descent:
-    """What the steps of a fit minimise, and how.
+    """The sum that the steps of a fit minimise, and the settings with which they do.
 
-    That is the error on a frame, and `price` for each bit at a quantum: squared error, as a mean over the `values` of
+    It is the error on a frame, plus `price` for each bit at a quantum: squared error, as a mean over the `values` of
     the picture. width, height: of the picture.
     """
 
@@ -166,28 +166,23 @@ class Backend(Protocol):
 
         half: reduced to half the size, by all_halved(); first_row is a multiple of TILE_HEIGHT.
         """
-        ...
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         """Mean squared error over pixels and channels."""
-        ...
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
         """Mean squared error, and its gradient by every parameter."""
-        ...
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
         """Build the loss MSE + lambda_g L_g (paper, section III-D) against image [3, H, W].
 
         The returned function of Gaussians gives the MSE and the gradient of the sum.
         """
-        ...
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
         """Inner product [N, 3] of each Gaussian with the picture of all, weighted by visibility.values only."""
-        ...
 
     def step(
         self,
@@ -205,7 +200,6 @@ class Backend(Protocol):
         diagonal matrix. rate: factor on all rates of the settings; values: samples of the picture, over which the loss
         is a mean.
         """
-        ...
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
         """Add, in place, the gradient of `weight` times a smooth estimate of all Gaussians' bits.
@@ -213,19 +207,15 @@ class Backend(Protocol):
         The estimate is log2(1 + |value| / step) of each coded value, and log2(1 + m) for the size and for both
         coordinates, where m is the colour's length in steps.
         """
-        ...
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
-        ...
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between."""
-        ...
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         """Gaussians as a decoder will see them, with colour 0 if they round to nothing."""
-        ...
 
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
@@ -235,7 +225,6 @@ class Backend(Protocol):
         The rounded integers change one Gaussian at a time where that lowers the sum. Then the Gaussians that gain least
         for their bits are dropped until the payload fits.
         """
-        ...
 
 
 def step_by_step(

@@ -64,10 +64,10 @@ class Header:
 
 @dataclass(frozen=True)
 class BitField:
-    """An unsigned integer of so many bits, most significant first.
+    """An unsigned integer of `bits` bits, most significant first.
 
-    short_bits: of them in a short file, at least half, which has the upper ones alone: the lower ones are the upper
-    ones again. grows: the bits are a number n, n bits follow, and the value is 2^n plus these.
+    short_bits: the number of upper bits, at least half, that a short file has; they are repeated to give the lower
+    ones. grows: the bits are a number n, n bits follow, and the value is 2^n plus these.
     """
 
     name: str

@@ -10,7 +10,7 @@ from sgmethod.native import native
 from sgmethod.scene import FloatArray, Scene
 
 OVERLAP = "the file's Gaussians overlap beyond what a picture needs"
-SIGNATURE, VERSION_ZERO = 0xD3, 0xC0  # the first byte; what a file's version is added to in the second
+SIGNATURE, VERSION_ZERO = 0xD3, 0xC0  # the first byte; the second is this plus the version
 SIGNATURE_BYTES = 2
 BEGINNINGS = tuple(bytes([SIGNATURE, VERSION_ZERO + version]) for version in range(1, 16))  # of files
 SHORT_CHECKSUM, LONG_CHECKSUM = 1, 4  # bytes, the last of the CRC-32 of all that comes before them
@@ -65,46 +65,37 @@ class Stream(Protocol):
     @property
     def width(self) -> int:
         """Width of the picture in pixels."""
-        ...
 
     @property
     def height(self) -> int:
         """Height of the picture in pixels."""
-        ...
 
     @property
     def background(self) -> tuple[int, int, int]:
         """Background of the picture, 8-bit RGB."""
-        ...
 
     @property
     def alpha(self) -> Stream | None:
         """Alpha as a grey picture of the same size, white where opaque; None if the whole picture is opaque."""
-        ...
 
     @classmethod
     def parse(cls, body: memoryview, limits: Limits) -> Stream:
         """Parse a body. Raises BitstreamError."""
-        ...
 
     def body(self) -> bytes:
         """Write the bytes between signature and checksum."""
-        ...
 
     def scene(self, prefix: float = 1.0) -> Scene:
         """Return the scene to draw; with prefix < 1, only the Gaussians in that part of the file.
 
         Raises BitstreamError, and ViewError where there is no prefix.
         """
-        ...
 
     def lay_out(self, prefix: float = 1.0, texture: bool = True) -> LaidOut | None:
         """Lay out the whole picture without alpha, faster than from scene(); None if only scene() can be drawn.
 
         texture: whether it is drawn, where there is any. Raises BitstreamError.
         """
-        ...
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> Info:
         """Describe the file. Raises BitstreamError."""
-        ...

@@ -1,7 +1,7 @@
 """The texture part of a version 2 file: codes of strengths <-> bits (docs/format.md).
 
-A code is told by how it differs from its neighbour on the left, the first of a row from that above. The smaller a
-difference is, the likelier: 0, -1, 1, -2, ... are as many ones and a zero.
+A code is stored as its difference from the one on its left or, first in a row, from the one above. Small differences
+are likelier: 0, -1, 1, -2, ... become 0, 1, 2, 3, ... ones and a zero.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ def cells(width: int, height: int) -> tuple[int, int]:
 
 def pack(codes: Codes) -> bytes:
     """Write the texture part."""
-    told = codes.astype(np.int64)
-    told[1:] -= told[:-1].copy()  # a finer octave tells much of the next
-    first = np.diff(told[:, :, :1], axis=1, prepend=0)
-    steps = np.concatenate([first, np.diff(told, axis=2)], 2).ravel()
+    stored = codes.astype(np.int64)
+    stored[1:] -= stored[:-1].copy()  # a finer octave predicts the next
+    first = np.diff(stored[:, :, :1], axis=1, prepend=0)
+    steps = np.concatenate([first, np.diff(stored, axis=2)], 2).ravel()
     ones = np.where(steps < 0, -2 * steps - 1, 2 * steps)
     bits = np.ones(ones.sum() + len(ones), np.uint8)
     bits[np.cumsum(ones + 1) - 1] = 0

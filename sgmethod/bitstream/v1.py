@@ -146,7 +146,7 @@ class StreamV1:
     def dequantised(self) -> Gaussians:
         """Dequantise the Gaussians, exactly as every decoder must (docs/format.md)."""
         if not self.groups:
-            return Gaussians(np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+            return Gaussians.empty(0)
         means = [_levels(g.positions, self.position_range, self.position_bits) for g in self.groups]
         factors = [_levels(g.factors, self.factor_range, g.bitwidth) for g in self.groups]
         first, second = self.codebooks.astype(np.float32)
@@ -164,8 +164,7 @@ class StreamV1:
         return Scene(self.dequantised(), self.width, self.height, self.background, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
-        """Describe the file."""
-        del limits  # parse() has seen to them
+        """Describe the file. parse() has already checked the limits."""
         return InfoV1(
             bytes=file_bytes,
             bpp=8 * file_bytes / (self.width * self.height),
@@ -191,24 +190,19 @@ class StreamV1:
             "covariances": sum(3 * g.bitwidth * len(g.positions) for g in self.groups),
             "colors": CODEBOOK_STAGES * COLOR_INDEX_BITS * n + (8 * CODEBOOK_BYTES if n else 0),
         }
-        fixed = FIXED_BYTES + (TABLE_BYTES + GROUP_BYTES * len(self.groups) if n else 0)
-        records = sum(_record_bits(self.position_bits, g.bitwidth) * len(g.positions) for g in self.groups)
-        total = 8 * (fixed + -(-records // 8))
+        records = sum(record_bits(self.position_bits, g.bitwidth) * len(g.positions) for g in self.groups)
+        total = 8 * (file_bytes(records, len(self.groups)) if n else FIXED_BYTES)
         return {"headers": total - sum(parts.values()), **parts}
 
 
-def record_budget_bits(max_bytes: int, groups: int) -> int:
-    """Bits left for records in a file of max_bytes with this many groups; negative if even headers do not fit."""
-    return 8 * (max_bytes - FIXED_BYTES - TABLE_BYTES - GROUP_BYTES * groups)
-
-
-def file_bytes(record_bits: int, groups: int) -> int:
+def file_bytes(bits: int, groups: int) -> int:
     """Size of a file with this many bits of records and groups, at least one."""
-    return FIXED_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-record_bits // 8)
+    return FIXED_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-bits // 8)
 
 
-def _record_bits(position_bits: int, bitwidth: int) -> int:
-    return 2 * position_bits + 3 * bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
+def record_bits(position_bits: int, bitwidth: int) -> int:
+    """Size of one Gaussian's record."""
+    return sum(_widths(position_bits, bitwidth))
 
 
 def _widths(position_bits: int, bitwidth: int) -> tuple[int, ...]:
@@ -256,7 +250,7 @@ def _records_to_bits(group: Group, position_bits: int) -> NDArray[np.uint8]:
 
 
 def _read_groups(data: memoryview, position_bits: int, counts: list[tuple[int, int]]) -> tuple[Group, ...]:
-    total = sum(n * _record_bits(position_bits, bitwidth) for bitwidth, n in counts)
+    total = sum(n * record_bits(position_bits, bitwidth) for bitwidth, n in counts)
     if len(data) != -(-total // 8):
         raise BitstreamError(f"the file has {len(data)} bytes of records, its header says {-(-total // 8)}")
     if total % 8 and data[-1] & 0xFF >> total % 8:
@@ -264,7 +258,7 @@ def _read_groups(data: memoryview, position_bits: int, counts: list[tuple[int, i
     groups, at = [], 0
     for bitwidth, n in counts:
         table = np.empty((n, 7), np.uint16)
-        length = _record_bits(position_bits, bitwidth)
+        length = record_bits(position_bits, bitwidth)
         for first in range(0, n, BLOCK_RECORDS):
             block = table[first : first + BLOCK_RECORDS]
             _read_records(data, at + first * length, _widths(position_bits, bitwidth), block)

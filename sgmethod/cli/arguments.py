@@ -19,9 +19,6 @@ BUDGET_HELP = {
     "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
-MAX_JOBS = 256
-MAX_THREADS = 256
-MAX_SIDE = 1 << 16
 SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
 UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
@@ -181,10 +178,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     _add_budget_arguments(parser)
     _add_run_arguments(parser)
     parser.add_argument(
-        "--profile",
-        choices=PROFILE_NAMES,
-        default=DEFAULT_PROFILE,
-        help=f"method (default: {DEFAULT_PROFILE})",
+        "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
     )
     parser.add_argument(
         "--tune", choices=TUNES, help=f"optimise for PSNR or for the eye (default: {DEFAULT_TUNE}; with --psnr: psnr)"
@@ -199,11 +193,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="time limit for each picture")
     parser.add_argument("--server", metavar="URL", help="encode on this server, with the API key in SG_API_KEY")
     parser.add_argument(
-        "--seed",
-        type=_whole_number("a seed", 0, MAX_SEED),
-        default=0,
-        metavar="N",
-        help="random seed (default: 0)",
+        "--seed", type=_whole_number("a seed", 0, MAX_SEED), default=0, metavar="N", help="random seed (default: 0)"
     )
     parser.add_argument("--trace", type=_path, metavar="FILE.json", help="write the error over time (one picture only)")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object per picture")
@@ -238,6 +228,8 @@ def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    from sgmethod.many.processes import MAX_JOBS
+
     parser.add_argument(
         "--jobs",
         type=_whole_number("a number of jobs", 1, MAX_JOBS),
@@ -249,7 +241,7 @@ def _add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
-    from sgmethod.view import MAX_SCALE, MIN_SCALE
+    from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE
 
     parser.add_argument(
         "names", nargs="+", type=_path, metavar="IN.sg OUT", help="input and output, - for stdin and stdout (as PNG)"
@@ -260,17 +252,13 @@ def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
     for side in ("width", "height"):
         parser.add_argument(
             f"--{side}",
-            type=_whole_number(f"a {side}", 1, MAX_SIDE),
+            type=_whole_number(f"a {side}", 1, MAX_COORDINATE),
             metavar="N",
             help=f"output {side} in pixels; the aspect ratio is kept",
         )
     parser.add_argument("--region", type=_region, metavar="X,Y,W,H", help="only this part, in pixels of the picture")
     parser.add_argument(
-        "--prefix",
-        type=float,
-        default=1.0,
-        metavar="P",
-        help="only this fraction of the file (profile rd only)",
+        "--prefix", type=float, default=1.0, metavar="P", help="only this fraction of the file (profile rd only)"
     )
     parser.add_argument("--no-texture", action="store_true", help="do not draw synthesised texture")
     _add_common_arguments(parser)
@@ -321,7 +309,9 @@ def _size(text: str) -> float:
 def _looks(text: str) -> float:
     from sgmethod.budget import LOOKS
 
-    return LOOKS[text] if text in LOOKS else float(text)
+    with suppress(ValueError):
+        return LOOKS[text] if text in LOOKS else float(text)
+    raise argparse.ArgumentTypeError(f"looks are a number, or one of {', '.join(LOOKS)}, not {text!r}")
 
 
 def _region(text: str) -> tuple[int, int, int, int]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from sgmethod.cli import files, naming
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.several import Outcome, convert_all, say_done, say_notes, without_those_there
+from sgmethod.cli.several import Outcome, convert_all, say_done, say_notes, without_existing
 from sgmethod.decoder import SgFile
 from sgmethod.io.pictures import OPAQUE, SUFFIXES, encode_picture
 from sgmethod.view import View
@@ -28,7 +28,7 @@ def run_decode(arguments: argparse.Namespace) -> int:
     (conversion,) = conversions
     _kind(conversion.target)
     out = sys.stderr if conversion.target == STREAM else sys.stdout
-    for wanted in without_those_there(conversions, arguments, out):
+    for wanted in without_existing(conversions, arguments, out):
         outcome = _decode(wanted, arguments)
         say_notes(outcome, arguments)
         if not arguments.quiet:

@@ -18,7 +18,7 @@ from sgmethod.cli import files, naming
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.several import Figures, Outcome, convert_all, say_done, say_notes, without_those_there
+from sgmethod.cli.several import Figures, Outcome, convert_all, say_done, say_notes, without_existing
 from sgmethod.cli.terminal import progress_line, redraw
 from sgmethod.many.manifest import Manifest
 from sgmethod.trace import TracePoint
@@ -46,10 +46,10 @@ def run_encode(arguments: argparse.Namespace) -> int:
         options = {"budget": budget, **_choices(arguments)}
         options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
         with Manifest(arguments.output_dir, options) as manifest:
-            return convert_all(conversions, _encode_one_of_several, "encoded", arguments, manifest)
+            return convert_all(conversions, _encode, "encoded", arguments, manifest)
     (conversion,) = conversions
     out = sys.stderr if STREAM in (conversion.target, *traces) else sys.stdout
-    for wanted in without_those_there(conversions, arguments, out):
+    for wanted in without_existing(conversions, arguments, out):
         outcome = _encode(wanted, arguments, arguments.began, shown=not arguments.quiet and os.isatty(2))
         say_notes(outcome, arguments)
         if arguments.json:
@@ -72,12 +72,11 @@ def _summary(figures: Figures) -> str:
     return f"{size}, {psnr}{ssim}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
 
 
-def _encode_one_of_several(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
-    return _encode(conversion, arguments, time.perf_counter(), shown=False)
-
-
-def _encode(conversion: Conversion, arguments: argparse.Namespace, began: float, shown: bool) -> Outcome:
-    """Read, encode and write one picture. began: value of perf_counter when the user's wait began."""
+def _encode(
+    conversion: Conversion, arguments: argparse.Namespace, began: float | None = None, shown: bool = False
+) -> Outcome:
+    """Read, encode and write one picture. began: value of perf_counter when the user's wait began, if before now."""
+    began = time.perf_counter() if began is None else began
     image = files.read(conversion.source)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:

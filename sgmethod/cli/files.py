@@ -7,7 +7,6 @@ import os
 import stat
 import sys
 import tempfile
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.terminal import silent_stderr
-from sgmethod.errors import ImageWarning, SgError
+from sgmethod.errors import SgError, noted
 from sgmethod.io.files import write_atomically
 
 if TYPE_CHECKING:
@@ -46,10 +45,9 @@ def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.u
     """Decode an image file to pixels [H, W, 3 or 4]; also return notes on anything dropped. Raises ImageError."""
     from sgmethod.io.image import read_image_8_bit
 
-    with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
-        warnings.simplefilter("always", ImageWarning)
+    with silent_stderr(), noted() as notes:  # libtiff prints lines of its own
         pixels = read_image_8_bit(image, keep_alpha=keep_alpha)
-    return pixels, [str(warning.message) for warning in caught]
+    return pixels, notes
 
 
 def print_lines(kind: str, path: str, texts: Iterable[str]) -> None:

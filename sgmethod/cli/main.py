@@ -12,12 +12,15 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib import import_module
 
 from sgmethod.errors import SgError
 
 INTERRUPTED, NO_READER = 130, 141  # 128 + SIGINT, 128 + SIGPIPE (not defined on every system)
+# Modules of commands; of info and compare, commands.py. Only one is imported: imports take most of a command's time.
+MODULES = {"encode": "encoding", "preview": "previewing", "decode": "decoding", "plot": "plotting"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,7 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments.began = began
     try:
         _check_threads()
-        status = _run(arguments)
+        module = import_module(f"sgmethod.cli.{MODULES.get(arguments.run, 'commands')}")
+        run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.run}")
+        status = run(arguments)
         print(end="", flush=True)
     except BrokenPipeError:
         _abandon_stdout()
@@ -56,38 +61,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return status
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    """Import only what a command needs, because imports take most of a short command's time."""
-    if arguments.run == "encode":
-        from sgmethod.cli.encoding import run_encode
-
-        return run_encode(arguments)
-    if arguments.run == "preview":
-        from sgmethod.cli.previewing import run_preview
-
-        return run_preview(arguments)
-    if arguments.run == "plot":
-        from sgmethod.cli.plotting import run_plot
-
-        return run_plot(arguments)
-    if arguments.run == "decode":
-        from sgmethod.cli.decoding import run_decode
-
-        return run_decode(arguments)
-    from sgmethod.cli import commands
-
-    run = {"info": commands.run_info, "compare": commands.run_compare}
-    return run[arguments.run](arguments)
-
-
 def _check_threads() -> None:
     """Raise CommandError for an invalid SG_THREADS, which the kernels would silently ignore."""
-    from sgmethod.cli.arguments import MAX_THREADS
-    from sgmethod.cli.files import CommandError
+    if text := os.environ.get("SG_THREADS"):
+        from sgmethod.cli.files import CommandError
+        from sgmethod.threads import MAX_THREADS
 
-    text = os.environ.get("SG_THREADS", "")
-    if text and not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_THREADS):
-        raise CommandError(f"SG_THREADS must be a whole number from 1 to {MAX_THREADS}, not {text!r}")
+        if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_THREADS):
+            raise CommandError(f"SG_THREADS must be a whole number from 1 to {MAX_THREADS}, not {text!r}")
 
 
 def _abandon_stdout() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import warnings
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import PICTURES, Conversion
 from sgmethod.cli.several import SOME_FAILED, Outcome, convert_all, outcomes, say_notes, tasks_of
 from sgmethod.cli.terminal import silent_stderr
-from sgmethod.errors import ImageWarning
+from sgmethod.errors import noted
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.run import Run, Tally
 
@@ -69,12 +68,10 @@ def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     from sgmethod.previews.preview import preview
 
     image = files.read(conversion.source)
-    with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
-        warnings.simplefilter("always", ImageWarning)
+    with silent_stderr(), noted() as notes:  # libtiff prints lines of its own
         made = preview(image, int(arguments.bytes))
     if conversion.target != STREAM:
         files.write(conversion.target, made.data)
-    notes = [str(warning.message) for warning in caught]
     said = _said(made, conversion, arguments)
     return Outcome.of(conversion, bytes=len(made.data), said=said, figures=made.to_dict(), notes=notes)
 

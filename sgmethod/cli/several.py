@@ -19,7 +19,7 @@ from sgmethod.cli.files import STREAM
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.terminal import redraw, remaining
 from sgmethod.many.manifest import Manifest, Row
-from sgmethod.many.run import Finished, Run, Tally, Task, caught, here
+from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
 
 SOME_FAILED = 1
 Figures = dict[str, Any]
@@ -57,7 +57,7 @@ def say_done(outcome: Outcome, out: TextIO) -> None:
     print(f"{one_line(names)}: {outcome.said}", file=out)
 
 
-def without_those_there(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
+def without_existing(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
     """Drop conversions whose output exists if --no-clobber is given, and say so."""
     kept = []
     for one in conversions:
@@ -80,8 +80,8 @@ def convert_all(
 
     Each also becomes a line of the manifest, if there is one; with --resume, those that it has are skipped.
     """
-    beside = _beside(arguments)
-    kept = without_those_there(conversions, arguments, beside)
+    beside = sys.stderr if getattr(arguments, "json", False) else sys.stdout  # with --json, stdout has nothing else
+    kept = without_existing(conversions, arguments, beside)
     run = Run[Outcome](manifest, getattr(arguments, "resume", False))
     wanted = list(run.rest(tasks_of(kept)))
     report = _Report(len(wanted), arguments)
@@ -98,11 +98,6 @@ def convert_all(
     return SOME_FAILED if report.failed else 0
 
 
-def _beside(arguments: argparse.Namespace) -> TextIO:
-    """Stream for text: with --json, stdout has nothing else."""
-    return sys.stderr if getattr(arguments, "json", False) else sys.stdout
-
-
 class _Report:
     """Printer of a line for each outcome, and of progress on a terminal."""
 
@@ -116,7 +111,7 @@ class _Report:
         """Print a line for an outcome."""
         done = tally.encoded + tally.failed
         pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
-        self.clear()  # or what is said would stand behind it
+        self.clear()  # or the next line would follow it
         say_notes(outcome, self._arguments)
         if outcome.error:
             self.failed.append(outcome)
@@ -146,7 +141,7 @@ def tasks_of(conversions: list[Conversion]) -> list[Task[Outcome]]:
 def outcomes(tasks: list[Task[Outcome]], convert: Convert, arguments: argparse.Namespace) -> Finished[Outcome]:
     """Yield outcomes as they finish."""
     make = partial(caught, partial(_converted, convert, arguments))
-    return here(make, tasks, min(getattr(arguments, "jobs", 1), len(tasks)))
+    return finish_locally(make, tasks, min(getattr(arguments, "jobs", 1), len(tasks)))
 
 
 def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Outcome]) -> Outcome:

@@ -10,13 +10,10 @@ that cannot be read, which is an OSError.
 from __future__ import annotations
 
 import math
-import os
 import secrets
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
 from typing import Literal
 from urllib.parse import urlsplit
 
@@ -25,13 +22,13 @@ import httpx
 from sgmethod.budget import DEFAULT_BUDGET, Budget
 from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
 from sgmethod.errors import ServerError
+from sgmethod.io.files import File, bytes_of
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE
 from sgmethod.trace import Progress, TracePoint
 
 PAGE = 200  # jobs in one answer
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
-File = str | os.PathLike[str] | bytes
 WAIT_S = 50  # per request: less than the timeouts of proxies and of this client
 
 
@@ -60,9 +57,7 @@ class Client:
     def __enter__(self) -> Client:
         return self
 
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -90,7 +85,7 @@ class Client:
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         try:
             wait_s = WAIT_S if on_progress is None else 0
-            answer = self._submit("/encode", query, bytes_of(image), wait_s, idempotency_key)
+            answer = self._submit("/encode", query, bytes_of(image, ServerError), wait_s, idempotency_key)
         except RefusedError as refusal:
             if "id" not in refusal.problem:
                 raise
@@ -121,7 +116,7 @@ class Client:
     ) -> str:
         """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
-        return _id_of(self._submit("/encode", query, bytes_of(image)))
+        return _id_of(self._submit("/encode", query, bytes_of(image, ServerError)))
 
     def submit_again(
         self,
@@ -204,7 +199,8 @@ class Client:
 
     def decode(self, bitstream: File, kind: str = "png", **view: float | str) -> bytes:
         """Decode an .sg file (path or bytes) on the server, which does not store it; otherwise like `picture`."""
-        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=bytes_of(bitstream)).content
+        data = bytes_of(bitstream, ServerError)
+        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=data).content
 
     def links(self, job_id: str, expires_s: int = 3600) -> Json:
         """Create URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
@@ -225,15 +221,6 @@ def _query(
     wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s, "effort": effort}
     return {name: value for name, value in wanted.items() if value is not None}
-
-
-def bytes_of(file: File) -> bytes:
-    """Return the bytes of an image file, given its path or themselves."""
-    if isinstance(file, str | os.PathLike):
-        return Path(file).read_bytes()
-    if isinstance(file, bytes | bytearray | memoryview):
-        return bytes(file)
-    raise ServerError(f"a file must be a path or bytes, not {type(file).__name__}")
 
 
 def _id_of(answer: httpx.Response) -> str:

@@ -12,9 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from sgmethod.budget import DEFAULT_BUDGET, checked_integer
-from sgmethod.client.client import Client, bytes_of
-from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
+from sgmethod.client.client import Client
+from sgmethod.errors import ServerError
+from sgmethod.io.files import bytes_of
+from sgmethod.many.folder import Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
+from sgmethod.many.processes import MAX_JOBS
 from sgmethod.many.run import Finished, Make, OnRow, Tally, Task, caught
 
 
@@ -39,7 +42,7 @@ def encode_many(
 
     def make_row(folder: Path, task: Task[Row]) -> Row:
         def make(picture: Any) -> Made:
-            image = bytes_of(picture)
+            image = bytes_of(picture, ServerError)
             asked = f"{folder.resolve()} {task.row.name} {sorted(options.items())!r}"
             key = hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
             encoded = client.encode(image, idempotency_key=key, **options)

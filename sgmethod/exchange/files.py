@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.errors import GaussiansError
-from sgmethod.exchange.arrays import own_gaussians
+from sgmethod.exchange.arrays import checked_gaussians
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
@@ -47,7 +47,7 @@ TYPES |= {"double": "f8", "float64": "f8"}
 
 def write_npz(path: PathLike, gaussians: Gaussians) -> None:
     """Write arrays means [N, 2], factors [N, 3] and colors [N, 3]. Raises GaussiansError and OSError."""
-    own, file = own_gaussians(gaussians), io.BytesIO()
+    own, file = checked_gaussians(gaussians), io.BytesIO()
     np.savez(file, means=own.means, factors=own.factors, colors=own.colors)
     write_atomically(checked_path(path), file.getvalue())
 
@@ -58,13 +58,13 @@ def read_npz(path: PathLike) -> Gaussians:
         with np.load(io.BytesIO(checked_path(path).read_bytes()), allow_pickle=False) as file:
             arrays = [file[name] for name in ("means", "factors", "colors")]
     except (ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
-        raise GaussiansError(f"{path} is no .npz file with means, factors and colors") from error
-    return own_gaussians(Gaussians(*arrays))
+        raise GaussiansError(f"{path} is not an .npz file with means, factors and colors") from error
+    return checked_gaussians(Gaussians(*arrays))
 
 
 def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Write a binary PLY file in the format of 3D Gaussian splatting. Raises GaussiansError and OSError."""
-    whole = recut(own_gaussians(gaussians), native.CUTOFF_V2, NO_CUTOFF)
+    whole = recut(checked_gaussians(gaussians), native.CUTOFF_V2, NO_CUTOFF)
     l1, l2, l3 = whole.factors.astype(np.float64).T
     axes, scales, _ = np.linalg.svd(np.stack([l1, 0 * l1, l2, l3], 1).reshape(-1, 2, 2))
     half = np.arctan2(axes[:, 1, 0], axes[:, 0, 0]) / 2  # of the angle of the major axis
@@ -84,7 +84,7 @@ def read_ply(path: PathLike) -> Gaussians:
         return np.stack([vertices[name] for name in names.split()], 1).astype(np.float64)
 
     solid = "scale_2" in (vertices.dtype.names or ())
-    with np.errstate(all="ignore"):  # what comes of it is looked at below
+    with np.errstate(all="ignore"):  # the results are checked below
         scales = np.exp(columns("scale_0 scale_1 scale_2" if solid else "scale_0 scale_1"))
         quaternions = columns("rot_0 rot_1 rot_2 rot_3")
         w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
@@ -92,8 +92,8 @@ def read_ply(path: PathLike) -> Gaussians:
         along_y = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
         axes = np.stack([np.stack(rows, 1)[:, : scales.shape[1]] * scales for rows in (along_x, along_y)], 1)
         colors = (0.5 + C0 * columns("f_dc_0 f_dc_1 f_dc_2")) / (1 + np.exp(-columns("opacity")))
-    flat = Gaussians.from_covariances(columns("x y"), axes @ axes.mT, colors)
-    return recut(own_gaussians(flat), NO_CUTOFF)
+    flat = Gaussians.from_covariances(columns("x y"), axes @ axes.swapaxes(1, 2), colors)
+    return recut(checked_gaussians(flat), NO_CUTOFF)
 
 
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
@@ -104,7 +104,7 @@ def _vertices(data: bytes, name: str) -> NDArray[np.void]:
     order = BYTE_ORDERS.get(head[1].decode()) if head else None
     fields = re.findall(r"^property (.+) (\w+)\s*$", vertex[2] if vertex else "", re.MULTILINE)
     if head is None or vertex is None or order is None or not {kind for kind, _ in fields} <= set(TYPES):
-        raise GaussiansError(f"{name} is no PLY file of Gaussians")
+        raise GaussiansError(f"{name} is not a PLY file of Gaussians")
     if missing := sorted(NEEDED - {field for _, field in fields}):
         raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
     count, body = int(vertex[1]), data[head.end() :]
@@ -115,4 +115,4 @@ def _vertices(data: bytes, name: str) -> NDArray[np.void]:
             return np.array(rows, kind) if len(rows) == count else np.frombuffer(b"", kind, count)
         return np.frombuffer(body, kind, count)
     except ValueError as error:
-        raise GaussiansError(f"{name} is cut short, or no PLY file") from error
+        raise GaussiansError(f"{name} is truncated, or not a PLY file") from error

@@ -15,7 +15,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
 from sgmethod.budget import Budget, checked_integer, finite_number
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
-from sgmethod.exchange.arrays import own_array, own_gaussians
+from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.native import native
@@ -53,7 +53,7 @@ def pack(
     Raises GaussiansError for what no file can hold, BudgetError, and ImageError for a picture of another size.
     """
     width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
-    own = seen(own_gaussians(gaussians), (width, height))
+    own = seen(checked_gaussians(gaussians), (width, height))
     if len(own) > min(width * height, MOST_GAUSSIANS):
         raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
     below = _levels(background)
@@ -151,7 +151,7 @@ def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
 
 def _levels(background: Any) -> tuple[int, int, int]:
     """Convert a background in parts of white to 8-bit levels."""
-    parts = own_array(background, np.float64)
+    parts = checked_array(background, np.float64)
     if parts.shape != (3,) or not ((parts >= 0) & (parts <= 1)).all():
         raise GaussiansError(f"a background is three numbers from 0 to 1, not {background!r}")
     red, green, blue = (round(255 * part) for part in parts.tolist())

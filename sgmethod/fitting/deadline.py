@@ -38,7 +38,7 @@ class Deadline:
     def __init__(
         self, clock: Clock, limit_s: float | None = None, pixels: int = 0, settings: DeadlineSettings | None = None
     ) -> None:
-        """Start an encode. limit_s: for the whole encode, including a reserve for measuring so many pixels."""
+        """Start an encode. limit_s: for the whole encode, including a reserve for measuring this many pixels."""
         self._clock, self.settings = clock, settings or DeadlineSettings()
         s = self.settings
         reserve_s = s.reserve_s_per_megapixel + s.shared_s_per_megapixel / thread_count()
@@ -46,9 +46,9 @@ class Deadline:
         self._began_s = clock.seconds()
 
     def part(self, share: float) -> Deadline:
-        """A deadline at `share` of the total time."""
+        """A deadline at `share` (above 0) of the total time."""
         part = Deadline(self._clock, None, 0, self.settings)
-        part._end_s = self._end_s if math.isinf(self._end_s) else share * self._end_s
+        part._end_s = share * self._end_s
         return part
 
     def part_from_now(self, share: float) -> Deadline:
@@ -94,7 +94,7 @@ class Deadline:
         return math.isfinite(self.left_s())
 
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
-        """Yield a pace for each run of so many steps: the first in any case, further ones while they end in time."""
+        """Yield a pace for each run of these lengths: the first in any case, others while they end in time."""
         prepared_s = self._clock.seconds()
         least_until_s = prepared_s + self.settings.least_part * (prepared_s - self._began_s)
         step_s = 0.0
@@ -106,7 +106,7 @@ class Deadline:
             step_s = (self._clock.seconds() - began_s) / length
 
     def pace(self, steps: int) -> Pace:
-        """A pace for one run of so many steps."""
+        """A pace for one run of this many steps."""
         return Pace(self._clock, steps, lambda: self._until_s(1.0))
 
     def _run_until_s(self, least_s: float) -> float:

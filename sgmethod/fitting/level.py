@@ -168,7 +168,7 @@ class Pyramid:
 
     @classmethod
     def of(cls, whole: Level, settings: PyramidSettings, gaussians: int) -> Pyramid:
-        """Build the pyramid of a picture, without levels finer than so many Gaussians can show."""
+        """Build the pyramid of a picture, without levels finer than this many Gaussians can show."""
         levels = [whole]
         while min(levels[-1].frame.height, levels[-1].frame.width) >= settings.smallest_side:
             sharpened = levels[-1].pixels >= 4 * settings.pixels_per_gaussian * gaussians
@@ -192,7 +192,7 @@ class Pyramid:
         return replace(self, levels=levels, detailed=detailed)
 
     def coarsest(self, pixels: float) -> Level:
-        """Return the coarsest detailed level with at least so many pixels, or the finest level if none has."""
+        """Return the coarsest detailed level with at least this many pixels, or the finest level if none has."""
         return [self.finest, *(level for level in self.detailed if level.pixels >= pixels)][-1]
 
 

@@ -23,7 +23,7 @@ The full size of a large picture is processed in bands of rows, to save memory.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -37,13 +37,11 @@ from sgmethod.threads import in_parallel
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first fits a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
-ALL_COARSER = len(BLURS_PX)  # sizes of the picture, at most
 REACH = 4  # radius of a blur's kernel in cv2, in multiples of its scale
 
 
-@dataclass(frozen=True)
-class Places:
-    """Places for N Gaussians: gain, centre in pixels and blur, as arrays [N]."""
+class Places(NamedTuple):
+    """Arrays [N] for N Gaussians: gain, centre in pixels, and blur."""
 
     gain: FloatArray
     x: FloatArray
@@ -52,7 +50,7 @@ class Places:
 
 
 def candidates(
-    residual: Rows, size: tuple[int, int], most: int, least_gain: float, hidden_by: int = ALL_COARSER
+    residual: Rows, size: tuple[int, int], most: int, least_gain: float, hidden_by: int
 ) -> tuple[FloatArray, FloatArray]:
     """Find round Gaussians that reduce a residual of size (height, width), best first.
 
@@ -60,9 +58,7 @@ def candidates(
     coarser sizes that can hide a place, at least 1.
     """
     found = _places(residual, size, least_gain, hidden_by)
-    gain, x, y, blur = (
-        np.concatenate(values) for values in zip(*((p.gain, p.x, p.y, p.blur) for p in found), strict=True)
-    )
+    gain, x, y, blur = (np.concatenate(values) for values in zip(*found, strict=True))
     order = np.argsort(-gain, kind="stable")[: max(most, 0)]
     scale = blur[order] * np.float32(SCALE_OF_BLUR)
     inside = np.array([size[1], size[0]], np.float32) - 0.5
@@ -132,7 +128,7 @@ class _Level:
             np.maximum(self.gain, more, out=self.gain)
 
     def most(self, coarser: int) -> FloatArray:
-        """Largest gain on this level and so many coarser ones."""
+        """Largest gain on this level and the next `coarser` ones."""
         coarser = min(coarser, self.depth)
         if self.coarser is None or coarser == 0:
             return self.gain

@@ -48,7 +48,7 @@ class JpegXl(NamedTuple):
 
 
 def of_png(data: bytes) -> dict[bytes, bytes]:
-    """Find the chunks cICP, iCCP and eXIf. Pillow finds an eXIf behind the pixels only after decoding them."""
+    """Find the chunks cICP, iCCP and eXIf. Pillow finds an eXIf after the pixels only after decoding them."""
     found: dict[bytes, bytes] = {}
     for kind, start, end in _png_chunks(data):
         if kind in (b"cICP", b"iCCP", b"eXIf"):
@@ -117,11 +117,9 @@ def holds_one_picture(tiff: bytes) -> bool:
     try:
         while at and at not in seen and len(seen) < MOST_PAGES:
             (entries,) = struct.unpack_from(order + count, tiff, at)
-            at_first = at + struct.calcsize(count)
-            size = struct.calcsize("=" + entry)
-            if seen and not _is_preview_or_mask(
-                tiff, order + entry, [at_first + n * size for n in range(min(entries, 2))]
-            ):
+            at_first, size = at + struct.calcsize(count), struct.calcsize("=" + entry)
+            places = [at_first + n * size for n in range(min(entries, 2))]
+            if seen and not _is_preview_or_mask(tiff, order + entry, places):
                 return False
             seen.add(at)
             (at,) = struct.unpack_from(order + link, tiff, at_first + entries * size)
@@ -168,11 +166,8 @@ def clean_aperture(data: bytes, width: int, height: int) -> tuple[int, int, int,
                 return None
             w, h, across, down = (Fraction(over, under) for over, under in zip(*[iter(numbers)] * 2, strict=True))
             x, y = int((width - w) / 2 + across), int((height - h) / 2 + down)
-            return (
-                (x, y, x + int(w), y + int(h))
-                if 0 <= x < x + int(w) <= width and 0 <= y < y + int(h) <= height
-                else None
-            )
+            right, bottom = x + int(w), y + int(h)
+            return (x, y, right, bottom) if 0 <= x < right <= width and 0 <= y < bottom <= height else None
     return None
 
 

@@ -1,4 +1,4 @@
-"""Writing files completely or not at all."""
+"""Files and their names: reading them whole, and writing them completely or not at all."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from sgmethod.errors import SgError
+
+File = str | os.PathLike[str] | bytes  # a path, or the bytes themselves
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:
@@ -74,3 +76,12 @@ def checked_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -
     except UnicodeEncodeError:
         pass
     raise error(f"{name!r} is not a valid file name")
+
+
+def bytes_of(file: File, error: type[SgError], name: str = "a file") -> bytes:
+    """Return the bytes of a file. Raises OSError, and `error` for anything else. name: of the file in a message."""
+    if isinstance(file, str | os.PathLike):
+        return checked_path(file, error).read_bytes()
+    if isinstance(file, bytes | bytearray | memoryview):
+        return bytes(file)
+    raise error(f"{name} must be a path or bytes, not {type(file).__name__}")

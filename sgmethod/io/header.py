@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from PIL import Image
@@ -36,38 +36,34 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 class ImageHeader:
     """The header of an image file.
 
-    format: one of formats.READERS; width, height: pixels, after EXIF orientation; mode: Pillow's name for the
-    stored samples, such as "RGB" (8 or 16 bits each), "RGBA", "L", "P", "CMYK" or "I;16"; still: whether it is the
-    only picture in the file.
+    format: one of formats.READERS; width, height: pixels, after EXIF orientation; still: whether it is the only picture
+    in the file.
     """
 
     format: str
     width: int
     height: int
-    mode: str
     still: bool = True
 
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """Limits on the size of a picture to read.
+    """Limit on the size of a picture to read. A side never exceeds native.MAX_SIDE, the maximum of .sg and JPEG files.
 
     max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB and needs 2.3
     times that while working (RGBA, the worst kind measured).
-    max_side: pixels of the longer side. The default is the maximum of .sg and JPEG files.
     """
 
     max_pixels: int = 100_000_000
-    max_side: int = field(default_factory=lambda: native.MAX_SIDE)
 
     def check(self, width: int, height: int) -> None:
         """Raise ImageError if a picture of width x height pixels is empty or too large."""
         if width <= 0 or height <= 0:
             raise ImageError(f"the image is empty: its header says {width} x {height} pixels")
-        if max(width, height) > self.max_side or width * height > self.max_pixels:
+        if max(width, height) > native.MAX_SIDE or width * height > self.max_pixels:
             raise ImageError(
                 f"the image is too large: {width} x {height} pixels; the limit is "
-                f"{self.max_pixels:,} pixels and {self.max_side:,} per side"
+                f"{self.max_pixels:,} pixels and {native.MAX_SIDE:,} per side"
             )
 
 
@@ -96,7 +92,7 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
         warnings.simplefilter("ignore")
         try:
             yield
-        except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for max_side
+        except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for MAX_SIDE
             raise
         except Image.DecompressionBombError as error:  # Pillow's own limit, where the caller's is higher
             raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error

@@ -71,12 +71,11 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     with only_image_errors(kind):
         if kind == "JPEG XL":
             header = check_jpeg_xl(data, limits)
-            return ImageHeader(kind, header.width, header.height, "RGB", True)
+            return ImageHeader(kind, header.width, header.height)
         opened = open_file(data, kind, limits)
-        reader = opened.reader
         # Pillow's TIFF reader already reports the size after orientation.
         width, height = reversed(opened.size) if opened.orientation >= 5 else opened.size
-        return ImageHeader(kind, width, height, reader.mode, is_still(reader, data))
+        return ImageHeader(kind, width, height, is_still(opened.reader, data))
 
 
 def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -11,11 +10,12 @@ from typing import Any
 
 from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
-from sgmethod.errors import ImageWarning
+from sgmethod.errors import noted
 from sgmethod.io.inputs import Input
-from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
+from sgmethod.many.folder import Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
-from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, here
+from sgmethod.many.processes import MAX_JOBS
+from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, finish_locally
 
 
 def encode_many(
@@ -45,13 +45,12 @@ def encode_many(
 
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
         make = partial(caught, partial(written, partial(_encode, options), folder.absolute()))
-        return here(make, tasks, jobs)
+        return finish_locally(make, tasks, jobs)
 
     return into_folder(items, output_dir, options, finish, resume, on_row)
 
 
 def _encode(options: dict[str, Any], picture: Input) -> Made:
-    with warnings.catch_warnings(record=True) as caught_warnings:
-        warnings.simplefilter("always", ImageWarning)
+    with noted() as notes:
         encoded = encode(picture, **options)
-    return encoded.data, encoded.stats.to_dict(), [str(warning.message) for warning in caught_warnings]
+    return encoded.data, encoded.stats.to_dict(), notes

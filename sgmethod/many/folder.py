@@ -14,7 +14,6 @@ from sgmethod.io.inputs import Input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import Finished, OnRow, Run, Tally, Task
 
-MAX_JOBS = 256
 Item = str | os.PathLike[str] | tuple[str, Input]
 Made = tuple[bytes, Mapping[str, Any], list[str]]  # a file, its figures, what was dropped from the picture
 

@@ -22,12 +22,13 @@ if TYPE_CHECKING:
     from ctypes import c_byte
     from multiprocessing.process import BaseProcess
 
-KILLED = "its process was killed, perhaps for want of memory"
+KILLED = "its process was killed, perhaps because memory ran out"
 NONE_BEGINS = (
-    "no process for a job can begin, and what they said is on stderr: the system may allow no more of them or of their "
-    """threads, and a script that asks for several must be a file, and do so under `if __name__ == "__main__":`"""
+    "no process for a job can begin; stderr has its error. The system may allow no more processes or threads, or a "
+    """script asks for several: that must be a file, and do so under `if __name__ == "__main__":`"""
 )
 
+MAX_JOBS = 256
 CONTEXT = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
 
 Item = TypeVar("Item")

@@ -1,4 +1,4 @@
-"""A run over many pictures: resume, note each file or its error, count. Callers bring the tasks and who does them."""
+"""A run over many pictures: resumes, notes each file or its error, counts. Callers bring tasks and what does them."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ class Run(Generic[AnyRow]):
         return replace(self._tally, seconds=time.perf_counter() - self._began)
 
 
-def here(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finished[AnyRow]:
-    """Finish tasks one after the other, or several at a time in processes of their own."""
+def finish_locally(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finished[AnyRow]:
+    """Finish tasks on this machine: one after the other, or several at a time in processes of their own."""
     if jobs > 1:
         yield from in_processes(make, tasks, jobs)
         return

@@ -1,4 +1,4 @@
-"""How close two pictures are: PSNR and MS-SSIM (pixels); SSIMULACRA 2 (looks); LPIPS and DISTS (perceptual)."""
+"""Measures of likeness: PSNR and MS-SSIM (pixels.py); SSIMULACRA 2 (looks.py); LPIPS and DISTS (perceptual.py)."""
 
 from sgmethod.metrics.looks import ssimulacra2
 from sgmethod.metrics.pixels import MIN_SIDE, ms_ssim, psnr

@@ -57,13 +57,7 @@ class Texture:
     """Noise from a seed (sgmethod/native/texture/texture.h). Raises ValueError for invalid codes and cells."""
 
     def __init__(
-        self,
-        codes: NDArray[np.uint8],
-        cell_x: float,
-        cell_y: float,
-        x: float = 0.0,
-        y: float = 0.0,
-        shift: int = 0,
+        self, codes: NDArray[np.uint8], cell_x: float, cell_y: float, x: float = 0.0, y: float = 0.0, shift: int = 0
     ) -> None:
         """Take codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS.
 
@@ -217,13 +211,7 @@ class RdParameters:
     """Parameters of profile rd's stream that are known before its first Gaussian."""
 
     def __init__(
-        self,
-        width: int,
-        height: int,
-        quantum: float,
-        grey: bool = False,
-        upright: bool = False,
-        is_short: bool = False,
+        self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False, is_short: bool = False
     ) -> None:
         """Describe a payload. is_short: whether all symbols share one state, as in a short file."""
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container, v1
+from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.budget import Budget
 from sgmethod.decoder import draw
@@ -53,7 +54,7 @@ class Request:
 def encode(request: Request) -> tuple[bytes, int]:
     """Encode; return the file and the number of steps. Raises BudgetError for a budget that no file can meet."""
     budget = request.budget
-    with _torch_defaults(), _single_torch_thread(), _memory_errors():
+    with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
             stream, steps = reach_psnr(request, budget.value)
         elif budget.kind == "gaussians":
@@ -69,15 +70,12 @@ def encode(request: Request) -> tuple[bytes, int]:
 
 def within_bytes(request: Request, max_bytes: int) -> tuple[StreamV1, int]:
     """Encode to at most max_bytes."""
-    s, (width, height) = request.settings, request.size
-    groups = s.max_bitwidth - s.min_bitwidth + 1 if s.adaptive_bitwidth else 1
-    bits = v1.record_budget_bits(max_bytes, groups)
-    least = bits_per_gaussian(replace(s, mean_bitwidth=s.min_bitwidth))
-    if bits < least:
-        smallest = max_bytes + math.ceil((least - bits) / 8)
+    s, (width, height), smallest = request.settings, request.size, smallest_file(request.settings)
+    if max_bytes < smallest:
         raise BudgetError(
             f"a file of profile {request.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
         )
+    bits = 8 * (max_bytes - v1.file_bytes(0, s.most_groups))
     n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
     return run(request, n, max_bytes)
 
@@ -119,9 +117,13 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
 
 @contextmanager
 def _torch_defaults() -> Iterator[None]:
-    """Restore torch's defaults, whatever the program has set: float32 on the CPU, with gradients."""
-    kind = torch.get_default_dtype()
+    """Compute with torch's defaults, whatever the program has set: float32 on the CPU, with gradients.
+
+    On one thread: torch's pool and the kernels' on the same cores would take several times as long.
+    """
+    kind, threads = torch.get_default_dtype(), torch.get_num_threads()
     torch.set_default_dtype(torch.float32)
+    torch.set_num_threads(1)
     try:
         with (
             torch.device("cpu"),
@@ -132,16 +134,6 @@ def _torch_defaults() -> Iterator[None]:
             yield
     finally:
         torch.set_default_dtype(kind)
-
-
-@contextmanager
-def _single_torch_thread() -> Iterator[None]:
-    """Limit torch to one thread: its pool and the kernels' on the same cores would take several times as long."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
         torch.set_num_threads(threads)
 
 
@@ -159,12 +151,9 @@ def _memory_errors() -> Iterator[None]:
 def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:
     """Number of Gaussians to try next, from the two attempts nearest to the target."""
     nearest = sorted(tried, key=lambda m: abs(tried[m][0] - target_db))[:2]
-    n, db = nearest[0], tried[nearest[0]][0]
-    slope = PSNR_PER_DOUBLING_DB
-    if len(nearest) == 2 and nearest[0] != nearest[1]:
-        other = nearest[1]
-        slope = (db - tried[other][0]) / math.log2(n / other)
-        slope = min(max(slope, 0.5), 6.0)
+    n, db, slope = nearest[0], tried[nearest[0]][0], PSNR_PER_DOUBLING_DB
+    if len(nearest) == 2:
+        slope = min(max((db - tried[nearest[1]][0]) / math.log2(n / nearest[1]), 0.5), 6.0)
     aim = target_db + 0.05  # a little above, because missing the target is worse than exceeding it
     doublings = min(max((aim - db) / slope, -4.0), 4.0)
     return min(max(round(n * 2**doublings), 1), most)

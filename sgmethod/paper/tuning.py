@@ -12,18 +12,18 @@ sensitivity to each Gaussian's shape.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from sgmethod.backend.protocol import Moments
-from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, StreamV1, file_bytes
+from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, StreamV1, file_bytes, record_bits
 from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import loss_of
-from sgmethod.paper.parameters import Parameters
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
 
@@ -33,7 +33,30 @@ FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budg
 
 def bits_per_gaussian(settings: PaperSettings) -> float:
     """Expected bits of one Gaussian's record."""
-    return 2 * settings.position_bits + 3 * settings.mean_bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
+    return record_bits(settings.position_bits, 0) + 3 * settings.mean_bitwidth
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Tensors of N Gaussians, for autograd through the quantisers: means [N, 2], factors [N, 3], colors [N, 3]."""
+
+    means: Tensor
+    factors: Tensor
+    colors: Tensor
+
+    @classmethod
+    def of(cls, gaussians: Gaussians) -> Parameters:
+        """Copy arrays to tensors."""
+        return cls(*(torch.tensor(values) for values in gaussians.arrays))
+
+    @classmethod
+    def sharing(cls, gaussians: Gaussians) -> Parameters:
+        """Wrap arrays in tensors that share their memory."""
+        return cls(*(torch.from_numpy(values) for values in gaussians.arrays))
+
+    def numpy(self) -> Gaussians:
+        """Return arrays, which share the tensors' memory where that is contiguous."""
+        return Gaussians(*(values.detach().contiguous().numpy() for values in (self.means, self.factors, self.colors)))
 
 
 class Tuner:
@@ -48,8 +71,8 @@ class Tuner:
         self.loss = loss_of(level, s.lambda_g)
         self.p = Parameters.of(gaussians)
         self.n = len(gaussians)
-        l1, _, l3 = self.p.factors.T
-        self.weights = l1 * l3  # the energy of a Gaussian of colour 1, up to a constant
+        means, factors, tail = self.p.means, self.p.factors, s.range_quantile
+        self.weights = factors[:, 0] * factors[:, 2]  # the energy of a Gaussian of colour 1, up to a constant
         self.book = ResidualCodebook(
             self.p.colors,
             self.weights,
@@ -59,22 +82,15 @@ class Tuner:
             seed=seed,
         )
         self.position_bits = torch.tensor([float(s.position_bits)])
-        tail = s.range_quantile
-        self.ranges = [
-            self.p.means.amin(0),
-            self.p.means.amax(0),
-            self.p.factors.quantile(tail, dim=0),
-            self.p.factors.quantile(1 - tail, dim=0),
-        ]
+        self.ranges = [means.amin(0), means.amax(0), factors.quantile(tail, dim=0), factors.quantile(1 - tail, dim=0)]
         self._widen()
         self.soft_bits = (
             self._sensitivity_bits() if s.adaptive_bitwidth else torch.full((self.n, 1), float(s.min_bitwidth))
         )
         self.shift = 0.0
         self.steps = 0
-        rates = [
-            r.abs().amax().item() * s.range_rate for r in (self._span(0), self._span(0), self._span(2), self._span(2))
-        ]
+        spans = [(high - low).amax().item() for low, high in (self.ranges[:2], self.ranges[2:])]
+        rates = [s.range_rate * spans[i // 2] for i in range(4)]
         groups = [{"params": [r], "lr": lr, "initial_lr": lr} for r, lr in zip(self.ranges, rates, strict=True)]
         if s.adaptive_bitwidth:
             groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
@@ -82,15 +98,11 @@ class Tuner:
         self.moments = Moments.none(self.n)
         self.fit_budget()
 
-    def _span(self, i: int) -> Tensor:
-        return self.ranges[i + 1] - self.ranges[i]
-
     def _widen(self) -> None:
         """Keep every range at least MIN_SPAN_PX wide, because a range of zero or negative width has no step."""
-        for i in (0, 2):
-            if i == 2:
-                self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.optimiser.min_scale_px)
-            self.ranges[i + 1].copy_(torch.maximum(self.ranges[i + 1], self.ranges[i] + MIN_SPAN_PX))
+        self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.optimiser.min_scale_px)
+        for low, high in (self.ranges[:2], self.ranges[2:]):
+            high.copy_(torch.maximum(high, low + MIN_SPAN_PX))
 
     def _sensitivity_bits(self) -> Tensor:
         """Bitwidths [N, 1] that spread the error evenly.
@@ -110,9 +122,8 @@ class Tuner:
 
     def file_bytes(self) -> int:
         """Size of the file with the current bitwidths."""
-        fixed = 2 * self.settings.position_bits + CODEBOOK_STAGES * COLOR_INDEX_BITS
-        hard = torch.round(self.bits()).long()
-        return file_bytes(fixed * self.n + 3 * int(hard.sum()), int((torch.bincount(hard[:, 0]) > 0).sum()))
+        hard, fixed = torch.round(self.bits()).long(), self.n * record_bits(self.settings.position_bits, 0)
+        return file_bytes(fixed + 3 * int(hard.sum()), int((torch.bincount(hard[:, 0]) > 0).sum()))
 
     def fit_budget(self) -> None:
         """Shift all soft bitwidths by the largest amount that keeps the file within the budget."""
@@ -126,8 +137,8 @@ class Tuner:
 
     def quantised(self) -> tuple[Parameters, Tensor]:
         """Gaussians as decoded, differentiable in latents, ranges and bitwidths, and their colour indices [N, 2]."""
-        low, high = self.ranges[2], self.ranges[3]
-        means = lattice.quantise(self.p.means, self.ranges[0], self.ranges[1], self.position_bits)
+        first, last, low, high = self.ranges
+        means = lattice.quantise(self.p.means, first, last, self.position_bits)
         factors = lattice.quantise(self.p.factors, low, high, self.bits())
         index = self.book.assign(self.p.colors)
         return Parameters(means, factors, self.book.lookup(index)), index
@@ -174,29 +185,22 @@ class Tuner:
     def stream(self, profile: str) -> StreamV1:
         """Code the Gaussians as syntax elements, grouped by bitwidth and ordered from top to bottom in each group."""
         self.fit_budget()
-        low, high = self.ranges[2], self.ranges[3]
-        positions = lattice.codes(self.p.means, self.ranges[0], self.ranges[1], self.position_bits).numpy()
-        factors = lattice.codes(self.p.factors, low, high, self.bits()).numpy()
-        colors = self.book.assign(self.p.colors).numpy()
+        first, last, low, high = self.ranges
+        positions = lattice.codes(self.p.means, first, last, self.position_bits).numpy().astype(np.uint16)
+        factors = lattice.codes(self.p.factors, low, high, self.bits()).numpy().astype(np.uint16)
+        colors = self.book.assign(self.p.colors).numpy().astype(np.uint8)
         hard = torch.round(self.bits())[:, 0].numpy().astype(int)
         groups = []
         for bitwidth in np.unique(hard):
             rows = np.flatnonzero(hard == bitwidth)
             rows = rows[np.argsort(positions[rows, 1], kind="stable")]
-            groups.append(
-                Group(
-                    int(bitwidth),
-                    positions[rows].astype(np.uint16),
-                    factors[rows].astype(np.uint16),
-                    colors[rows].astype(np.uint8),
-                )
-            )
+            groups.append(Group(int(bitwidth), positions[rows], factors[rows], colors[rows]))
         return StreamV1(
             profile=profile,
             width=self.level.frame.width,
             height=self.level.frame.height,
             position_bits=self.settings.position_bits,
-            position_range=torch.stack(self.ranges[:2], 1).numpy(),
+            position_range=torch.stack([first, last], 1).numpy(),
             factor_range=torch.stack([low, high], 1).numpy(),
             codebooks=self.book.entries.numpy().astype(np.float16),
             groups=tuple(groups),

@@ -49,10 +49,9 @@ class SgImageFile(ImageFile.ImageFile):
         self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, self._mode)]
 
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
-        """Reduce the size at which the picture will be drawn, but not below `size`."""
+        """Reduce the size at which the picture will be drawn, but not below `size`. The mode stays as it is."""
         from sgmethod.view import MIN_SCALE, View
 
-        del mode  # cannot be changed
         if size is None or not self.tile:
             return None
         width, height = self._file.size
@@ -85,7 +84,7 @@ def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
 
 def register() -> None:
     """Register .sg files with Pillow."""
-    # Files of later versions too, so that the error tells what they are.
+    # Files of later versions too, so that the error names their version.
     Image.register_open(FORMAT, SgImageFile, lambda prefix: b"\xd3\xc0" < prefix[:2] < b"\xd3\xd0")
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")

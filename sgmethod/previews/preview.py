@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 import os
 from dataclasses import asdict, dataclass, replace
@@ -11,6 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
+from PIL import Image
 
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.budget import checked_integer
@@ -20,17 +23,18 @@ from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.inputs import Input
-from sgmethod.previews.placeholder import data_uri
 from sgmethod.previews.reducing import Pixels, reduced
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
 PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
-# Least l1 and l3 of Gaussians, in pixels, up to so many bytes; less with more of them. A soft blur is a better
+# Least l1 and l3 of Gaussians, in pixels, up to this many bytes; less beyond. A soft blur is a better
 # placeholder than sharp splinters, which squared error prefers (docs/notebook/eye.md).
 SOFT_PX, SOFT_BYTES = 10.0, 200
 DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+WEBP_SIDE = 32  # pixels of the longer one: a browser enlarges them smoothly, so more would only add bytes
+WEBP_QUALITY = 60
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,9 @@ class Preview:
         picture, which would let it show through.
         src: the picture's URL, already quoted; alt: its alternative text.
         """
-        background = f";background:{self.color} url({data_uri(self.data)}) center/cover"
-        return self._img(src, alt, "width:100%;height:auto" + ("" if SgFile(self.data).has_alpha else background))
+        file = SgFile(self.data)
+        background = "" if file.has_alpha else f";background:{self.color} url({_webp_uri(file)}) center/cover"
+        return self._img(src, alt, f"width:100%;height:auto{background}")
 
     def element(self, src: str, alt: str = "") -> str:
         """Return an <sg-img>, as wide as its container, that draws the preview over the <img> inside it.
@@ -79,6 +84,14 @@ class Preview:
     def _img(self, src: str, alt: str, style: str) -> str:
         known = f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'
         return f'<img {known} loading="lazy" decoding="async" style="{style}">'
+
+
+def _webp_uri(file: SgFile) -> str:
+    """Draw a file as a WebP of about 200 bytes, in a data URI."""
+    pixels = file.pixels(scale=min(WEBP_SIDE / max(file.size), 1.0))
+    webp = io.BytesIO()
+    Image.fromarray(pixels).save(webp, "WEBP", quality=WEBP_QUALITY, method=6)
+    return f"data:image/webp;base64,{base64.b64encode(webp.getvalue()).decode()}"
 
 
 def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:

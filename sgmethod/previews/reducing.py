@@ -43,7 +43,7 @@ def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tup
 
 
 def reduced_size(size: Size, pixels: int) -> Size:
-    """Size with at most about so many pixels and the aspect ratio nearest to that of `size`.
+    """Size of about this many pixels at most, with the aspect ratio nearest to that of `size`.
 
     >>> reduced_size((4032, 3024), 12_800), reduced_size((3872, 2592), 12_800)
     ((128, 96), (121, 81))

@@ -36,16 +36,16 @@ Plane = NDArray[np.float32]
 
 def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
     """Encode a request with alpha [H, W]; return the coded picture and the optimiser steps it took."""
-    pixels = continued(request.pixels, alpha)
+    pixels = inpainted(request.pixels, alpha)
     layer, error, steps = _alpha(request, pixels, alpha)
     deadline, objective = request.deadline, request.objective.under(pixels, draw_whole(layer)[..., 0])
     preview = request.recorder.preview
     recorder = replace(request.recorder, preview=preview and _with_alpha(preview, layer))
+    colours = replace(request, objective=objective, recorder=recorder)
     rate = rate_beside_alpha(request.rate, layer, error)
     found: list[tuple[float, StreamV2]] = []
     for _ in deadline.tries(request.settings.alpha.tries):
-        colours = replace(request, objective=objective, rate=rate, recorder=recorder, deadline=deadline.part(1.0))
-        stream, taken = pipeline.encode(colours)
+        stream, taken = pipeline.encode(replace(colours, rate=rate, deadline=deadline.part(1.0)))
         steps += taken
         stream = replace(stream, alpha=layer)
         if not isinstance(request.rate, Aim) or not isinstance(rate, Aim):
@@ -65,17 +65,9 @@ def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, f
     rate, deadline = rate_of_alpha(request.rate), request.deadline.part(s.alpha.time)
     objective, recorder = Objective.of_alpha(alpha, s.objective), Recorder(request.recorder.clock)
     settings = replace(s, effort=replace(s.effort, rounds=(0,)))
+    plane = replace(request, objective=objective, settings=settings, recorder=recorder, with_shear=True)
     for _ in deadline.tries(s.alpha.tries):
-        plane = replace(
-            request,
-            objective=objective,
-            rate=rate,
-            deadline=deadline.part(1.0),
-            settings=settings,
-            recorder=recorder,
-            with_shear=True,
-        )
-        layer, taken = pipeline.encode(plane)
+        layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.part(1.0)))
         steps += taken
         error = _error(np.dstack([pixels, draw_whole(layer)[..., 0]]), pixels, alpha)
         if _allows(request.rate, error):
@@ -138,7 +130,7 @@ def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:
     return shown
 
 
-def continued(pixels: Pixels, alpha: Pixels) -> Pixels:
+def inpainted(pixels: Pixels, alpha: Pixels) -> Pixels:
     """Replace pixels [H, W, 3] that alpha [H, W] hides by means over ever larger squares of visible pixels."""
     if alpha.all():
         return pixels

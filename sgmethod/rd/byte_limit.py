@@ -60,7 +60,7 @@ class ByteBudget(ByteLimit):
         """Return the same for another number of bytes, at most as many as a file can use."""
         max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.most_bytes * self.pixels)
         bits, s = 8 * max_bytes, self.settings
-        # Of a picture with more pixels than its Gaussians need, reduced to as many. Quanta grow with a picture's side.
+        # A picture with more pixels than its Gaussians need counts as reduced to these. Quanta grow with its side.
         pixels = min(self.pixels, s.pyramid.pixels_per_gaussian * bits / s.rate.bits_per_gaussian)
         quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
         return replace(self, quantum=quantum, max_bytes=max_bytes)

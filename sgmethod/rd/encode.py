@@ -6,7 +6,7 @@ steer      move the quantum, on which all quantiser steps hang, to the budget   
 densify    add Gaussians where they gain more than their bits are worth          densify.py
 fit        move all of them together, under the price of their bits              fit.py
 settle     drop Gaussians beyond the number that the budget allows               densify.py
-search     quantise and refine with several quanta, keep the best file           search.py, quantise.py
+search     quantise and refine with several quanta, keep the best file           search.py
 
 The schedule is a first run and rounds: as many as the effort has and time allows, and one or two more while looks or a
 PSNR are missed. A round adds and fits more Gaussians than can stay, and drops those that gain least. Alpha takes two

@@ -1,4 +1,4 @@
-"""Plan: the settings and picture sizes that fit into the time there is; State: how far the fit is."""
+"""Plan: the settings and picture sizes that fit into the available time; State: the progress of the fit."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Plan:
         return State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
 
     def level_for(self, state: State, stage: Stage, gaussians: int) -> Level:
-        """Choose the level that so many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
+        """Choose the level that this many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
         progress, times, s = stage.pace.progress, stage.times, self.settings.pyramid
         if progress >= times.many_from:
             level = self.finest
@@ -87,7 +87,7 @@ class Plan:
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
-        """What steps on a level minimise. price: squared error of the whole picture that a bit costs."""
+        """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""
         price, optimiser = price / self.request.samples, self.settings.fit.optimiser
         return Descent(level.frame, level.target, level.visibility, quantum, price, *self.request.size, optimiser)
 
@@ -145,7 +145,7 @@ def within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
 
 
 def sized(settings: RdSettings, pixels: int) -> RdSettings:
-    """Adapt settings to a picture of so many pixels: a large one gets fewer steps, and reduced pictures for longer."""
+    """Adapt settings to this many pixels: a large picture gets fewer steps, and reduced pictures for longer."""
     s, effort = settings.schedule, settings.effort
     small, large = s.large
     share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
@@ -200,8 +200,8 @@ def stages(pace: Pace, times: Times) -> Iterator[Stage]:
 class State:
     """The state of a fit.
 
-    moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: of the
-    file in bytes, about; saturated_price: price of a bit at which growth last found next to nothing.
+    moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: estimated
+    size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing.
     """
 
     gaussians: Gaussians

@@ -1,4 +1,4 @@
-"""Request: what the pipeline is given."""
+"""Request: the pipeline's input."""
 
 from __future__ import annotations
 

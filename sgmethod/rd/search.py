@@ -1,16 +1,18 @@
-"""Search: make several files of a fit and keep the best."""
+"""Search: quantise and refine a fit with several quanta, and keep the best file."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sgmethod.bitstream.v2 import StreamV2
+from sgmethod.backend.protocol import Moments, RefineLimits, Target
+from sgmethod.bitstream.texture import Codes
+from sgmethod.bitstream.v2 import StreamV2, is_upright
 from sgmethod.rd.plan import Plan, State
-from sgmethod.rd.quantise import PayloadLimit, quantised, relaxed
-from sgmethod.rd.rate_control import Coded
+from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
 
@@ -33,25 +35,57 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     if texture is not None and not rate.affords(texture):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
-    limit, target = PayloadLimit(rate.payload_limit(empty), texture), state.target.now
+    limit, target = rate.payload_limit(empty), state.target.now
+    refined = partial(_refined, plan, target, texture)
 
     tried: list[Coded] = []
-    quantum: float | None = rate.first_quantum(state.quantum, payload, limit.max_bytes)
+    quantum: float | None = rate.first_quantum(state.quantum, payload, limit)
     for _ in request.deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break
-        tried.append(quantised(plan, state.gaussians, target, quantum, limit))
-        quantum = rate.next_quantum(tried, limit.max_bytes, plan.settings.effort.size_tries)
-    if rate.is_cut_short(payload(state.quantum), limit.max_bytes):
-        tried.append(quantised(plan, state.gaussians, target, state.quantum, limit))
+        tried.append(refined(state.gaussians, quantum, limit))
+        quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
+    if rate.is_cut_short(payload(state.quantum), limit):
+        tried.append(refined(state.gaussians, state.quantum, limit))
     best = rate.chosen(tried)
-    lot = np.random.default_rng(request.seed)
+    rng = np.random.default_rng(request.seed)
     for _ in request.deadline.tries(max(rounds - 1, 0) if best.size else 0):
-        held = lot.random(len(best.stream.gaussians())) < 0.5
+        held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held)
-        less = replace(limit, max_bytes=min(limit.max_bytes, rate.relaxed_bytes(best)))
-        best = rate.best([best, quantised(plan, again, target, best.stream.quantum, less)])
+        best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
     if not request.is_nearly_flat:
         return best
     empty = replace(empty, quantum=best.stream.quantum)
     return rate.best([best, Coded(empty, request.objective)])
+
+
+def _refined(
+    plan: Plan, target: Target, texture: Codes | None, gaussians: Gaussians, quantum: float, max_bytes: int
+) -> Coded:
+    """Code Gaussians with this quantum in at most max_bytes of payload, beside a texture.
+
+    Their integers are refined one Gaussian at a time on the target that the others leave (native/refine/refine.cpp).
+    """
+    request, s, finest = plan.request, plan.settings, plan.finest
+    quantum = StreamV2.coded_quantum(quantum, request.rate.is_short)
+    coding = replace(request.coding(quantum), upright=is_upright(gaussians.factors, request.with_shear))
+    spacing = finest.frame.spacing
+    price = s.refine.weight * error_per_bit(quantum) / spacing**2
+    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), max_bytes, spacing)
+    payload = request.backend.refine(gaussians, coding, target, limits, finest.visibility)
+    colours = *request.size, quantum, request.background, request.grey, coding.upright, payload
+    return Coded(StreamV2(*colours, texture, is_short=coding.is_short), request.objective)
+
+
+def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_]) -> Gaussians:
+    """Take some steps with the Gaussians [N] of a coded picture, except those that are held [N]."""
+    s, level = plan.settings.refine, replace(plan.finest, target=target)
+    before = stream.gaussians()
+    moving, moments = before.copy(), Moments.none(len(before))
+    price = s.relaxed_weight * error_per_bit(stream.quantum)
+    descent = plan.descent(level, stream.quantum, price)
+    for _ in range(s.relaxed_steps):
+        plan.request.backend.steps(moving, moments, descent, [s.relaxed_rate])
+        for values, held_at in zip(moving.arrays, before.arrays, strict=True):
+            values[held] = held_at[held]
+    return moving

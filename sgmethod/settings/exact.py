@@ -20,7 +20,7 @@ class ExactSettings:
     trims: int = 8
     trim_until: float = 0.8
     # Quantum that prices bits until the last trim, in multiples of that at which growth would find as many Gaussians;
-    # at most that of an encode of so many, as few Gaussians on a smooth picture cannot pay for more.
+    # at most that of an encode of as many, because few Gaussians on a smooth picture cannot pay for more.
     price: float = 0.8
     few_until: float = 0.3  # Times.few_until
     final_rate: tuple[float, float] = (0.1, 0.5)  # of many and of few steps
@@ -31,7 +31,7 @@ EXACT = ExactSettings()
 
 
 def exact_schedule(steps: int) -> RdSettings:
-    """Adapt the settings of profile rd to a fit of so many steps."""
+    """Adapt the settings of profile rd to a fit of this many steps."""
     growths = max(round(EXACT.growth_until * steps / EXACT.steps_of_growth), EXACT.fewest_growths)
     times = replace(
         RD.effort.times,

@@ -43,6 +43,11 @@ class PaperSettings:
     mean_bitwidth: float = 7.5  # aimed at when a byte budget fixes the number of Gaussians
     codebook_decay: float = 0.8  # GSImage
 
+    @property
+    def most_groups(self) -> int:
+        """Number of bitwidths that a file may have."""
+        return self.max_bitwidth - self.min_bitwidth + 1 if self.adaptive_bitwidth else 1
+
 
 PAPER = PaperSettings()
 BASELINE = replace(

@@ -37,11 +37,9 @@ class StartSettings:
     threshold_exponent: float = 0.9  # alpha; not in the paper: N_t x 4 from 0.6 to 2.8 megapixels
     shared_by_area: bool = True  # False: regions of a category get equally many Gaussians, whatever their area
     gaussians_per_region: int = 10  # SLIC regions follow the number of Gaussians
-    compactness: float = 10.0  # of SLIC
+    compactness: float = 10.0  # of SLIC: its balance of distance and colour
     superpixels: Superpixels = "skimage"  # the library for SLIC
-    tensor_smoothing_px: float = 2.0  # window of the structure tensor that orients the start
-    placement_power: float = 1.0  # density within a region ~ gradient magnitude ^ power
-    orientation_gain: float = 1.0  # log of the start's aspect ratio at full coherence
+    tensor_smoothing_px: float = 2.0  # standard deviation of the structure tensor's window, which orients the start
 
 
 ADAM = OptimiserSettings()

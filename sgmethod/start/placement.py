@@ -78,15 +78,15 @@ def place(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Gen
     if not settings.structure_guided:
         return _place_randomly(image, n, rng)
     regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
-    found = structure.analyse(image, regions, settings.compactness, settings.tensor_smoothing_px, settings.superpixels)
+    found = structure.analyse(image, regions, settings)
     ratio = dynamic_ratio(n, image.shape[0] * image.shape[1], settings)
     if settings.shared_by_area:
         counts = allocate(found.complexity, found.area, n, ratio)
     else:
         counts = allocate_by_number(found.complexity, n, ratio)
-    means, scales = _scatter(found, counts, settings.placement_power, rng)
+    means, scales = _scatter(found, counts, rng)
     rows, columns = _pixels_below(means, image.shape[:2])
-    factors = _along_edges(scales, found.tensor[rows, columns], settings.orientation_gain)
+    factors = _along_edges(scales, found.tensor[rows, columns])
     return Gaussians(means, factors, image[rows, columns])
 
 
@@ -103,17 +103,15 @@ def _pixels_below(means: FloatArray, shape: tuple[int, ...]) -> tuple[NDArray[np
     return np.clip(whole[:, 1], 0, shape[0] - 1), np.clip(whole[:, 0], 0, shape[1] - 1)
 
 
-def _scatter(
-    found: Structure, counts: NDArray[np.int64], power: float, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Means [n, 2] and scales [n] in pixels, sampled within each region by gradient magnitude ^ power (stratified).
+def _scatter(found: Structure, counts: NDArray[np.int64], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Means [n, 2] and scales [n] in pixels, sampled within each region by gradient magnitude (stratified).
 
     A Gaussian's scale is the radius of a disc with the area it has to cover, 1 / density.
     """
     width = found.labels.shape[1]
     pixels = np.argsort(found.labels.ravel(), kind="stable")
     starts = np.concatenate([[0], np.cumsum(found.area)])
-    weight = (found.gradient.ravel() + GRADIENT_FLOOR) ** power
+    weight = found.gradient.ravel() + GRADIENT_FLOOR
     means, scales = [], []
     for region in np.flatnonzero(counts):
         n = counts[region]
@@ -127,12 +125,12 @@ def _scatter(
     return np.concatenate(means).astype(np.float32), np.concatenate(scales).astype(np.float32)
 
 
-def _along_edges(scales: FloatArray, tensor: FloatArray, gain: float) -> FloatArray:
-    """Cholesky factors [n, 3] of ellipses of the given scales, elongated along coherent edges."""
+def _along_edges(scales: FloatArray, tensor: FloatArray) -> FloatArray:
+    """Cholesky factors [n, 3] of ellipses of the given scales, elongated along coherent edges, at most e to 1."""
     xx, xy, yy = tensor.T
     across = 0.5 * np.arctan2(2 * xy, xx - yy)
     coherence = np.hypot(xx - yy, 2 * xy) / (xx + yy + 1e-6)
-    stretch = np.exp(gain * coherence)
+    stretch = np.exp(coherence)
     thin, long = scales**2 / stretch, scales**2 * stretch
     c, s = np.cos(across), np.sin(across)
     l1 = np.sqrt(thin * c * c + long * s * s)

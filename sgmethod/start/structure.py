@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.scene import FloatArray
-from sgmethod.settings.shared import Superpixels
+from sgmethod.settings.shared import StartSettings
 
 NARROW_PX, SLIC_ROUNDS = 8, 10
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -34,25 +34,19 @@ class Structure:
     tensor: FloatArray
 
 
-def analyse(
-    image: FloatArray, regions: int, compactness: float, smoothing: float, superpixels: Superpixels = "skimage"
-) -> Structure:
-    """Analyse the structure of an image [H, W, 3] in [0, 1].
-
-    regions: number of superpixels requested from SLIC; compactness: SLIC's balance of distance and colour;
-    smoothing: standard deviation in pixels of the structure tensor's window; superpixels: the library for SLIC.
-    """
+def analyse(image: FloatArray, regions: int, settings: StartSettings) -> Structure:
+    """Analyse the structure of an image [H, W, 3] in [0, 1]. regions: number of superpixels requested from SLIC."""
     grey = image @ _LUMA
     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gradient = np.hypot(gx, gy).astype(np.float32)
-    labels = (_slic if superpixels == "skimage" else _opencv_slic)(image, regions, compactness)
+    labels = (_slic if settings.superpixels == "skimage" else _opencv_slic)(image, regions, settings.compactness)
     _, flat = np.unique(labels, return_inverse=True)
     flat = flat.reshape(-1)
     area = np.bincount(flat)
     mean = np.bincount(flat, gradient.ravel()) / area
     square = np.bincount(flat, gradient.ravel().astype(np.float64) ** 2) / area
-    tensor = cv2.GaussianBlur(np.stack([gx * gx, gx * gy, gy * gy], -1), (0, 0), smoothing)
+    tensor = cv2.GaussianBlur(np.stack([gx * gx, gx * gy, gy * gy], -1), (0, 0), settings.tensor_smoothing_px)
     return Structure(
         gradient,
         np.asarray(flat.reshape(image.shape[:2]), np.int32),

@@ -57,7 +57,7 @@ def render(
     for an invalid scale or size.
     """
     means, factors, colors, lead = _checked(means, factors, colors)
-    width, height = own_size(size)
+    width, height = checked_size(size)
     number = finite_number(scale)
     if number is None or not MIN_SCALE <= number <= MAX_SCALE:
         raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {scale!r}")
@@ -68,7 +68,7 @@ def render(
     return image + (below[..., None, None] if below.ndim else below)
 
 
-def own_size(size: object) -> tuple[int, int]:
+def checked_size(size: object) -> tuple[int, int]:
     """Return a width and a height as integers. Raises ViewError for anything else."""
     sides = list(size) if isinstance(size, Iterable) else []
     if len(sides) != 2:

@@ -14,11 +14,12 @@ from torch.utils.data import Dataset
 from sgmethod import decoder
 from sgmethod.backend.devices import checked_device
 from sgmethod.budget import checked_integer
-from sgmethod.decoder import MAX_PIXELS, WHOLE, File, SgFile
+from sgmethod.decoder import MAX_PIXELS, WHOLE, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.exchange.packing import MOST_GAUSSIANS
+from sgmethod.io.files import File
 from sgmethod.scene import Gaussians
-from sgmethod.torch.drawing import own_size, render
+from sgmethod.torch.drawing import checked_size, render
 from sgmethod.torch.shards import Sample, samples_of
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
@@ -111,7 +112,7 @@ class SgDataset(Dataset[dict[str, Any]]):
         if isinstance(files, bytes) or (isinstance(files, str | os.PathLike) and size is not None):
             raise SgError("SgDataset needs a list of files, not one file; what is fitted has Gaussians, and no pixels")
         self._files: Sequence[File | Sample] = samples_of(files) if isinstance(files, str | os.PathLike) else files
-        self._size = None if size is None else own_size(size)
+        self._size = None if size is None else checked_size(size)
         self._most = (
             0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
         )
@@ -144,7 +145,7 @@ def _covering(file: SgFile, size: tuple[int, int]) -> Tensor:
     width, height = size
     scale = max((side + 0.5) / whole for side, whole in zip(size, file.size, strict=True))
     if not MIN_SCALE <= scale <= MAX_SCALE:
-        raise ViewError(f"{width} x {height} pixels are no size for a picture of {file.size[0]} x {file.size[1]}")
+        raise ViewError(f"a picture of {file.size[0]} x {file.size[1]} cannot cover {width} x {height} pixels")
     pixels = file.pixels(scale)
     y, x = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
     return _tensor(pixels[y : y + height, x : x + width, :3], torch.uint8, "CHW")

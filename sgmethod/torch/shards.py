@@ -30,7 +30,7 @@ from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import read_input
 from sgmethod.many.manifest import Manifest, Row
-from sgmethod.many.run import OnRow, Run, Tally, Task, caught, here
+from sgmethod.many.run import OnRow, Run, Tally, Task, caught, finish_locally
 from sgmethod.rd.exact import Exact
 from sgmethod.rd.request import Pixels
 from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
@@ -89,7 +89,7 @@ def fit_many(
     asked = {"gaussians": gaussians, "steps": steps, "seed": seed, "quantum": quantum}
     with Manifest(folder, {**asked, "shard": shard, "pictures": pictures}) as manifest:
         run = Run[Row](manifest, resume, -(-pictures // shard))
-        return run.finish(here(partial(caught, written), run.rest(_tasks(pictures, shard)), 1), on_row)
+        return run.finish(finish_locally(partial(caught, written), run.rest(_tasks(pictures, shard)), 1), on_row)
 
 
 def _tasks(pictures: int, shard: int) -> Iterator[Task[Row]]:
@@ -117,12 +117,6 @@ def _archive(indices: range, fitted: list[Exact], samples: list[tuple[Pixels, tu
     """Write a tar file, the same bytes for the same Gaussians."""
     file = io.BytesIO()
     with tarfile.open(fileobj=file, mode="w") as archive:
-
-        def add(name: str, data: bytes) -> None:
-            entry = tarfile.TarInfo(name)
-            entry.size = len(data)
-            archive.addfile(entry, io.BytesIO(data))
-
         for index, one, (pixels, label) in zip(indices, fitted, samples, strict=True):
             found, npz = one.gaussians, io.BytesIO()
             np.savez(
@@ -134,15 +128,16 @@ def _archive(indices: range, fitted: list[Exact], samples: list[tuple[Pixels, tu
                 size=np.array(pixels.shape[1::-1]),
                 error=np.array(one.error, np.float32),
             )
-            add(f"{index:09}.npz", npz.getvalue())
-            if label is not None:
-                add(f"{index:09}.{label[0]}", label[1])
+            for end, data in filter(None, (("npz", npz.getvalue()), label)):
+                entry = tarfile.TarInfo(f"{index:09}.{end}")
+                entry.size = len(data)
+                archive.addfile(entry, io.BytesIO(data))
     return file.getvalue()
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Where a picture's Gaussians and its label lie in a shard: first byte and size, by the end of the name."""
+    """A picture's Gaussians and label in a shard: first byte and size of each file, by the end of its name."""
 
     shard: Path
     parts: dict[str, tuple[int, int]]
@@ -178,7 +173,7 @@ def samples_of(path: str | os.PathLike[str]) -> list[Sample]:
                     key, _, end = entry.name.partition(".")
                     parts.setdefault(key, {})[end] = entry.offset_data, entry.size
         except tarfile.TarError as error:
-            raise SgError(f"{shard} is no shard: {error}") from error
+            raise SgError(f"{shard} is not a shard: {error}") from error
         found += [Sample(shard, each) for each in parts.values() if "npz" in each]
     if not found:
         raise SgError(f"{place} has no fitted pictures")

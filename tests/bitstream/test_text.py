@@ -7,8 +7,7 @@ import re
 
 import pytest
 
-from sgmethod import BitstreamError
-from sgmethod.bitstream.stream import Limits
+from sgmethod import BitstreamError, decode
 from sgmethod.bitstream.text import from_text, to_text
 from tests.harness.data import golden
 
@@ -21,6 +20,13 @@ def test_a_text_is_a_file(name: str) -> None:
     assert re.fullmatch(r"w[A-Za-z0-9_-]*", text)
     assert len(text) == -(-4 * (len(GOLDEN[name]) - 1) // 3)
     assert from_text(text) == GOLDEN[name]
+
+
+@pytest.mark.parametrize("version", [3, 4, 15])
+def test_a_text_of_a_later_version_is_recognised(version: int) -> None:
+    text = to_text(bytes([0xD3, 0xC0 + version]) + bytes(20))
+    with pytest.raises(BitstreamError, match=f"version {version} is not supported: update"):
+        decode(text.encode())
 
 
 def test_a_text_that_is_none_is_one_clear_error() -> None:
@@ -43,7 +49,5 @@ def test_a_text_that_is_none_is_one_clear_error() -> None:
     assert padded.endswith("=")
     with pytest.raises(BitstreamError, match="not the text"):
         from_text(padded)
-    with pytest.raises(BitstreamError, match="exceed the limit"):
-        from_text(text, Limits(max_pixels=10))
     with pytest.raises(BitstreamError, match=r"not an \.sg"):
         to_text(b"SGM\1" + bytes(20))

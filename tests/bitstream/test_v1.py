@@ -120,15 +120,13 @@ def test_checksum_is_the_one_of_the_format() -> None:
     assert zlib.crc32(b"123456789") == 0xCBF43926
 
 
-def test_budget_of_records() -> None:
-    """A file of max_bytes holds as many bits of records as record_budget_bits says, and not one more."""
+def test_sizes_of_files() -> None:
+    """The size known from the bits of records is that of the bytes written."""
     for groups in ([(6, 30)], [(6, 10), (7, 11), (9, 1)]):
         written = stream(12, groups)
-        size = len(serialise(written))
         bits = sum(n * (2 * 12 + 3 * bitwidth + 6) for bitwidth, n in groups)
-        assert v1.record_budget_bits(size, len(groups)) >= bits
-        assert v1.record_budget_bits(size - 1, len(groups)) < bits
-    assert v1.record_budget_bits(10, 1) < 0
+        assert bits == sum(n * v1.record_bits(12, bitwidth) for bitwidth, n in groups)
+        assert v1.file_bytes(bits, len(groups)) == len(serialise(written))
 
 
 @pytest.mark.parametrize(

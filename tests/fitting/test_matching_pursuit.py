@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgmethod.fitting.matching_pursuit import ALL_COARSER, BLURS_PX, SCALE_OF_BLUR, candidates
+from sgmethod.fitting.matching_pursuit import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.native import native
 
 FloatArray = NDArray[np.float32]
+ALL_COARSER = len(BLURS_PX)  # sizes of the picture, at most
 
 
 def noise(height: int, width: int) -> FloatArray:

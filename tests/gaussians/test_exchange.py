@@ -121,7 +121,7 @@ def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1,
     [
         (lambda: sgmethod.pack(PIXELS, *SIZE, bpp=1), GaussiansError, "not ndarray"),
         (lambda: sgmethod.pack(one(mean=(1, 2, 3)), *SIZE, bpp=1), GaussiansError, r"not \[\(1, 3\), \(1, 3\),"),
-        (lambda: sgmethod.pack(one(mean=("a", 2)), *SIZE, bpp=1), GaussiansError, "no array of numbers"),
+        (lambda: sgmethod.pack(one(mean=("a", 2)), *SIZE, bpp=1), GaussiansError, "not an array of numbers"),
         (lambda: sgmethod.pack(one(color=(1, 0, np.nan)), *SIZE, bpp=1), GaussiansError, "0 has a value .* not finite"),
         (lambda: sgmethod.pack(one(factor=(2, 0, 0)), *SIZE, bpp=1), GaussiansError, "l1 and l3 must be positive"),
         (lambda: sgmethod.pack(one(factor=(2, 9e4, 2)), *SIZE, quantum=1), GaussiansError, "no file can hold"),
@@ -129,7 +129,7 @@ def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1,
         (lambda: sgmethod.pack(one(), 0, 5, bpp=1), GaussiansError, "a side must be a whole number from 1"),
         (lambda: sgmethod.pack(scattered(80, 1, (4, 4)), 4, 4, bpp=1), GaussiansError, "more than a file of 4 x 4"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background=(0, 2, 0)), GaussiansError, "three numbers from 0 to 1"),
-        (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background="red"), GaussiansError, "no array of numbers"),
+        (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background="red"), GaussiansError, "not an array of numbers"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, image=PIXELS), ImageError, "has 128 x 96 pixels"),
         (lambda: sgmethod.pack(one(), *SIZE), BudgetError, "one of bpp and quantum"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, quantum=1), BudgetError, "one of bpp and quantum"),
@@ -183,12 +183,12 @@ def test_ply_of_3d_splats_is_flattened(order: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"", "no PLY file"),
+        (b"", "not a PLY file"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no property f_dc_0"),
-        (HEADER.format(order="ascii").encode() + b"1 2\n", "cut short"),
-        (HEADER.format(order="binary_little_endian").encode() + b"1 2\n", "cut short"),
-        (HEADER.format(order="middle_endian").encode(), "no PLY file"),
-        (HEADER.format(order="ascii").replace("double", "quad").encode(), "no PLY file"),
+        (HEADER.format(order="ascii").encode() + b"1 2\n", "truncated"),
+        (HEADER.format(order="binary_little_endian").encode() + b"1 2\n", "truncated"),
+        (HEADER.format(order="middle_endian").encode(), "not a PLY file"),
+        (HEADER.format(order="ascii").replace("double", "quad").encode(), "not a PLY file"),
         (HEADER.format(order="binary_little_endian").encode() + b"\xff" * 150, "not finite"),
     ],
 )
@@ -205,5 +205,5 @@ def test_damaged_npz(tmp_path: Path) -> None:
     (tmp_path / "empty.npz").write_bytes(b"")
     np.save(tmp_path / "array.npy", SOME.means)
     for name in ("other.npz", "pickle.npz", "text.npz", "empty.npz", "array.npy"):
-        with pytest.raises(GaussiansError, match=r"no \.npz file with means, factors and colors"):
+        with pytest.raises(GaussiansError, match=r"not an \.npz file with means, factors and colors"):
             sgmethod.read_npz(tmp_path / name)

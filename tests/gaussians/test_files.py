@@ -72,7 +72,7 @@ def test_a_data_set_of_gaussians() -> None:
         (lambda: SgDataset(["picture.sg"], size=(8, -8)), ViewError, "a side must be a whole number from 1"),
         (lambda: SgDataset(["picture.sg"], size=8), ViewError, "a size is width and height in pixels, not 8"),
         (lambda: SgDataset(["picture.sg"], most_gaussians=-1), SgError, "most_gaussians must be a whole number from 1"),
-        (lambda: SgDataset(["picture.sg"], size=(1, 9000))[0], ViewError, "no size for a picture of 48 x 40"),
+        (lambda: SgDataset(["picture.sg"], size=(1, 9000))[0], ViewError, "a picture of 48 x 40 cannot cover"),
     ],
 )
 def test_what_is_wrong_is_said(call: Callable[[], object], error: type[SgError], words: str) -> None:

@@ -189,7 +189,7 @@ def test_other_files_are_no_shards() -> None:
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: SgDataset(__file__, most_gaussians=5), SgError, "is no shard"),
+        (lambda: SgDataset(__file__, most_gaussians=5), SgError, "is not a shard"),
         (lambda: SgDataset(".", most_gaussians=5), SgError, "has no fitted pictures"),
         (lambda: SgDataset("none.tar", most_gaussians=5), FileNotFoundError, "none.tar"),
         (lambda: SgDataset(".", size=(8, 8)), SgError, "a list of files, not one file"),

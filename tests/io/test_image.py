@@ -110,7 +110,7 @@ KINDS = {
 def test_reads_every_format(kind: str) -> None:
     header, pixels = read_header(KINDS[kind]), read_image(KINDS[kind])
     assert header.format.lower() == kind.partition("-")[0].removesuffix("16")
-    assert kind != "png" or header == ImageHeader("PNG", 48, 32, "RGB")
+    assert kind != "png" or header == ImageHeader("PNG", 48, 32)
     assert (header.width, header.height) == (48, 32)
     assert (pixels.shape, pixels.dtype, pixels.flags.c_contiguous) == ((32, 48, 3), np.float32, True)
     tolerance = 0.05 if "jpeg" in kind or kind in ("webp", "webp-exif", "bmp-palette", "gif", "avif", "heic") else 0.002
@@ -314,11 +314,10 @@ def test_top_down_bmp_is_no_negative_size() -> None:
 
 def test_limits_are_the_callers() -> None:
     data = KINDS["jpeg"]
-    assert read_header(data, ImageLimits(max_pixels=48 * 32, max_side=48)).width == 48
-    for limits in (ImageLimits(max_pixels=48 * 32 - 1), ImageLimits(max_side=47)):
-        for read in (read_header, read_image):
-            with pytest.raises(ImageError, match="too large"):
-                read(data, limits)
+    assert read_header(data, ImageLimits(max_pixels=48 * 32)).width == 48
+    for read in (read_header, read_image):
+        with pytest.raises(ImageError, match="too large"):
+            read(data, ImageLimits(max_pixels=48 * 32 - 1))
 
 
 @pytest.mark.parametrize("kind", KINDS)

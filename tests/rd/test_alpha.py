@@ -21,7 +21,7 @@ from sgmethod.fitting.moving_target import OvershootingTarget
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.rd import alpha
-from sgmethod.rd.alpha import continued
+from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
 from tests.harness.data import PHOTOGRAPHS
@@ -195,13 +195,13 @@ def test_hidden_pixels_continue_those_around_them() -> None:
     pixels[:, :8], pixels[:, 16:] = (200, 0, 0), (0, 0, 100)
     alpha = np.full((16, 24), 255, np.uint8)
     alpha[:, 8:16] = 0
-    filled = continued(pixels, alpha)
+    filled = inpainted(pixels, alpha)
     np.testing.assert_array_equal(filled[alpha > 0], pixels[alpha > 0])
     assert filled[:, 8:12, 0].min() > 80
     assert filled[:, 12:16, 2].min() > 40
     assert (filled[..., 1] == 0).all()
-    assert (continued(pixels, np.zeros_like(alpha)) == 0).all()
-    assert continued(pixels, np.full_like(alpha, 9)) is pixels
+    assert (inpainted(pixels, np.zeros_like(alpha)) == 0).all()
+    assert inpainted(pixels, np.full_like(alpha, 9)) is pixels
 
 
 def test_only_what_is_clamped_may_overshoot() -> None:

@@ -16,9 +16,8 @@ from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify, prune
 from sgmethod.rd.fit import fit
 from sgmethod.rd.plan import Plan, State, stages
-from sgmethod.rd.quantise import relaxed
 from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.search import search
+from sgmethod.rd.search import relaxed, search
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import DEFAULT_EFFORT
 from sgmethod.settings.shared import Tune

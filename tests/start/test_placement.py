@@ -42,7 +42,7 @@ def start(image: FloatArray, n: int, seed: int = 0, baseline: bool = False) -> G
 
 
 def analyse(image: FloatArray, regions: int = 16) -> Structure:
-    return structure.analyse(image, regions, STRUCTURE.compactness, STRUCTURE.tensor_smoothing_px)
+    return structure.analyse(image, regions, STRUCTURE)
 
 
 # --- structure
