@@ -151,52 +151,36 @@ class JobTableError(TryLaterError):
     """The job table cannot be read or written just now."""
 
 
-class QueueFullError(Exception):
-    """As many jobs wait as the settings allow."""
+class LimitError(Exception):
+    """A new job would exceed a limit; one sentence. reason: "queue", "own_queue", "quota" or "own_quota"."""
 
-
-class OwnQueueFullError(QueueFullError):
-    """As many jobs of this owner wait as the settings allow one owner."""
-
-
-class QuotaError(Exception):
-    """What is stored leaves no room for the job. of_owner: whether it is the owner's quota, or everybody's."""
-
-    def __init__(self, of_owner: bool) -> None:
-        super().__init__()
-        self.of_owner = of_owner
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
 
 
 class KeyReusedError(Exception):
-    """An idempotency key came again with another request."""
-
-
-@dataclass(frozen=True)
-class SubmitLimits:
-    """How many jobs, and bytes, a new job must not exceed; 0 for any number.
-
-    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: the same for bytes stored.
-    """
-
-    queue_length: int
-    own_queue_length: int = 0
-    quota: int = 0
-    own_quota: int = 0
+    """An idempotency key came again with another request; one sentence."""
 
 
 @dataclass(frozen=True)
 class JobRules:
-    """What holds for all jobs.
+    """What holds for all jobs; 0 for any number of jobs or bytes.
 
     lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
     source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
-    ends.
+    ends; queue_length, own_queue_length: jobs that may wait, of all and of one owner; quota_bytes, own_quota_bytes:
+    the same for bytes that are stored.
     """
 
     lease_s: float
     max_attempts: int
     source_retention_s: float = 0.0
     webhooks: tuple[str, ...] = ()
+    queue_length: int = 0
+    own_queue_length: int = 0
+    quota_bytes: int = 0
+    own_quota_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -206,6 +190,7 @@ class Claim:
     job_id: str
     attempt: int
     request: EncodeRequest
+    image: SourceImage
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-# In place of {number} stands how each database counts rows up.
+SCHEMA_VERSION = 1
+# {number} stands for how each database numbers rows.
 SCHEMA = """
 CREATE TABLE workers (
     name     TEXT PRIMARY KEY,
@@ -91,7 +92,7 @@ WHERE state = 'queued' AND number = (
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
     WHERE state = 'queued'
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
-) RETURNING number, id, attempt, request
+) RETURNING number, id, attempt, request, image
 """
 SIGN = """
 INSERT INTO workers VALUES (?, epoch(), ?)
@@ -106,8 +107,8 @@ INSERT INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?
 ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 """
 DONE = "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
-FAIL = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
-CRASH = "state = 'queued', error = ?, crashes = crashes + 1"
+PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?"
+FAIL = "state = 'failed', stored_bytes = ? * stored_bytes, finished_at = epoch()"
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is longer than any because the clock was put back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"

@@ -93,9 +93,9 @@ class Attempt:
         if isinstance(outcome, Encoded):
             self._publish(outcome)
             return
-        claim, retry = self.claim, outcome.code == "crashed"
+        claim = self.claim
         log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, outcome.code, outcome.detail)
-        if not self._insist(lambda: self._table.fail(claim, outcome, retry=retry)):
+        if not self._insist(lambda: self._table.fail(claim, outcome)):
             raise ClaimLostError
 
     def _publish(self, encoded: Encoded) -> None:

@@ -142,16 +142,13 @@ class Worker:
 
     def _task(self, attempt: Attempt) -> frames.Encode:
         claim, threads = attempt.claim, self._settings.encode_threads
-        job = self._table.get(claim.job_id)
-        if job is None:
-            raise ClaimLostError
         return frames.Encode(
             job_id=claim.job_id,
             request=claim.request,
             threads=threads,
             memory_bytes=self._settings.job_memory_bytes,
             cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
-            max_pixels=job.image.width * job.image.height,
+            max_pixels=claim.image.width * claim.image.height,
         )
 
     def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
