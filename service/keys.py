@@ -43,11 +43,12 @@ class KeyRing:
     """The keys that are known; with none at all the service is open."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
-        self.replace(names)
-
-    def replace(self, names: Mapping[str, str]) -> None:
-        """Know these keys from now on, and no others. names: by digest."""
         self._names = dict(names)
+
+    def replace(self, names: Mapping[str, str]) -> bool:
+        """Know these keys from now on, and no others; whether they differ from those before. names: by digest."""
+        before, self._names = self._names, dict(names)
+        return before != self._names
 
     def __bool__(self) -> bool:
         return bool(self._names)

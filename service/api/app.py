@@ -34,6 +34,7 @@ from service.api.problems import install_problem_handlers
 from service.api.routes import add_routes
 from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
+from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
 from service.process.loops import survived
 from service.process.supervisor import BACKLOG
@@ -79,32 +80,16 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 async def _reload_keys(context: Context) -> None:
     """Follow the file of keys. What cannot be read leaves the keys as they were: nobody is let in by a mistake."""
-    path = context.settings.api_keys_file
-    if path is None:
-        return
-    seen = await to_thread.run_sync(_version_of, path)
-    while True:
+    while context.settings.api_keys_file is not None:
         await asyncio.sleep(KEYS_POLL_S)
         with survived("reloading the API keys"):
-            version = await to_thread.run_sync(_version_of, path)
-            if version == seen:
-                continue
             try:
-                context.keys.replace(await to_thread.run_sync(context.settings.read_keys))
-                log.info("reloaded the API keys")
+                names = await to_thread.run_sync(context.settings.read_keys)
             except ValueError as error:
-                log.error("kept the previous API keys: %s", error)
-                if isinstance(error.__cause__, OSError):  # which may pass: read it again
-                    continue
-            seen = version
-
-
-def _version_of(path: Path) -> tuple[int, int, int] | None:
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_ctime_ns, found.st_ino, found.st_size
+                log_seldom(log, "kept the previous API keys: %s", error)
+                continue
+            if context.keys.replace(names):
+                log.info("reloaded the API keys")
 
 
 def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
