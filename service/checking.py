@@ -14,7 +14,7 @@ from service.jobs.job import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.sandbox.confinement import LAYERS, absent_layers
 from service.settings import UPLOADS_OF_ROOM, Settings
-from service.storage.files import PROBE_FOLDER
+from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
@@ -57,7 +57,7 @@ def _database(settings: Settings) -> str:
 
 def _storage(settings: Settings) -> str:
     storage = open_storage(settings)
-    key, data = f"{PROBE_FOLDER}/{secrets.token_hex(16)}", secrets.token_bytes(1024)
+    key, data = f"{UNFINISHED}/{secrets.token_hex(16)}", secrets.token_bytes(1024)
     storage.put(key, data)
     try:
         if storage.get(key) != data:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from service.jobs.job import Job
 from service.jobs.table import JobTable
-from service.storage.files import Storage, job_of_source, source_key
+from service.storage.files import Storage, source_key
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
@@ -49,9 +49,9 @@ def sweep(
     if not dry_run:
         for key in files:
             storage.delete(key)
-            job_id = job_of_source(key)
-            if job_id is not None:
-                table.source_removed(job_id)
+            folder, _, name = key.partition("/")
+            if folder == "sources":
+                table.source_removed(name)
     return Swept(len(expired), len(files))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
@@ -84,7 +84,7 @@ def test_threads_go_on(
 def test_keys_are_read_until_they_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever failed before."""
     wrong = [RuntimeError("nobody foresaw this"), ValueError("cannot be read")]
-    answers = chain(wrong, repeat({digest("a key"): "ann"}))
+    answers: Iterator[Any] = chain(wrong, repeat({digest("a key"): "ann"}))
 
     def read_keys() -> dict[str, str]:
         answer = next(answers)
