@@ -31,7 +31,7 @@ INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> int:
-    """Run one command. Exit status: 0 after a wished end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
+    """Run one command. Exit status: 0 after a requested end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
     nothing runs yet."""
     arguments = _parser().parse_args()
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop

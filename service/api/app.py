@@ -39,7 +39,7 @@ from service.opening import open_job_table, open_storage
 from service.process.loops import survived
 from service.process.supervisor import BACKLOG
 from service.sandbox.client import Sandbox
-from service.settings import Settings
+from service.settings import Settings, listed
 
 STATIC = Path(__file__).parents[1] / "page"
 PAGE_POLICY = (
@@ -56,8 +56,8 @@ log = logging.getLogger(__name__)
 
 
 class PageFiles(StaticFiles):
-    """The files of the pages. A worker keeps to the policy of its own file, and has to load modules: Firefox holds it
-    to that, Chromium to the page's.
+    """The files of the pages. A web worker, which loads modules, has the policy of its own file in Firefox, and of the
+    page in Chromium.
     """
 
     def file_response(self, *args: Any, **options: Any) -> Response:
@@ -95,8 +95,7 @@ async def _reload_keys(context: Context) -> None:
 def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
     """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
 
-    absent: layers that the sandbox lacks. listen is asked for the socket once the application has all that it needs: so
-    its callers can rely on that.
+    absent: layers that the sandbox lacks; listen: gives the socket, and is called once the application is complete.
     Raises JobTableError, MissingPackagesError, OSError.
     """
     config = uvicorn.Config(
@@ -167,7 +166,7 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
     if settings.cors_origins:
         app = CORSMiddleware(
             app,
-            allow_origins=[origin.strip() for origin in settings.cors_origins.split(",")],
+            allow_origins=listed(settings.cors_origins),
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
             allow_headers=["Authorization", "Idempotency-Key", "Prefer", "X-Request-Id"],
             expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.api.problems import ProblemError, refused
 from service.api.requests import header_line
 from service.keys import KeyRing, Link
-from service.settings import Settings
+from service.settings import Settings, listed
 
 # A page must load before a person can give it a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", "/livez", "/readyz", "/openapi.json"})
@@ -95,8 +95,8 @@ class Gate:
         self._app = app
         self._keys = keys
         self._link_secret = settings.link_secret.get_secret_value()
-        self._host_names = {"localhost", *settings.host_names.replace(",", " ").split()}
-        self._origins = set(settings.cors_origins.replace(",", " ").split())
+        self._host_names = {"localhost", *listed(settings.host_names.lower())}
+        self._origins = set(listed(settings.cors_origins))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":

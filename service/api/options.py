@@ -111,12 +111,12 @@ class EncodeOptions(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The one that is given, or the one unasked. Raises BudgetError."""
+        """The budget that is given, or the default. Raises BudgetError."""
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
     def request(self, image: SourceImage, longest_s: float) -> EncodeRequest:
-        """What the encoder is asked for. longest_s: how long an encode may take, and does unasked, in seconds.
+        """The encoder's part of the request. longest_s: the longest time limit in seconds, which is also the default.
 
         Raises BudgetError or ProblemError 422 if no file of the image could come of it.
         """
@@ -131,7 +131,7 @@ class EncodeOptions(BaseModel):
         return EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
-        """The budget; the one unasked is raised to the smallest file of a tiny image."""
+        """The budget; the default is raised to the smallest file that a tiny image can have."""
         budget, pixels = self.budget, image.width * image.height
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))

@@ -238,7 +238,7 @@ class JobTable(ABC):
                 return None
 
     def sign(self, worker: str, failures: int = 0) -> None:
-        """The worker lives, whether or not it has a job. failures: of its background work so far."""
+        """Note that the worker lives, whether or not it has a job. failures: of its background work so far."""
         with self._transaction() as db:
             db.execute(sql.SIGN, (worker, failures))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
@@ -246,7 +246,7 @@ class JobTable(ABC):
                 log.error("gave up on %d webhooks", given_up)
 
     def sign_off(self, worker: str) -> None:
-        """The worker has stopped on request."""
+        """Forget a worker that has stopped on request."""
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
@@ -332,7 +332,7 @@ class JobTable(ABC):
             return endings.take_notice(db, address)
 
     def notice_delivered(self, notice: Notice) -> None:
-        """The address has taken it."""
+        """Delete a notice that its address has taken."""
         with self._transaction() as db:
             endings.forget_notice(db, notice)
 
@@ -350,7 +350,7 @@ class JobTable(ABC):
         return sources | unpublished | done
 
     def source_removed(self, job_id: str) -> None:
-        """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
+        """Count the image of a finished job no longer among the stored bytes: it is gone."""
         with self._transaction() as db:
             row = db.execute(sql.SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
             result = job_of(row).result if row is not None else None
@@ -358,14 +358,14 @@ class JobTable(ABC):
             _update(db, "stored_bytes = ?", "WHERE id = ? AND state IN ('done', 'failed')", left, job_id)
 
     def finished(self, older_than_s: float) -> list[Job]:
-        """The jobs, oldest first, that were done or failed for longer than that (seconds)."""
+        """The jobs that ended more than that many seconds ago, oldest first."""
         query = f"{sql.SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
         with self._connection() as db:
             return [job_of(row) for row in db.execute(query, (older_than_s,)).fetchall()]
 
 
 def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
-    """The job after an update, or None if there is none such."""
+    """The job after an update, or None if no job fits."""
     row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *, NULL AS position", values).fetchone()
     return None if row is None else job_of(row)
 

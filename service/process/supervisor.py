@@ -93,8 +93,9 @@ class Supervised:
 def supervise(
     settings: Settings, listener: socket.socket, sandbox: Supervised, requests: socket.socket, stop: StopSignal
 ) -> None:
-    """Run web process and workers until stopping is requested; when this returns all of them have ended, and the
-    sandbox, whose requests they write.
+    """Run web process and workers until stopping is requested; when this returns, they have ended, and so has the sandbox.
+
+    requests: the socket into which they write what the sandbox is to do.
     """
     service, sockets = [sys.executable, "-m", "service"], (requests.fileno(), listener.fileno())
     names = ["--supervisor", str(os.getpid()), "--sandbox", str(requests.fileno())]
