@@ -44,7 +44,10 @@ def main() -> int:
     except SgError as error:  # the kernels are missing, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
-    if getattr(arguments, "supervisor", None) is None:  # else "serve" has said it
+    supervisor = getattr(arguments, "supervisor", None)
+    if supervisor is not None:
+        end_with(supervisor, signal.SIGTERM)
+    else:  # a process of "serve" need not say it again
         _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
@@ -112,8 +115,6 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     from service.api.app import run_web
 
     absent = absent_layers()  # before there is a second thread
-    if arguments.supervisor is not None:
-        end_with(arguments.supervisor, signal.SIGTERM)
     given = arguments.socket
     with _sandbox(settings, arguments) as requests:
         listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
@@ -125,8 +126,6 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
 
     stop = StopSignal()
     stop.on_signals()
-    if arguments.supervisor is not None:
-        end_with(arguments.supervisor, signal.SIGTERM)
     with _sandbox(settings, arguments) as requests:
         table = open_job_table(settings)
         Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()

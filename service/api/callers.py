@@ -44,14 +44,18 @@ class Caller:
 
 def address_of(peer: Sequence[object] | None) -> str:
     """Who a peer (host, port) is: an IPv4 address or an IPv6 network."""
-    try:
-        address = ipaddress.ip_address(str(peer[0])) if peer else None
-    except ValueError:
-        address = None
+    address = _address_in(str(peer[0])) if peer else None
     if isinstance(address, ipaddress.IPv6Address):
         mapped = address.ipv4_mapped
         address = mapped or ipaddress.ip_network((int(address), NETWORK_BITS), strict=False).network_address
     return UNKNOWN if address is None else str(address)
+
+
+def _address_in(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(text)
+    except ValueError:
+        return None
 
 
 def _name_in(host: str) -> str:
@@ -60,14 +64,6 @@ def _name_in(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 def path_of(scope: Scope) -> str:
@@ -121,7 +117,8 @@ class Gate:
     def _check_site(self, headers: Headers, method: str) -> None:
         """Raises ProblemError 421 or 403."""
         host, origin = headers.get("host", ""), headers.get("origin")
-        if not {"*", _name_in(host)} & self._host_names and not _is_address(_name_in(host)):
+        name = _name_in(host)
+        if not {"*", name} & self._host_names and _address_in(name) is None:
             raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
         if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
             return

@@ -39,9 +39,8 @@ PROBLEM: dict[str, Any] = {
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
-    **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
-    **{409: "state", 410: "gone", 413: "large", 415: "type", 421: "host"},
-    **{422: "invalid", 500: "fault"},
+    **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
+    **{410: "gone", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
 }
 REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
 

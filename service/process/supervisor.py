@@ -93,7 +93,7 @@ class Supervised:
 def supervise(
     settings: Settings, listener: socket.socket, sandbox: Supervised, requests: socket.socket, stop: StopSignal
 ) -> None:
-    """Run web process and workers until stopping is requested; when this returns, they have ended, and so has the sandbox.
+    """Run web process and workers until stopping is requested; when this returns, they and the sandbox have ended.
 
     requests: the socket into which they write what the sandbox is to do.
     """

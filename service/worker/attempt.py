@@ -37,8 +37,8 @@ class Encoded:
 
 
 class Attempt:
-    """One attempt at a job, as its worker reports it. A job table or a storage out of reach is waited for, until stopping
-    is requested.
+    """One attempt at a job, as its worker reports it. Its end waits for a job table or a storage that is out of reach,
+    until stopping is requested.
 
     keeps_sources: images of finished jobs stay for the sweep, and may be encoded again until then.
     """
