@@ -25,7 +25,7 @@ from pydantic import (
 from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
-from service.jobs.job import PRIORITIES, EncodeRequest, Priority, SourceImage
+from service.jobs.job import EncodeRequest, Priority, SourceImage
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
 from sgmethod.metrics.looks import SMALLEST_SIDE
@@ -99,7 +99,7 @@ class EncodeOptions(BaseModel):
         description=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file; profile rd only",
     )
     time_limit_s: Number = _positive("time limit in seconds (default: the longest that the service allows)", 60)
-    priority: Priority = Field(default=PRIORITIES[0], description="interactive jobs run before bulk jobs")
+    priority: Priority = Field(default="interactive", description="interactive jobs run before bulk jobs")
 
     @model_validator(mode="after")
     def _one_budget(self) -> EncodeOptions:

@@ -10,13 +10,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Literal, get_args
 
 from service.jobs.job import FINAL_STATES, Job, JobState
 from service.jobs.statements import Database
 
 Ending = Literal["finished", "failed", "retried", "cancelled"]
-ENDINGS: tuple[Ending, ...] = ("finished", "failed", "retried", "cancelled")
+ENDINGS: tuple[Ending, ...] = get_args(Ending)
 ENDING_OF: Mapping[JobState, Ending] = {"done": "finished", "failed": "failed", "queued": "retried"}
 BUCKETS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float("inf"))
 SECONDS = "encode_seconds"

@@ -16,7 +16,7 @@ import re
 import secrets
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
@@ -25,10 +25,9 @@ from sgmethod.budget import BudgetKind
 from sgmethod.profiles import DEFAULT_EFFORT, Tune
 
 JobState = Literal["queued", "running", "done", "failed"]
-JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
+JOB_STATES: tuple[JobState, ...] = get_args(JobState)
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
 Priority = Literal["interactive", "bulk"]
-PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
 JsonObject = Mapping[str, Any]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
