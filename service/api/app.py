@@ -47,7 +47,7 @@ PAGE_POLICY = (
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
-UPLOADS_IN_MEMORY = 4
+UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
 KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
@@ -136,7 +136,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         open_storage(settings),
         ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
-        Turns(UPLOADS_IN_MEMORY, settings.max_streams),
+        Turns(UPLOADS_IN_MEMORY, WAITING_UPLOADS),
         Streams(settings.max_streams),
         stopping,
         KeyRing(settings.key_names),
