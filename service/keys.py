@@ -20,7 +20,7 @@ _LINE = re.compile(r"([A-Za-z0-9_.-]{1,64}):([0-9a-f]{64})")
 
 
 def parse_keys(text: str) -> dict[str, str]:
-    """Digests of keys and their names, from words like name:sha256, apart by commas or white space; # begins a comment.
+    """Names of keys by digest, from words such as name:sha256 between commas or white space; # begins a comment.
 
     Raises ValueError. A name may come twice with different keys, while one takes the other's place.
     """

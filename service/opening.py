@@ -12,7 +12,7 @@ MAX_ATTEMPTS = 4  # crashes until a job fails
 
 
 class MissingPackagesError(Exception):
-    """What the settings name needs more packages than are installed; one sentence with the command."""
+    """The settings need packages that are not installed; one sentence with the command that installs them."""
 
 
 def open_job_table(settings: Settings) -> JobTable:

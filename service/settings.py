@@ -212,7 +212,7 @@ class Settings(BaseSettings):
             for parts in map(urlsplit, listed(text)):
                 _ = parts.port
                 (parts.hostname or "").encode("idna")
-        except ValueError:  # whose words may hold a password
+        except ValueError:  # its message may hold a password
             raise ValueError("an address has a host or a port that cannot be one") from None
         return text
 

@@ -69,7 +69,7 @@ class PageFiles(StaticFiles):
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context: Context = app.state.context
-    # What is there now stays. Looking through all of it for garbage again and again held the loop for 70 ms each.
+    # What exists now stays. Each search of it for garbage held the loop for 70 ms.
     gc.collect()
     gc.freeze()
     reloading = asyncio.create_task(_reload_keys(context))

@@ -21,7 +21,7 @@ from service.settings import Settings, listed
 # A page must load before a person can give it a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
-NETWORK_BITS = 64  # of an IPv6 address: one customer has at least as many as the rest can tell apart
+NETWORK_BITS = 64  # of an IPv6 address, which tell customers apart; the rest is each customer's own
 UNKNOWN = "unknown"
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 CHALLENGE = {"WWW-Authenticate": "Bearer"}

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 LONGEST_LINK_S = 7 * 86_400
 EVENTS_POLL_S = 0.5  # workers write progress down as often
-FIRST_POLL_S, POLL_S = 0.05, 0.2  # a small picture takes less than the latter; it is for those who wait for long
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # soon at first, since a small picture takes less than the latter
 
 
 class PageQuery(Parameters):

@@ -189,7 +189,7 @@ async def no_body(request: Request) -> None:
 
 
 async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """What the work comes to; it is cancelled when the client has gone, and ClientDisconnect raised.
+    """The result of the work, which is cancelled when the client has gone; then raises ClientDisconnect.
 
     The body must have been read.
     """

@@ -81,7 +81,7 @@ class PostgresJobTable(JobTable):
         super().__init__(rules)
         try:
             conninfo = make_conninfo(url, **CONNECT)
-        except psycopg.Error:  # whose words may hold the password
+        except psycopg.Error:  # its message may hold the password
             raise JobTableError("SG_DATABASE_URL cannot be read; its password must be percent-encoded") from None
         try:
             with _translated_errors():
@@ -158,7 +158,7 @@ class PostgresJobTable(JobTable):
         self._engine.deliver(run_next, self._top_up, stop)
 
     def _top_up(self) -> None:
-        """As many tokens as there are rows that a worker would find something to do about."""
+        """Add tokens until there is one for each row that a worker can do something about."""
         lease_s = self._rules.lease_s
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:

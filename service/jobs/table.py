@@ -45,7 +45,7 @@ WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
 # When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
 WATCHED = 1 / 2
-FORGOTTEN_S = 900.0  # after which a worker that fell silent is no longer told of
+FORGOTTEN_S = 900.0  # a worker silent for longer is no longer listed
 
 
 class JobTable(ABC):

@@ -20,7 +20,7 @@ from service.settings import Settings
 
 log = logging.getLogger(__name__)
 
-BACKLOG = 2048  # connections that the system holds until they are accepted; clients of more try again after a second
+BACKLOG = 2048  # connections that the system holds until they are accepted; further clients try again after a second
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 10.0

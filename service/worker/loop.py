@@ -29,7 +29,7 @@ FOLLOW_S = 0.2  # how soon a request to stop is seen
 # A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
 MISSING_S = 15.0
 SIGN_S = 2.0
-ROUNDS_END_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
+ROUNDS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and signing off may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 
@@ -81,7 +81,7 @@ class Worker:
             log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
 
     def _run_next(self) -> bool:
-        """As run_one; trouble with the job table or the storage is logged and waited out."""
+        """Like run_one, but log and wait out trouble with the job table or the storage."""
         with survived("running a job"):  # PostgreSQL's engine would swallow the exception
             return self.run_one()
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)

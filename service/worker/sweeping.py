@@ -12,7 +12,7 @@ from service.storage.files import Storage, source_key
 # latter takes seconds.
 ORPHAN_AGE_S = 3600.0
 LONGEST_PAUSE_S, SHORTEST_PAUSE_S = 3600.0, 1.0
-OVERDUE = 1 / 4  # of the time for which something is kept, that it may stay beyond
+OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part of that time
 
 
 @dataclass(frozen=True)
