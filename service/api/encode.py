@@ -116,8 +116,9 @@ def _accept(
     """Store the image, then put the job into the job table; only then may the client be told."""
     request = options.request(header, context.settings.max_time_limit_s)
     words = {"encode": asdict(request), "priority": options.priority}
-    fingerprint = hashlib.sha256(json.dumps(words).encode() + image).hexdigest()
-    new = NewJob(new_job_id(), request, header, fingerprint, key, owner, options.priority)
+    fingerprint = hashlib.sha256(json.dumps(words).encode())
+    fingerprint.update(image)
+    new = NewJob(new_job_id(), request, header, fingerprint.hexdigest(), key, owner, options.priority)
     free_bytes = context.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
         log_seldom(log, "new jobs are refused, since the disk is full: %d bytes are free", free_bytes)

@@ -272,7 +272,7 @@ class JobTable(ABC):
         """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
         text = as_json(result)
         with self._transaction() as db:
-            job = self._change(db, claim, sql.DONE, text, result.size_bytes, self._keeps_sources)
+            job = self._change(db, claim, sql.DONE, text, result.size_bytes, int(self.keeps_sources))
             if job is not None:
                 self._conclude(db, job)
                 return True
@@ -293,7 +293,7 @@ class JobTable(ABC):
         text, crashed = as_json(error), error.code == "crashed"
         job = _update(db, sql.PUT_BACK, where, text, int(crashed), *values)
         if job is not None and not (crashed and job.crashes < self._rules.max_attempts):
-            job = _update(db, sql.FAIL, "WHERE id = ?", self._keeps_sources, job.id)
+            job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
             self._conclude(db, job)
         return job
@@ -307,9 +307,9 @@ class JobTable(ABC):
             self._wake(db)
 
     @property
-    def _keeps_sources(self) -> int:
-        """1 if the image of a finished job is kept, and so goes on counting; else 0."""
-        return int(self._rules.source_retention_s > 0)
+    def keeps_sources(self) -> bool:
+        """Whether the image of a finished job is kept, and so goes on counting."""
+        return self._rules.source_retention_s > 0
 
     def release(self, claim: Claim) -> bool:
         """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""

@@ -45,7 +45,6 @@ class Worker:
         self._storage = storage
         self._sandbox = sandbox
         self._stop = stop
-        self._keeps_sources = settings.source_retention_s > 0
         self._name = f"{socket.gethostname()}:{os.getpid()}"
 
     def run(self) -> None:
@@ -91,13 +90,13 @@ class Worker:
         """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""
         for job in self._table.reconcile():
             log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
-            if not self._keeps_sources:
+            if not self._table.keeps_sources:
                 self._storage.delete(source_key(job.id))
         claim = self._table.claim(self._name)
         if claim is None:
             return False
         log.info("job %s: attempt %d of worker %s", claim.job_id, claim.attempt, self._name)
-        attempt = Attempt(self._table, self._storage, claim, self._stop, keeps_sources=self._keeps_sources)
+        attempt = Attempt(self._table, self._storage, claim, self._stop)
         try:
             attempt.conclude(self._encode(attempt))
         except ClaimLostError:
