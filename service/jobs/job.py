@@ -108,10 +108,9 @@ class EncodeResult:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
-    turns, None unless queued; crashes: attempts that crashed or lost their worker, which is what the
-    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept;
-    stopped: whether the attempt that runs is to end early, with what it has.
+    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take turns, None
+    unless queued; crashes: attempts that crashed or lost their worker, whose number has a limit; stopped: whether the
+    attempt that runs is to end early, with what it has.
     """
 
     number: int
@@ -129,8 +128,7 @@ class Job:
     finished_at: float | None
     result: Json[EncodeResult] | None
     error: Json[JobError] | None
-    stored_bytes: int
-    stopped: bool = False
+    stopped: bool
 
 
 _jobs = TypeAdapter(Job)

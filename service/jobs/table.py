@@ -102,7 +102,7 @@ class JobTable(ABC):
             self._check_queue(db, job.owner)
             self._check_quotas(db, job.owner, job.image.size_bytes)
             db.execute(
-                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
+                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, image_bytes,"
                 " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
                 (
                     *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
@@ -339,12 +339,8 @@ class JobTable(ABC):
     def needed_keys(self) -> set[str]:
         """Storage keys of the files that some job still needs."""
         with self._connection() as db:
-            query = "SELECT id, state, attempt, result, coalesce(epoch() - finished_at, 0) AS ended_s FROM jobs"
-            rows = db.execute(query).fetchall()
-        kept_s = self._rules.source_retention_s
-        sources = {
-            source_key(row["id"]) for row in rows if row["state"] in ("queued", "running") or row["ended_s"] < kept_s
-        }
+            rows = db.execute("SELECT id, state, attempt, result, image_bytes FROM jobs").fetchall()
+        sources = {source_key(row["id"]) for row in rows if row["image_bytes"]}
         unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
         return sources | unpublished | done
@@ -352,16 +348,14 @@ class JobTable(ABC):
     def source_removed(self, job_id: str) -> None:
         """Count the image of a finished job no longer among the stored bytes: it is gone."""
         with self._transaction() as db:
-            row = db.execute(sql.SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
-            result = job_of(row).result if row is not None else None
-            left = result.size_bytes if result is not None else 0
-            _update(db, "stored_bytes = ?", "WHERE id = ? AND state IN ('done', 'failed')", left, job_id)
+            _update(db, "image_bytes = 0", "WHERE id = ? AND state IN ('done', 'failed')", job_id)
 
-    def finished(self, older_than_s: float) -> list[Job]:
-        """The jobs that ended more than that many seconds ago, oldest first."""
-        query = f"{sql.SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
+    def finished(self, older_than_s: float, *, with_image: bool = False) -> list[str]:
+        """Ids of the jobs that ended more than that many seconds ago, oldest first; or only those whose image counts."""
+        ended = "state IN ('done', 'failed') AND finished_at < epoch() - ? AND image_bytes >= ?"
         with self._connection() as db:
-            return [job_of(row) for row in db.execute(query, (older_than_s,)).fetchall()]
+            rows = db.execute(f"SELECT id FROM jobs WHERE {ended} ORDER BY number", (older_than_s, int(with_image)))
+            return [row["id"] for row in rows.fetchall()]
 
 
 def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
@@ -378,7 +372,7 @@ def _queued(db: Database, owner: str | None = None) -> int:
 
 def _stored_bytes(db: Database, owner: str | None = None) -> int:
     """Bytes kept for the jobs of one owner or of all."""
-    query = "SELECT coalesce(sum(stored_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
+    query = "SELECT coalesce(sum(image_bytes + file_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
     return int(db.execute(query, (owner,)).fetchone()["bytes"])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -66,13 +67,14 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
 
 
 def test_images_go_before_their_jobs(table: JobTable, storage: Storage, open_job_table: OpenTable) -> None:
-    """And are not counted any more then."""
-    job_id = submitted(table, storage)
-    assert table.finish(claimed(table), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
+    """As when they are kept no longer. They are not counted any more then."""
     keeping = open_job_table(LONG_S, source_retention_s=60.0)
-    assert sweep(keeping, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 0)
+    job_id = submitted(keeping, storage)
+    assert keeping.finish(claimed(keeping), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
+    sweep_orphans = partial(sweep, retention_s=1000, orphan_age_s=AT_ONCE_S)
+    assert sweep_orphans(keeping, storage, source_retention_s=60) == Swept(0, 0)
     assert stored(storage) == {source_key(job_id)}
-    assert sweep(table, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
+    assert sweep_orphans(table, storage) == Swept(0, 1)
     assert (stored(storage), table.census().stored_bytes) == (set(), 7)
 
 
