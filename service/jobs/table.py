@@ -351,7 +351,7 @@ class JobTable(ABC):
             _update(db, "image_bytes = 0", "WHERE id = ? AND state IN ('done', 'failed')", job_id)
 
     def finished(self, older_than_s: float, *, with_image: bool = False) -> list[str]:
-        """Ids of the jobs that ended more than that many seconds ago, oldest first; or only those whose image counts."""
+        """Ids of the jobs that ended over that many seconds ago, oldest first; or only those whose image counts."""
         ended = "state IN ('done', 'failed') AND finished_at < epoch() - ? AND image_bytes >= ?"
         with self._connection() as db:
             rows = db.execute(f"SELECT id FROM jobs WHERE {ended} ORDER BY number", (older_than_s, int(with_image)))
