@@ -197,6 +197,5 @@ def _where(settings: Settings) -> str:
     return f"data in {folder}" if jobs == files else f"jobs in {jobs}, images and bitstreams in {files}"
 
 
-
 if __name__ == "__main__":
     sys.exit(main())

@@ -30,8 +30,6 @@ UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts a
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
-
-
 def default_workers() -> int:
     """One encoder for every four cores: an encode gains little beyond four threads."""
     return max(1, native.available_cores() // 4)
@@ -190,7 +188,6 @@ class Settings(BaseSettings):
         if self.webhook_urls and len(self.webhook_key) < MIN_WEBHOOK_KEY_BYTES:
             raise ValueError("SG_WEBHOOK_URLS needs SG_WEBHOOK_SECRET: whsec_ and at least 24 bytes in base64")
         return self
-
 
     @field_validator("trusted_proxies")
     @classmethod

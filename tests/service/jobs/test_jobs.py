@@ -24,7 +24,6 @@ from tests.harness.job_table import (
     CRASH,
     IMAGE,
     LONG_S,
-    NO_TIME_S,
     REFUSED,
     REQUEST,
     RESULT,
