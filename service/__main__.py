@@ -18,7 +18,7 @@ from service.jobs.job import JobTableError
 from service.logs import set_up_logging
 from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.process.loops import StopSignal
-from service.process.supervisor import is_loopback, listen, url
+from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
 from service.settings import Settings, unknown_settings
@@ -31,7 +31,7 @@ INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> int:
-    """Run one command. Exit status: 0 after a wished end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
+    """Run one command. Exit status: 0 after a requested end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
     nothing runs yet."""
     arguments = _parser().parse_args()
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
@@ -44,10 +44,14 @@ def main() -> int:
     except SgError as error:  # the kernels are missing, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
-    if getattr(arguments, "supervisor", None) is None:  # else "serve" has said it
+    supervisor = getattr(arguments, "supervisor", None)
+    if supervisor is not None:
+        end_with(supervisor, signal.SIGTERM)
+    else:  # a process of "serve" need not say it again
         _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
     try:
-        return _COMMANDS[arguments.command](settings, arguments) or 0
+        run: Callable[[Settings, argparse.Namespace], int | None] = arguments.run
+        return run(settings, arguments) or 0
     except BrokenPipeError:  # of `check | head`: nobody reads the rest
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return TROUBLE
@@ -70,11 +74,14 @@ def _fault_in_words(fault: ErrorDetails) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m service", description="The HTTP service of sgmethod.")
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("serve", help="run the web process and workers, and restart any that die")
+    serve = commands.add_parser("serve", help="run the web process and workers, and restart any that die")
     web = commands.add_parser("web", help="run only the web process")
     worker = commands.add_parser("worker", help="run a single worker")
-    commands.add_parser("check", help="check settings, database, storage, disk and kernels")
+    check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
     sweep = commands.add_parser("sweep", help="delete orphaned files, and jobs older than SG_RETENTION_S")
+    runs = ((serve, _serve), (web, _web), (worker, _worker), (check, _check), (sweep, _sweep))
+    for command, run in runs:
+        command.set_defaults(run=run)
     sweep.add_argument("--dry-run", action="store_true", help="report how many would be deleted, and delete nothing")
     sweep.add_argument(
         "--orphan-age-s",
@@ -90,8 +97,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
-    from service.process.supervisor import supervise
-
     stop = StopSignal()
     stop.on_signals()
     warnings = _before_start(settings)
@@ -112,8 +117,6 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     from service.api.app import run_web
 
     absent = absent_layers()  # before there is a second thread
-    if arguments.supervisor is not None:
-        end_with(arguments.supervisor, signal.SIGTERM)
     given = arguments.socket
     with _sandbox(settings, arguments) as requests:
         listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
@@ -125,8 +128,6 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
 
     stop = StopSignal()
     stop.on_signals()
-    if arguments.supervisor is not None:
-        end_with(arguments.supervisor, signal.SIGTERM)
     with _sandbox(settings, arguments) as requests:
         table = open_job_table(settings)
         Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()
@@ -195,14 +196,6 @@ def _where(settings: Settings) -> str:
     jobs, files = "PostgreSQL" if settings.uses_postgres else folder, settings.storage_url or folder
     return f"data in {folder}" if jobs == files else f"jobs in {jobs}, images and bitstreams in {files}"
 
-
-_COMMANDS: dict[str, Callable[[Settings, argparse.Namespace], int | None]] = {
-    "serve": _serve,
-    "web": _web,
-    "worker": _worker,
-    "check": _check,
-    "sweep": _sweep,
-}
 
 if __name__ == "__main__":
     sys.exit(main())

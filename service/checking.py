@@ -14,7 +14,7 @@ from service.jobs.job import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.sandbox.confinement import LAYERS, absent_layers
 from service.settings import UPLOADS_OF_ROOM, Settings
-from service.storage.files import PROBE_FOLDER
+from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
@@ -25,8 +25,8 @@ class CheckError(Exception):
 
 
 def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
-    """All checks, one after the other; none raises. Of each its name, whether it passed, and what was found or is
-    wrong.
+    """Run one check after the other. Gives the name of each, whether it passed, and what was found or is wrong; none
+    raises.
     """
     checks: dict[str, Callable[[Settings], str]] = {
         "settings": _settings,
@@ -57,7 +57,7 @@ def _database(settings: Settings) -> str:
 
 def _storage(settings: Settings) -> str:
     storage = open_storage(settings)
-    key, data = f"{PROBE_FOLDER}/{secrets.token_hex(16)}", secrets.token_bytes(1024)
+    key, data = f"{UNFINISHED}/{secrets.token_hex(16)}", secrets.token_bytes(1024)
     storage.put(key, data)
     try:
         if storage.get(key) != data:
@@ -85,7 +85,7 @@ def _kernels(_settings: Settings) -> str:
 
 
 def _sandbox(settings: Settings) -> str:
-    """It is no failure where the system offers less, as older ones and some containers do, unless it is required."""
+    """A missing layer, as on older systems and in some containers, is a failure only where it is required."""
     absent = " and ".join(absent_layers())
     if absent and settings.require_sandbox:
         raise CheckError(f"this system does not offer {absent}, and SG_REQUIRE_SANDBOX is set")

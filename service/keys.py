@@ -20,7 +20,7 @@ _LINE = re.compile(r"([A-Za-z0-9_.-]{1,64}):([0-9a-f]{64})")
 
 
 def parse_keys(text: str) -> dict[str, str]:
-    """Digests of keys and their names, from words like name:sha256, apart by commas or white space; # begins a comment.
+    """Names of keys by digest, from words such as name:sha256 between commas or white space; # begins a comment.
 
     Raises ValueError. A name may come twice with different keys, while one takes the other's place.
     """
@@ -43,11 +43,12 @@ class KeyRing:
     """The keys that are known; with none at all the service is open."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
-        self.replace(names)
-
-    def replace(self, names: Mapping[str, str]) -> None:
-        """Know these keys from now on, and no others. names: by digest."""
         self._names = dict(names)
+
+    def replace(self, names: Mapping[str, str]) -> bool:
+        """Know these keys from now on, and no others; whether they differ from those before. names: by digest."""
+        before, self._names = self._names, dict(names)
+        return before != self._names
 
     def __bool__(self) -> bool:
         return bool(self._names)

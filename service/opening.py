@@ -12,7 +12,7 @@ MAX_ATTEMPTS = 4  # crashes until a job fails
 
 
 class MissingPackagesError(Exception):
-    """What the settings name needs more packages than are installed; one sentence with the command."""
+    """The settings need packages that are not installed; one sentence with the command that installs them."""
 
 
 def open_job_table(settings: Settings) -> JobTable:
@@ -22,6 +22,10 @@ def open_job_table(settings: Settings) -> JobTable:
         max_attempts=MAX_ATTEMPTS,
         source_retention_s=settings.source_retention_s,
         webhooks=settings.webhook_addresses,
+        queue_length=settings.queue_length,
+        own_queue_length=settings.max_queued_per_key,
+        quota_bytes=settings.quota_bytes,
+        own_quota_bytes=settings.quota_bytes_per_key,
     )
     if settings.uses_postgres:
         try:

@@ -30,18 +30,18 @@ UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts a
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
-def available_cores() -> int:
-    """Cores this process may use: its affinity, cut by the processor quotas of its control groups."""
-    return native.available_cores()
-
-
 def default_workers() -> int:
     """One encoder for every four cores: an encode gains little beyond four threads."""
-    return max(1, available_cores() // 4)
+    return max(1, native.available_cores() // 4)
+
+
+def listed(text: str) -> list[str]:
+    """The words of a setting that are separated by commas."""
+    return list(filter(None, map(str.strip, text.split(","))))
 
 
 def unknown_settings(names: Iterable[str]) -> list[str]:
-    """Those of the names that look like settings and are none, as misspelt ones do."""
+    """The names that look like settings and are none, such as misspelt ones."""
     known = {f"SG_{field}".upper() for field in Settings.model_fields} | OTHER_NAMES
     return sorted(name for name in names if name.startswith("SG_") and name not in known)
 
@@ -191,7 +191,7 @@ class Settings(BaseSettings):
     @field_validator("max_pixels")
     @classmethod
     def _images_can_be_read(cls, pixels: int) -> int:
-        most = ImageLimits().max_pixels
+        most = ImageLimits().max_pixels  # asks the kernels, whose absence must not break the import of this module
         if pixels > most:
             raise ValueError(f"SG_MAX_PIXELS must be at most {most}: no larger image is read")
         return pixels
@@ -199,7 +199,7 @@ class Settings(BaseSettings):
     @field_validator("trusted_proxies")
     @classmethod
     def _proxies_are_addresses(cls, text: str) -> str:
-        for word in filter(None, map(str.strip, text.split(","))):
+        for word in listed(text):
             ip_network(word)
         return text
 
@@ -207,10 +207,10 @@ class Settings(BaseSettings):
     @classmethod
     def _webhooks_can_be_sent(cls, text: str) -> str:
         try:
-            for parts in map(urlsplit, text.split(",")):
+            for parts in map(urlsplit, listed(text)):
                 _ = parts.port
                 (parts.hostname or "").encode("idna")
-        except ValueError:  # whose words may hold a password
+        except ValueError:  # its message may hold a password
             raise ValueError("an address has a host or a port that cannot be one") from None
         return text
 
@@ -220,7 +220,7 @@ class Settings(BaseSettings):
         return self.read_keys()
 
     def read_keys(self) -> dict[str, str]:
-        """The keys of today's file. Raises ValueError."""
+        """The keys that the file has now. Raises ValueError."""
         if self.api_keys_file is None:
             return {}
         try:
@@ -252,12 +252,12 @@ class Settings(BaseSettings):
 
     @property
     def webhook_addresses(self) -> tuple[str, ...]:
-        """Where it is told that a job has ended."""
-        return tuple(address.strip() for address in self.webhook_urls.split(",") if address.strip())
+        """The addresses that are told when a job ends."""
+        return tuple(listed(self.webhook_urls))
 
     @property
     def webhook_key(self) -> bytes:
-        """What signs webhooks; empty unless the secret is one."""
+        """The key that signs webhooks; empty unless the secret is well formed."""
         kind, _, encoded = self.webhook_secret.get_secret_value().rpartition("_")
         try:
             return base64.b64decode(encoded, validate=True) if kind == "whsec" else b""
@@ -267,7 +267,7 @@ class Settings(BaseSettings):
     @property
     def encode_threads(self) -> int:
         """Threads of one encode, such that all workers together stay within the cores."""
-        return min(max(1, available_cores() // self.workers), MAX_THREADS)
+        return min(max(1, native.available_cores() // self.workers), MAX_THREADS)
 
     @property
     def uses_postgres(self) -> bool:

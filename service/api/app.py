@@ -34,11 +34,12 @@ from service.api.problems import install_problem_handlers
 from service.api.routes import add_routes
 from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
+from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
 from service.process.loops import survived
 from service.process.supervisor import BACKLOG
 from service.sandbox.client import Sandbox
-from service.settings import Settings
+from service.settings import Settings, listed
 
 STATIC = Path(__file__).parents[1] / "page"
 PAGE_POLICY = (
@@ -46,7 +47,7 @@ PAGE_POLICY = (
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
-UPLOADS_IN_MEMORY = 4
+UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
 KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
@@ -55,8 +56,8 @@ log = logging.getLogger(__name__)
 
 
 class PageFiles(StaticFiles):
-    """The files of the pages. A worker keeps to the policy of its own file, and has to load modules: Firefox holds it
-    to that, Chromium to the page's.
+    """The files of the pages. A web worker, which loads modules, has the policy of its own file in Firefox, and of the
+    page in Chromium.
     """
 
     def file_response(self, *args: Any, **options: Any) -> Response:
@@ -68,7 +69,7 @@ class PageFiles(StaticFiles):
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context: Context = app.state.context
-    # What is there now stays. Looking through all of it for garbage again and again held the loop for 70 ms each.
+    # What exists now stays. Each search of it for garbage held the loop for 70 ms.
     gc.collect()
     gc.freeze()
     reloading = asyncio.create_task(_reload_keys(context))
@@ -79,39 +80,22 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 async def _reload_keys(context: Context) -> None:
     """Follow the file of keys. What cannot be read leaves the keys as they were: nobody is let in by a mistake."""
-    path = context.settings.api_keys_file
-    if path is None:
-        return
-    seen = await to_thread.run_sync(_version_of, path)
-    while True:
+    while context.settings.api_keys_file is not None:
         await asyncio.sleep(KEYS_POLL_S)
         with survived("reloading the API keys"):
-            version = await to_thread.run_sync(_version_of, path)
-            if version == seen:
-                continue
             try:
-                context.keys.replace(await to_thread.run_sync(context.settings.read_keys))
-                log.info("reloaded the API keys")
+                names = await to_thread.run_sync(context.settings.read_keys)
             except ValueError as error:
-                log.error("kept the previous API keys: %s", error)
-                if isinstance(error.__cause__, OSError):  # which may pass: read it again
-                    continue
-            seen = version
-
-
-def _version_of(path: Path) -> tuple[int, int, int] | None:
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_ctime_ns, found.st_ino, found.st_size
+                log_seldom(log, "kept the previous API keys: %s", error)
+                continue
+            if context.keys.replace(names):
+                log.info("reloaded the API keys")
 
 
 def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
     """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
 
-    absent: layers that the sandbox lacks. listen is asked for the socket once the application has all that it needs: so
-    its callers can rely on that.
+    absent: layers that the sandbox lacks; listen: gives the socket, and is called once the application is complete.
     Raises JobTableError, MissingPackagesError, OSError.
     """
     config = uvicorn.Config(
@@ -152,7 +136,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         open_storage(settings),
         ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
-        Turns(UPLOADS_IN_MEMORY, settings.max_streams),
+        Turns(UPLOADS_IN_MEMORY, WAITING_UPLOADS),
         Streams(settings.max_streams),
         stopping,
         KeyRing(settings.key_names),
@@ -182,7 +166,7 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
     if settings.cors_origins:
         app = CORSMiddleware(
             app,
-            allow_origins=[origin.strip() for origin in settings.cors_origins.split(",")],
+            allow_origins=listed(settings.cors_origins),
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
             allow_headers=["Authorization", "Idempotency-Key", "Prefer", "X-Request-Id"],
             expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],

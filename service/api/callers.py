@@ -16,12 +16,12 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.api.problems import ProblemError, refused
 from service.api.requests import header_line
 from service.keys import KeyRing, Link
-from service.settings import Settings
+from service.settings import Settings, listed
 
 # A page must load before a person can give it a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
-NETWORK_BITS = 64  # of an IPv6 address: one customer has at least as many as the rest can tell apart
+NETWORK_BITS = 64  # of an IPv6 address, which tell customers apart; the rest is each customer's own
 UNKNOWN = "unknown"
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
@@ -44,14 +44,18 @@ class Caller:
 
 def address_of(peer: Sequence[object] | None) -> str:
     """Who a peer (host, port) is: an IPv4 address or an IPv6 network."""
-    try:
-        address = ipaddress.ip_address(str(peer[0])) if peer else None
-    except ValueError:
-        address = None
+    address = _address_in(str(peer[0])) if peer else None
     if isinstance(address, ipaddress.IPv6Address):
         mapped = address.ipv4_mapped
         address = mapped or ipaddress.ip_network((int(address), NETWORK_BITS), strict=False).network_address
     return UNKNOWN if address is None else str(address)
+
+
+def _address_in(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(text)
+    except ValueError:
+        return None
 
 
 def _name_in(host: str) -> str:
@@ -60,14 +64,6 @@ def _name_in(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 def path_of(scope: Scope) -> str:
@@ -95,8 +91,8 @@ class Gate:
         self._app = app
         self._keys = keys
         self._link_secret = settings.link_secret.get_secret_value()
-        self._host_names = {"localhost", *settings.host_names.replace(",", " ").split()}
-        self._origins = set(settings.cors_origins.replace(",", " ").split())
+        self._host_names = {"localhost", *listed(settings.host_names.lower())}
+        self._origins = set(listed(settings.cors_origins))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
@@ -121,7 +117,8 @@ class Gate:
     def _check_site(self, headers: Headers, method: str) -> None:
         """Raises ProblemError 421 or 403."""
         host, origin = headers.get("host", ""), headers.get("origin")
-        if not {"*", _name_in(host)} & self._host_names and not _is_address(_name_in(host)):
+        name = _name_in(host)
+        if not {"*", name} & self._host_names and _address_in(name) is None:
             raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
         if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
             return

@@ -34,12 +34,9 @@ from service.api.requests import (
 from service.jobs.job import (
     Job,
     KeyReusedError,
+    LimitError,
     NewJob,
-    OwnQueueFullError,
-    QueueFullError,
-    QuotaError,
     SourceImage,
-    SubmitLimits,
     new_job_id,
 )
 from service.logs import log_seldom
@@ -87,7 +84,7 @@ async def encode(
     decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
     check_image_type(request)
-    await to_thread.run_sync(_check_queue, context, key, caller.owner)  # before the body is read
+    await to_thread.run_sync(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
         options = read_options(fields)
         header = await context.tasks.read_header(caller.client, file)
@@ -105,32 +102,12 @@ async def encode_again(
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
     options = read_options(await fields_alone(request))
-    await to_thread.run_sync(_check_queue, context, key, caller.owner)
+    await to_thread.run_sync(context.table.check_queue, caller.owner, key)
     async with context.accepting.turn(caller.client):
         with await to_thread.run_sync(open_image, context, job) as file:
             image = await to_thread.run_sync(file.read)
         again = await to_thread.run_sync(_accept, context, caller.owner, key, options, job.image, image)
     return await _answer(request, context, again, wait_s)
-
-
-def _queue_full(own_limit: int = 0) -> ProblemError:
-    if own_limit:
-        detail = f"this API key already has {own_limit} jobs waiting; try again later"
-        return ProblemError(429, detail, reason="own_queue", headers=RETRY_AFTER)
-    return ProblemError(429, "the queue is full; try again later", reason="queue", headers=RETRY_AFTER)
-
-
-def _check_queue(context: Context, key: str | None, owner: str | None) -> None:
-    """Raises ProblemError 429 if the queue is full, or the owner's part of it, and the request no repetition."""
-    own_limit = context.settings.max_queued_per_key
-    if context.table.queued() >= context.settings.queue_length:
-        refusal = _queue_full()
-    elif owner is not None and context.table.queued(owner) >= own_limit:
-        refusal = _queue_full(own_limit)
-    else:
-        return
-    if key is None or context.table.find_by_key(key, owner) is None:
-        raise refusal
 
 
 def _accept(
@@ -139,40 +116,24 @@ def _accept(
     """Store the image, then put the job into the job table; only then may the client be told."""
     request = options.request(header, context.settings.max_time_limit_s)
     words = {"encode": asdict(request), "priority": options.priority}
-    fingerprint = hashlib.sha256(json.dumps(words).encode() + image).hexdigest()
-    new = NewJob(new_job_id(), request, header, fingerprint, key, owner, options.priority)
+    fingerprint = hashlib.sha256(json.dumps(words).encode())
+    fingerprint.update(image)
+    new = NewJob(new_job_id(), request, header, fingerprint.hexdigest(), key, owner, options.priority)
     free_bytes = context.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
         log_seldom(log, "new jobs are refused, since the disk is full: %d bytes are free", free_bytes)
         raise ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
     context.storage.put(source_key(new.id), image)
-    job, is_new = _submit(context, new)
+    try:  # if the table fails, the image stays for the sweep: the row may have been written anyway
+        job, is_new = context.table.submit(new)
+    except (LimitError, KeyReusedError):
+        context.discard(source_key(new.id))
+        raise
     if is_new:
         context.metrics.accept(owner)
     else:
         context.discard(source_key(new.id))
     return job
-
-
-def _submit(context: Context, new: NewJob) -> tuple[Job, bool]:
-    # If the table fails, the image stays for the sweep: the row may have been written anyway.
-    limits = context.settings
-    own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
-    most = SubmitLimits(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
-    try:
-        return context.table.submit(new, most)
-    except QuotaError as error:
-        whose, reason = ("this API key", "own_quota") if error.of_owner else ("the service", "quota")
-        detail = f"{whose} has reached its storage quota; remove jobs first"
-        refusal = ProblemError(429, detail, reason=reason, headers=RETRY_AFTER)
-    except OwnQueueFullError:
-        refusal = _queue_full(own_limit)
-    except QueueFullError:
-        refusal = _queue_full()
-    except KeyReusedError:
-        refusal = ProblemError(422, "this Idempotency-Key was already used for a different request")
-    context.discard(source_key(new.id))
-    raise refusal
 
 
 async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:

@@ -12,12 +12,12 @@ from typing import Annotated
 from anyio import to_thread
 from fastapi import Depends, Query, Request, Response
 from fastapi.sse import ServerSentEvent
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
 from service.api.problems import ProblemError
-from service.api.requests import NEVER_STORED, while_client_waits
+from service.api.requests import NEVER_STORED, Parameters, while_client_waits
 from service.jobs.job import FINAL_STATES, Job, JobState, JobTableError
 from service.keys import Link
 from service.storage.files import source_key
@@ -26,23 +26,19 @@ log = logging.getLogger(__name__)
 
 LONGEST_LINK_S = 7 * 86_400
 EVENTS_POLL_S = 0.5  # workers write progress down as often
-FIRST_POLL_S, POLL_S = 0.05, 0.2  # a small picture takes less than the latter; it is for those who wait for long
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # soon at first, since a small picture takes less than the latter
 
 
-class PageQuery(BaseModel):
+class PageQuery(Parameters):
     """Which jobs are listed."""
-
-    model_config = ConfigDict(extra="forbid")
 
     limit: int = Field(default=50, ge=1, le=200)
     before: int | None = Field(default=None, ge=1, le=2**53)
     state: JobState | None = Field(default=None, description="only jobs in this state")
 
 
-class LinksQuery(BaseModel):
+class LinksQuery(Parameters):
     """For how long links hold."""
-
-    model_config = ConfigDict(extra="forbid")
 
     expires_s: int = Field(default=3600, ge=1, le=LONGEST_LINK_S, description="seconds until the links expire")
 

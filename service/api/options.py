@@ -25,7 +25,7 @@ from pydantic import (
 from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
-from service.jobs.job import PRIORITIES, EncodeRequest, Priority, SourceImage
+from service.jobs.job import EncodeRequest, Priority, SourceImage
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
 from sgmethod.metrics.looks import SMALLEST_SIDE
@@ -99,7 +99,7 @@ class EncodeOptions(BaseModel):
         description=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file; profile rd only",
     )
     time_limit_s: Number = _positive("time limit in seconds (default: the longest that the service allows)", 60)
-    priority: Priority = Field(default=PRIORITIES[0], description="interactive jobs run before bulk jobs")
+    priority: Priority = Field(default="interactive", description="interactive jobs run before bulk jobs")
 
     @model_validator(mode="after")
     def _one_budget(self) -> EncodeOptions:
@@ -111,12 +111,12 @@ class EncodeOptions(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The one that is given, or the one unasked. Raises BudgetError."""
+        """The budget that is given, or the default. Raises BudgetError."""
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
     def request(self, image: SourceImage, longest_s: float) -> EncodeRequest:
-        """What the encoder is asked for. longest_s: how long an encode may take, and does unasked, in seconds.
+        """The encoder's part of the request. longest_s: the longest time limit in seconds, which is also the default.
 
         Raises BudgetError or ProblemError 422 if no file of the image could come of it.
         """
@@ -131,7 +131,7 @@ class EncodeOptions(BaseModel):
         return EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
-        """The budget; the one unasked is raised to the smallest file of a tiny image."""
+        """The budget; the default is raised to the smallest file that a tiny image can have."""
         budget, pixels = self.budget, image.width * image.height
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))

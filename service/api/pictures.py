@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from anyio import to_thread
 from fastapi import Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
@@ -26,6 +26,7 @@ from service.api.requests import (
     IMMUTABLE,
     NEVER_STORED,
     VARIES,
+    Parameters,
     accepted_format,
     body_as_file,
     media_type,
@@ -76,10 +77,8 @@ class PictureQuery(PictureOptions):
         return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
 
 
-class PreviewQuery(BaseModel):
+class PreviewQuery(Parameters):
     """How large a preview may be."""
-
-    model_config = ConfigDict(extra="forbid")
 
     bytes: int = Field(
         default=200,
@@ -126,8 +125,8 @@ async def _remembered(
     kind: PictureFormat,
     make: Callable[[], Coroutine[Any, Any, bytes]],
 ) -> Response:
-    """The picture file of an entity tag: not again for who has it, and from memory if it was asked for lately;
-    simultaneous requests share one.
+    """The picture file of an entity tag: 304 if the client has it, from memory if it was asked for lately; requests at
+    the same time share one.
     """
     if (answer := not_modified(request, headers)) is not None:
         return answer

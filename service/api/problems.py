@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from service.jobs.job import JobTableError
+from service.jobs.job import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
 from service.sandbox.client import SandboxGoneError, TaskError
 from sgmethod.errors import BudgetError, ViewError
@@ -39,9 +39,8 @@ PROBLEM: dict[str, Any] = {
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
-    **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
-    **{409: "state", 410: "gone", 413: "large", 415: "type", 421: "host"},
-    **{422: "invalid", 500: "fault"},
+    **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
+    **{410: "gone", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
 }
 REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
 
@@ -86,7 +85,7 @@ def refused(request: Request, problem: ProblemError) -> Response:
 
 def install_problem_handlers(app: FastAPI) -> None:
     """Make every error of the application a problem document."""
-    ours = (ProblemError, BudgetError, ViewError, TaskError, JobTableError)
+    ours = (ProblemError, BudgetError, ViewError, TaskError, JobTableError, KeyReusedError, LimitError)
     for kind in (*ours, RequestValidationError, HTTPException, ClientDisconnect, OSError, Exception):
         app.add_exception_handler(kind, _on_error)
 
@@ -99,8 +98,10 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
     match error:
         case ProblemError():
             return error
-        case BudgetError() | ViewError() | TaskError():  # say what is wrong with what was asked for
+        case BudgetError() | ViewError() | TaskError() | KeyReusedError():  # say what is wrong with the request
             return ProblemError(422, str(error))
+        case LimitError():
+            return ProblemError(429, str(error), reason=error.reason, headers=RETRY_AFTER)
         case RequestValidationError():
             return _invalid_parameters(error)
         case HTTPException(status_code=405):

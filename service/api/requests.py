@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, BinaryIO, TypeVar, cast
 
 from fastapi import Query, Request, Response
+from pydantic import BaseModel, ConfigDict
 from starlette.datastructures import Headers, UploadFile
 from starlette.requests import ClientDisconnect
 
@@ -32,6 +33,12 @@ _PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IG
 _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 T = TypeVar("T")
 Field = tuple[str, str]
+
+
+class Parameters(BaseModel):
+    """Query parameters, and no others: a misspelt one would be ignored, and the answer kept for long."""
+
+    model_config = ConfigDict(extra="forbid")
 
 
 def header_line(headers: Headers, name: str) -> str | None:
@@ -182,7 +189,7 @@ async def no_body(request: Request) -> None:
 
 
 async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """What the work comes to; it is cancelled when the client has gone, and ClientDisconnect raised.
+    """The result of the work, which is cancelled when the client has gone; then raises ClientDisconnect.
 
     The body must have been read.
     """

@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, Query, Request, Response
 from fastapi.sse import EventSourceResponse
-from pydantic import BaseModel, ConfigDict
 
 from service.api import encode, health, jobs, pictures
 from service.api.callers import OPEN_PATHS
 from service.api.models import EXAMPLE_ID, AcceptedView
 from service.api.problems import ProblemError, problems
-from service.api.requests import BITSTREAM_TYPE, no_body
+from service.api.requests import BITSTREAM_TYPE, Parameters, no_body
 from service.sandbox.pictures import MEDIA_TYPES, RIVALS
 
 HOST = "http://127.0.0.1:8000"  # in commands
@@ -23,14 +22,8 @@ BINARY = {"schema": {"type": "string", "format": "binary"}}
 NOT_MODIFIED: dict[Any, Any] = {304: {"description": "the client has it already"}}
 
 
-class _NoQuery(BaseModel):
-    """A query without parameters."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-def _no_query(_query: Annotated[_NoQuery, Query()]) -> None:
-    """Raises RequestValidationError: a misspelt parameter would be ignored, and the answer kept for long."""
+def _no_query(_query: Annotated[Parameters, Query()]) -> None:
+    """Raises RequestValidationError if there are parameters."""
 
 
 def _given_once(request: Request) -> None:

@@ -10,13 +10,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Literal, get_args
 
 from service.jobs.job import FINAL_STATES, Job, JobState
 from service.jobs.statements import Database
 
 Ending = Literal["finished", "failed", "retried", "cancelled"]
-ENDINGS: tuple[Ending, ...] = ("finished", "failed", "retried", "cancelled")
+ENDINGS: tuple[Ending, ...] = get_args(Ending)
 ENDING_OF: Mapping[JobState, Ending] = {"done": "finished", "failed": "failed", "queued": "retried"}
 BUCKETS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float("inf"))
 SECONDS = "encode_seconds"
@@ -45,12 +45,12 @@ class Notice:
 
 
 def count(db: Database, ending: Ending) -> None:
-    """One more job has come to this."""
+    """Count a job that ended so."""
     db.execute(ADD, (ending, 1))
 
 
 def conclude(db: Database, job: Job, addresses: Sequence[str]) -> None:
-    """An attempt at the job has ended, and the job with it, of which the addresses get a notice, or it waits again."""
+    """Count how an attempt at the job ended; if the job ended with it, leave a notice for each address."""
     count(db, ENDING_OF[job.state])
     if job.state == "done" and job.finished_at and job.started_at:
         seconds = max(0.0, job.finished_at - job.started_at)
@@ -61,7 +61,7 @@ def conclude(db: Database, job: Job, addresses: Sequence[str]) -> None:
 
 
 def bucket(most_s: float) -> str:
-    """The name of the number of encodes that took at most so many seconds, and longer than the bucket before."""
+    """The total that counts encodes of at most this many seconds, and more than those of the bucket before."""
     return f"{SECONDS} {most_s:g}"
 
 
@@ -84,17 +84,17 @@ def take_notice(db: Database, address: str) -> Notice | None:
 
 
 def forget_notice(db: Database, notice: Notice) -> None:
-    """It is delivered."""
+    """Delete a notice that was delivered."""
     db.execute("DELETE FROM notices WHERE job = ? AND address = ?", (notice.job_id, notice.address))
 
 
 def give_up_notices(db: Database) -> int:
-    """Forget those that were tried for long enough; how many."""
+    """Delete notices that were tried for long enough; returns how many."""
     return int(db.execute("DELETE FROM notices WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount)
 
 
 def _body(job: Job) -> str:
-    """As Standard Webhooks has it: type, timestamp, data."""
+    """Type, timestamp and data, as in Standard Webhooks."""
     ended = datetime.fromtimestamp(job.finished_at or 0.0, UTC)
     data = {
         **{"id": job.id, "key": job.owner, "state": job.state, "attempt": job.attempt},

@@ -81,7 +81,7 @@ class Engine:
         )
         app = App(connector=connector)
         app.task(name=TASK, queue=QUEUE)(run_next)
-        # What the engine could not write down, such as the end of a token that is another worker's by now.
+        # It hears what the engine could not write down, such as the end of a token that another worker has by now.
         asyncio.get_running_loop().set_exception_handler(_log)
         _cancel_on(stop)
         async with app.open_async():

@@ -16,7 +16,7 @@ import re
 import secrets
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
@@ -25,10 +25,9 @@ from sgmethod.budget import BudgetKind
 from sgmethod.profiles import DEFAULT_EFFORT, Tune
 
 JobState = Literal["queued", "running", "done", "failed"]
-JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
+JOB_STATES: tuple[JobState, ...] = get_args(JobState)
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
 Priority = Literal["interactive", "bulk"]
-PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
 JsonObject = Mapping[str, Any]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
@@ -109,10 +108,9 @@ class EncodeResult:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
-    turns, None unless queued; crashes: attempts that crashed or lost their worker, which is what the
-    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept;
-    stopped: whether the attempt that runs is to end early, with what it has.
+    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take turns, None
+    unless queued; crashes: attempts that crashed or lost their worker, whose number has a limit; stopped: whether the
+    attempt that runs is to end early, with what it has.
     """
 
     number: int
@@ -130,8 +128,7 @@ class Job:
     finished_at: float | None
     result: Json[EncodeResult] | None
     error: Json[JobError] | None
-    stored_bytes: int
-    stopped: bool = False
+    stopped: bool
 
 
 _jobs = TypeAdapter(Job)
@@ -151,52 +148,36 @@ class JobTableError(TryLaterError):
     """The job table cannot be read or written just now."""
 
 
-class QueueFullError(Exception):
-    """As many jobs wait as the settings allow."""
+class LimitError(Exception):
+    """A new job would exceed a limit; one sentence. reason: "queue", "own_queue", "quota" or "own_quota"."""
 
-
-class OwnQueueFullError(QueueFullError):
-    """As many jobs of this owner wait as the settings allow one owner."""
-
-
-class QuotaError(Exception):
-    """What is stored leaves no room for the job. of_owner: whether it is the owner's quota, or everybody's."""
-
-    def __init__(self, of_owner: bool) -> None:
-        super().__init__()
-        self.of_owner = of_owner
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
 
 
 class KeyReusedError(Exception):
-    """An idempotency key came again with another request."""
-
-
-@dataclass(frozen=True)
-class SubmitLimits:
-    """How many jobs, and bytes, a new job must not exceed; 0 for any number.
-
-    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: the same for bytes stored.
-    """
-
-    queue_length: int
-    own_queue_length: int = 0
-    quota: int = 0
-    own_quota: int = 0
+    """An idempotency key came again with another request; one sentence."""
 
 
 @dataclass(frozen=True)
 class JobRules:
-    """What holds for all jobs.
+    """What holds for all jobs; 0 for any number of jobs or bytes.
 
     lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
     source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
-    ends.
+    ends; queue_length, own_queue_length: jobs that may wait, of all and of one owner; quota_bytes, own_quota_bytes:
+    the same for bytes that are stored.
     """
 
     lease_s: float
     max_attempts: int
     source_retention_s: float = 0.0
     webhooks: tuple[str, ...] = ()
+    queue_length: int = 0
+    own_queue_length: int = 0
+    quota_bytes: int = 0
+    own_quota_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -206,6 +187,7 @@ class Claim:
     job_id: str
     attempt: int
     request: EncodeRequest
+    image: SourceImage
 
 
 @dataclass(frozen=True)

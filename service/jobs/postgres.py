@@ -18,12 +18,11 @@ from psycopg_pool import ConnectionPool
 from service.jobs.engine import ABANDONED, PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
 from service.jobs.job import JobRules, JobTableError
-from service.jobs.statements import OVERDUE, SCHEMA, Database
+from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal
 
-SCHEMA_VERSION = 8
-POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
+NUMBER = "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"
 # The database's clock: those of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
@@ -51,7 +50,7 @@ SELECT (SELECT count(*) FROM jobs WHERE state = 'queued') + (SELECT count(*) FRO
 
 
 class _Session:
-    """A connection as sql.py sees it."""
+    """A connection that takes statements as statements.py has them."""
 
     def __init__(self, connection: psycopg.Connection[DictRow]) -> None:
         self.connection = connection
@@ -82,7 +81,7 @@ class PostgresJobTable(JobTable):
         super().__init__(rules)
         try:
             conninfo = make_conninfo(url, **CONNECT)
-        except psycopg.Error:  # whose words may hold the password
+        except psycopg.Error:  # its message may hold the password
             raise JobTableError("SG_DATABASE_URL cannot be read; its password must be percent-encoded") from None
         try:
             with _translated_errors():
@@ -109,11 +108,12 @@ class PostgresJobTable(JobTable):
     @staticmethod
     def _set_up(conninfo: str) -> None:
         """Make the tables if there are none. Without the pool, so that a wrong address is known at once."""
-        whose = "SELECT pg_backend_pid()"
+        session_id = "SELECT pg_backend_pid()"
         with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
-            session = other.execute(whose).fetchone()
-            db.execute(SESSION)  # begins a transaction, which such a pooler gives the session that the other has left
-            if other.execute(whose).fetchone() != session:
+            before = other.execute(session_id).fetchone()
+            # Begins a transaction. A pooler in transaction mode gives it the session that `other` has just left.
+            db.execute(SESSION)
+            if other.execute(session_id).fetchone() != before:
                 raise JobTableError("the pooler is in transaction mode; let it pool sessions, or connect directly")
             db.execute("SELECT pg_advisory_xact_lock(%s)", (SET_UP_LOCK,))
             db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
@@ -122,8 +122,8 @@ class PostgresJobTable(JobTable):
             written = int(versions.get("jobs", 0))
             if written not in (0, SCHEMA_VERSION):
                 raise JobTableError("the database was written by another version of this service, which can read it")
-            if written < SCHEMA_VERSION:
-                db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
+            if written == 0:
+                db.execute(f"{EPOCH} {SCHEMA.format(number=NUMBER)}".encode())
             if versions.get("engine") != procrastinate.__version__:
                 # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")
@@ -158,7 +158,7 @@ class PostgresJobTable(JobTable):
         self._engine.deliver(run_next, self._top_up, stop)
 
     def _top_up(self) -> None:
-        """As many tokens as there are rows that a worker would find something to do about."""
+        """Add tokens until there is one for each row that a worker can do something about."""
         lease_s = self._rules.lease_s
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:

@@ -10,15 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.jobs.job import JobRules, JobTableError
-from service.jobs.statements import SCHEMA, Database
+from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
-SCHEMA_VERSION = 9
+NUMBER = "INTEGER PRIMARY KEY AUTOINCREMENT"
 SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON;"
-SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
 
 
 class SqliteJobTable(JobTable):
@@ -27,14 +26,10 @@ class SqliteJobTable(JobTable):
     def __init__(self, path: Path, rules: JobRules) -> None:
         super().__init__(rules)
         self._path = path
+        self._file: tuple[int, int] | None = None  # which one the idle connections are to
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
         path.touch(mode=0o600)
-        self._file = self._identity()
-        try:
-            self._set_up()
-        except JobTableError:
-            self.close()
-            raise
+        self._follow_file()
 
     def _set_up(self) -> None:
         """Make the tables if there are none."""
@@ -42,26 +37,28 @@ class SqliteJobTable(JobTable):
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version not in (0, SCHEMA_VERSION):
                 raise JobTableError(f"{self._path} was written by another version of this service, which can read it")
-            if version < SCHEMA_VERSION:
-                for statement in SQLITE_SCHEMA.split(";")[:-1]:
+            if version == 0:
+                for statement in SCHEMA.format(number=NUMBER).split(";")[:-1]:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
-    def _identity(self) -> tuple[int, int]:
-        """Which file is at the path. Raises JobTableError if there is none: SQLite would make an empty one."""
-        try:
-            found = self._path.stat()
-        except OSError as error:
-            raise JobTableError(f"{self._path}: {error.strerror}") from error
-        return found.st_dev, found.st_ino
-
     def _follow_file(self) -> None:
         """Let go of a file that was removed or replaced: what is written to it would be lost with its last reader."""
-        file = self._identity()
-        if file != self._file:
-            self.close()
-            self._file, self._idle = file, queue.LifoQueue()
+        try:
+            found = self._path.stat()
+        except OSError as error:  # SQLite would make an empty file
+            raise JobTableError(f"{self._path}: {error.strerror}") from error
+        file = (found.st_dev, found.st_ino)
+        if file == self._file:
+            return
+        self.close()
+        self._file, self._idle = file, queue.LifoQueue()
+        try:
             self._set_up()
+        except JobTableError:
+            self.close()
+            self._file = None  # it is set up when it is next asked for
+            raise
 
     def _connect(self) -> sqlite3.Connection:
         # A connection serves one thread at a time, though not always the same one.

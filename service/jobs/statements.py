@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-# In place of {number} stands how each database counts rows up.
+SCHEMA_VERSION = 1
+# {number} stands for how each database numbers rows.
 SCHEMA = """
 CREATE TABLE workers (
     name     TEXT PRIMARY KEY,
@@ -44,7 +45,8 @@ CREATE TABLE jobs (
     finished_at     DOUBLE PRECISION,
     result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
     error           TEXT,
-    stored_bytes    BIGINT NOT NULL DEFAULT 0,
+    image_bytes     BIGINT NOT NULL,
+    file_bytes      BIGINT NOT NULL DEFAULT 0,
     stopped         INTEGER NOT NULL DEFAULT 0,
     UNIQUE (owner, idempotency_key)
 );
@@ -64,7 +66,7 @@ CREATE TABLE trace (
 """
 CENSUS = """
 SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
-    (SELECT CAST(coalesce(sum(stored_bytes), 0) AS BIGINT) FROM jobs) AS stored_bytes,
+    (SELECT CAST(coalesce(sum(image_bytes + file_bytes), 0) AS BIGINT) FROM jobs) AS stored_bytes,
     (SELECT count(*) FROM notices) AS notices,
     coalesce(epoch() - (SELECT min(ended_at) FROM notices), 0) AS notice_waits_s
 """
@@ -91,7 +93,7 @@ WHERE state = 'queued' AND number = (
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
     WHERE state = 'queued'
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
-) RETURNING number, id, attempt, request
+) RETURNING number, id, attempt, request, image
 """
 SIGN = """
 INSERT INTO workers VALUES (?, epoch(), ?)
@@ -105,9 +107,9 @@ TRACE_POINT = """
 INSERT INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?
 ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 """
-DONE = "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
-FAIL = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
-CRASH = "state = 'queued', error = ?, crashes = crashes + 1"
+DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_bytes, error = NULL, finished_at = epoch()"
+PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?"
+FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is longer than any because the clock was put back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"

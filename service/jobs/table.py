@@ -29,11 +29,9 @@ from service.jobs.job import (
     JobState,
     JsonObject,
     KeyReusedError,
+    LimitError,
     NewJob,
-    OwnQueueFullError,
-    QueueFullError,
-    QuotaError,
-    SubmitLimits,
+    SourceImage,
     as_json,
     job_of,
 )
@@ -47,7 +45,7 @@ WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
 # When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
 WATCHED = 1 / 2
-FORGOTTEN_S = 900.0  # after which a worker that fell silent is no longer told of
+FORGOTTEN_S = 900.0  # a worker silent for longer is no longer listed
 
 
 class JobTable(ABC):
@@ -89,24 +87,22 @@ class JobTable(ABC):
     def close(self) -> None:
         """Let go of connections."""
 
-    def submit(self, job: NewJob, limits: SubmitLimits) -> tuple[Job, bool]:
+    def submit(self, job: NewJob) -> tuple[Job, bool]:
         """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
 
-        Raises QueueFullError, OwnQueueFullError or QuotaError if it would exceed the limits, KeyReusedError if the key
-        stands for another request.
+        Raises LimitError, or KeyReusedError if the key stands for another request.
         """
         with self._transaction() as db:
             self._alone(db)
-            if job.idempotency_key is not None:
-                query = sql.SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
-                first = db.execute(query, (job.owner or "", job.idempotency_key)).fetchone()
-                if first is not None:
-                    if first["fingerprint"] != job.fingerprint:
-                        raise KeyReusedError(job.idempotency_key)
-                    return job_of(first), False
-            _check_limits(db, job, limits)
+            first = _with_key(db, job.owner, job.idempotency_key)
+            if first is not None:
+                if first["fingerprint"] != job.fingerprint:
+                    raise KeyReusedError("this Idempotency-Key was already used for a different request")
+                return job_of(first), False
+            self._check_queue(db, job.owner)
+            self._check_quotas(db, job.owner, job.image.size_bytes)
             db.execute(
-                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
+                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, image_bytes,"
                 " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
                 (
                     *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
@@ -116,23 +112,37 @@ class JobTable(ABC):
             self._wake(db)
             return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
-    def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
-        """The owner's job that was accepted under the key; each owner has keys of their own."""
-        return self._one("WHERE owner = ? AND idempotency_key = ?", owner or "", idempotency_key)
+    def check_queue(self, owner: str | None = None, idempotency_key: str | None = None) -> None:
+        """Raises LimitError if the queue has no room for a new job; one under a known key is not new."""
+        with self._connection() as db:
+            if _with_key(db, owner, idempotency_key) is None:
+                self._check_queue(db, owner)
+
+    def _check_queue(self, db: Database, owner: str | None) -> None:
+        most, own_most = self._rules.queue_length, self._rules.own_queue_length
+        if most and _queued(db) >= most:
+            raise LimitError("queue", "the queue is full; try again later")
+        if owner and own_most and _queued(db, owner) >= own_most:
+            raise LimitError("own_queue", f"this API key already has {own_most} jobs waiting; try again later")
+
+    def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
+        most, own_most = self._rules.quota_bytes, self._rules.own_quota_bytes
+        if owner and own_most and _stored_bytes(db, owner) + size_bytes > own_most:
+            raise LimitError("own_quota", "this API key has reached its storage quota; remove jobs first")
+        if most and _stored_bytes(db) + size_bytes > most:
+            raise LimitError("quota", "the service has reached its storage quota; remove jobs first")
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
         """The job, or None if there is none of that id; with an owner, only if it is theirs."""
-        return self._one("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner)
-
-    def _one(self, condition: str, *values: str | None) -> Job | None:
+        query = sql.SELECT_JOB + "WHERE id = ? AND owner = coalesce(?, owner)"
         with self._connection() as db:
-            row = db.execute(sql.SELECT_JOB + condition, values).fetchone()
+            row = db.execute(query, (job_id, owner)).fetchone()
         return None if row is None else job_of(row)
 
-    def queued(self, owner: str | None = None) -> int:
-        """How many jobs wait; with an owner, how many of theirs."""
+    def queued(self) -> int:
+        """How many jobs wait."""
         with self._connection() as db:
-            return _queued(db, owner)
+            return _queued(db)
 
     def census(self) -> Census:
         """How many jobs there are in each state, how long the queue has waited, who works."""
@@ -187,7 +197,7 @@ class JobTable(ABC):
         if not lost:
             return []
         with self._transaction() as db:
-            jobs = [self._crash(db, WORKER_LOST, sql.LOST, claim) for claim in lost]
+            jobs = [self._fail(db, WORKER_LOST, sql.LOST, claim) for claim in lost]
         return [job for job in jobs if job is not None and job.state == "failed"]
 
     def _lost_claims(self) -> list[tuple[str, int, float]]:
@@ -221,13 +231,14 @@ class JobTable(ABC):
             db.execute(sql.SERVED, (row["number"],))
             db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
             try:
-                return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
+                request, image = json.loads(row["request"]), json.loads(row["image"])
+                return Claim(row["id"], row["attempt"], EncodeRequest(**request), SourceImage(**image))
             except TypeError:  # without a field that is not understood, this would encode something else
-                self._crash(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
+                self._fail(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
                 return None
 
     def sign(self, worker: str, failures: int = 0) -> None:
-        """The worker lives, whether or not it has a job. failures: of its background work so far."""
+        """Note that the worker lives, whether or not it has a job. failures: of its background work so far."""
         with self._transaction() as db:
             db.execute(sql.SIGN, (worker, failures))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
@@ -235,7 +246,7 @@ class JobTable(ABC):
                 log.error("gave up on %d webhooks", given_up)
 
     def sign_off(self, worker: str) -> None:
-        """The worker has stopped on request."""
+        """Forget a worker that has stopped on request."""
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
@@ -261,7 +272,7 @@ class JobTable(ABC):
         """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
         text = as_json(result)
         with self._transaction() as db:
-            job = self._change(db, claim, sql.DONE, text, result.size_bytes, self._keeps_sources)
+            job = self._change(db, claim, sql.DONE, text, result.size_bytes, int(self.keeps_sources))
             if job is not None:
                 self._conclude(db, job)
                 return True
@@ -269,27 +280,20 @@ class JobTable(ABC):
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
             return row is not None and row["result"] == text
 
-    def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
-        """End an attempt in failure: with retry as a crash, of which a job may have a few, else for good.
+    def fail(self, claim: Claim, error: JobError) -> bool:
+        """End an attempt in failure: for good, unless it crashed, which it may do a few times.
 
         False: the job is no longer this worker's.
         """
         with self._transaction() as db:
-            if retry:
-                return self._crash(db, error, sql.MINE, (claim.job_id, claim.attempt)) is not None
-            job = self._change(db, claim, sql.FAIL, as_json(error), self._keeps_sources)
-            if job is not None:
-                self._conclude(db, job)
-            return job is not None
+            return self._fail(db, error, sql.MINE, (claim.job_id, claim.attempt)) is not None
 
-    def _crash(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
-        """The job after an attempt that crashed: it waits for another, or failed if there were too many. None if the
-        attempt is not its latest.
-        """
-        text = as_json(error)
-        job = _update(db, sql.CRASH, where, text, *values)
-        if job is not None and job.crashes >= self._rules.max_attempts:
-            job = _update(db, sql.FAIL, "WHERE id = ?", text, self._keeps_sources, job.id)
+    def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
+        """The job after an attempt that failed; None if the attempt is not its latest."""
+        text, crashed = as_json(error), error.code == "crashed"
+        job = _update(db, sql.PUT_BACK, where, text, int(crashed), *values)
+        if job is not None and not (crashed and job.crashes < self._rules.max_attempts):
+            job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
             self._conclude(db, job)
         return job
@@ -303,9 +307,9 @@ class JobTable(ABC):
             self._wake(db)
 
     @property
-    def _keeps_sources(self) -> int:
-        """1 if the image of a finished job is kept, and so goes on counting; else 0."""
-        return int(self._rules.source_retention_s > 0)
+    def keeps_sources(self) -> bool:
+        """Whether the image of a finished job is kept, and so goes on counting."""
+        return self._rules.source_retention_s > 0
 
     def release(self, claim: Claim) -> bool:
         """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
@@ -328,40 +332,34 @@ class JobTable(ABC):
             return endings.take_notice(db, address)
 
     def notice_delivered(self, notice: Notice) -> None:
-        """The address has taken it."""
+        """Delete a notice that its address has taken."""
         with self._transaction() as db:
             endings.forget_notice(db, notice)
 
     def needed_keys(self) -> set[str]:
         """Storage keys of the files that some job still needs."""
         with self._connection() as db:
-            query = "SELECT id, state, attempt, result, coalesce(epoch() - finished_at, 0) AS ended_s FROM jobs"
-            rows = db.execute(query).fetchall()
-        kept_s = self._rules.source_retention_s
-        sources = {
-            source_key(row["id"]) for row in rows if row["state"] in ("queued", "running") or row["ended_s"] < kept_s
-        }
+            rows = db.execute("SELECT id, state, attempt, result, image_bytes FROM jobs").fetchall()
+        sources = {source_key(row["id"]) for row in rows if row["image_bytes"]}
         unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
         return sources | unpublished | done
 
     def source_removed(self, job_id: str) -> None:
-        """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
+        """Count the image of a finished job no longer among the stored bytes: it is gone."""
         with self._transaction() as db:
-            row = db.execute(sql.SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
-            result = job_of(row).result if row is not None else None
-            left = result.size_bytes if result is not None else 0
-            _update(db, "stored_bytes = ?", "WHERE id = ? AND state IN ('done', 'failed')", left, job_id)
+            _update(db, "image_bytes = 0", "WHERE id = ? AND state IN ('done', 'failed')", job_id)
 
-    def finished(self, older_than_s: float) -> list[Job]:
-        """The jobs, oldest first, that were done or failed for longer than that (seconds)."""
-        query = f"{sql.SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
+    def finished(self, older_than_s: float, *, with_image: bool = False) -> list[str]:
+        """Ids of the jobs that ended over that many seconds ago, oldest first; or only those whose image counts."""
+        ended = "state IN ('done', 'failed') AND finished_at < epoch() - ? AND image_bytes >= ?"
         with self._connection() as db:
-            return [job_of(row) for row in db.execute(query, (older_than_s,)).fetchall()]
+            rows = db.execute(f"SELECT id FROM jobs WHERE {ended} ORDER BY number", (older_than_s, int(with_image)))
+            return [row["id"] for row in rows.fetchall()]
 
 
 def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
-    """The job after an update, or None if there is none such."""
+    """The job after an update, or None if no job fits."""
     row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *, NULL AS position", values).fetchone()
     return None if row is None else job_of(row)
 
@@ -374,18 +372,11 @@ def _queued(db: Database, owner: str | None = None) -> int:
 
 def _stored_bytes(db: Database, owner: str | None = None) -> int:
     """Bytes kept for the jobs of one owner or of all."""
-    query = "SELECT coalesce(sum(stored_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
+    query = "SELECT coalesce(sum(image_bytes + file_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
     return int(db.execute(query, (owner,)).fetchone()["bytes"])
 
 
-def _check_limits(db: Database, job: NewJob, limits: SubmitLimits) -> None:
-    """Raises QueueFullError, OwnQueueFullError or QuotaError if the job would exceed the limits."""
-    owner, size = job.owner or "", job.image.size_bytes
-    if _queued(db) >= limits.queue_length:
-        raise QueueFullError
-    if limits.own_queue_length and _queued(db, owner) >= limits.own_queue_length:
-        raise OwnQueueFullError
-    if limits.own_quota and _stored_bytes(db, owner) + size > limits.own_quota:
-        raise QuotaError(of_owner=True)
-    if limits.quota and _stored_bytes(db) + size > limits.quota:
-        raise QuotaError(of_owner=False)
+def _with_key(db: Database, owner: str | None, idempotency_key: str | None) -> Any:
+    """The row of the owner's job that was accepted under the key; each owner has keys of their own."""
+    query = sql.SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
+    return db.execute(query, (owner or "", idempotency_key)).fetchone()

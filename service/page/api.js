@@ -61,11 +61,8 @@ export function submit(file, budget) {
   return json("encode", { method: "POST", body: form });
 }
 
-/** The picture in a file, drawn by the service. */
-export async function drawn(sg, kind, { width, prefix } = {}) {
-  const query = new URLSearchParams();
-  if (width) query.set("width", width);
-  if (prefix && prefix < 1) query.set("prefix", prefix);
-  const answer = await ask(`decode.${kind}?${query}`, { method: "POST", body: sg });
-  return answer.blob();
+/** The picture in a file, drawn by the service; width: other than its own. */
+export async function drawn(sg, kind, width = null) {
+  const query = width ? `?width=${width}` : "";
+  return (await ask(`decode.${kind}${query}`, { method: "POST", body: sg })).blob();
 }

@@ -36,7 +36,7 @@ function parameters(operation) {
   const rows = (operation.parameters ?? []).map((one) => [
     make("code", one.name),
     one.in,
-    kind(one.schema) + ("default" in one.schema ? `; ${one.schema.default} unasked` : ""),
+    kind(one.schema) + ("default" in one.schema ? `; default ${one.schema.default}` : ""),
     prose(one.description ?? one.schema.description),
   ]);
   return table(["parameter", "in", "value", "meaning"], rows);

@@ -4,12 +4,9 @@ const MOST = 12;
 const NAME = "sgmethod";
 
 function opened() {
-  return new Promise((done, failed) => {
-    const request = indexedDB.open(NAME, 1);
-    request.onupgradeneeded = () => request.result.createObjectStore("originals", { keyPath: "id" });
-    request.onsuccess = () => done(request.result);
-    request.onerror = () => failed(request.error);
-  });
+  const request = indexedDB.open(NAME, 1);
+  request.onupgradeneeded = () => request.result.createObjectStore("originals", { keyPath: "id" });
+  return finished(request);
 }
 
 function finished(request) {

@@ -11,7 +11,7 @@ import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples } from "./samples.js";
 import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./taking.js";
 import { TITLES, showLabels, showRows, showWork, trouble } from "./telling.js";
-import { size, withoutSuffix } from "./words.js";
+import { size } from "./words.js";
 
 const items = []; // in the order in which they came
 let current = null;
@@ -174,10 +174,9 @@ async function give(files) {
 
 async function again() {
   const item = added(current.name);
-  const { source, sample: name, format } = current;
+  const { source, format } = current;
   item.format = format;
   await item.setOriginal(source);
-  if (name) item.name = `${withoutSuffix(current.name)}.webp`;
   show(item);
   item.encode(budget());
 }

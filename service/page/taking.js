@@ -35,14 +35,16 @@ export async function savePicture(item, kind, width, draw) {
   const [whole] = item.size;
   const [least, most] = widths(item.size);
   if (!(width >= least && width <= most)) throw new Error(`the width must lie between ${least} and ${most} pixels.`);
-  const name = width === whole ? `${withoutSuffix(item.name)}.${kind}` : `${withoutSuffix(item.name)}-${width}.${kind}`;
-  if (!item.file || !(kind in IN_BROWSER)) return save(await drawn(item.sg, kind, { width }), name);
-  const picture = await draw(item.file, { scale: width / whole });
-  const canvas = new OffscreenCanvas(picture.width, picture.height);
-  canvas.getContext("2d").putImageData(new ImageData(picture.data, picture.width), 0, 0);
-  const blob = await canvas.convertToBlob({ type: IN_BROWSER[kind], quality: 0.9 });
-  if (blob.type !== IN_BROWSER[kind]) return save(await drawn(item.sg, kind, { width }), name);
-  return save(blob, name);
+  const type = IN_BROWSER[kind];
+  let blob = null;
+  if (item.file && type) {
+    const picture = await draw(item.file, { scale: width / whole });
+    const canvas = new OffscreenCanvas(picture.width, picture.height);
+    canvas.getContext("2d").putImageData(new ImageData(picture.data, picture.width), 0, 0);
+    blob = await canvas.convertToBlob({ type, quality: 0.9 });
+  }
+  if (!blob || blob.type !== type) blob = await drawn(item.sg, kind, width);
+  return save(blob, `${withoutSuffix(item.name)}${width === whole ? "" : `-${width}`}.${kind}`);
 }
 
 /** Lines that make exactly this file again, or fetch it. */

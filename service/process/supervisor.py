@@ -20,7 +20,7 @@ from service.settings import Settings
 
 log = logging.getLogger(__name__)
 
-BACKLOG = 2048  # connections that the system holds until they are accepted; clients of more try again after a second
+BACKLOG = 2048  # connections that the system holds until they are accepted; further clients try again after a second
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 10.0
@@ -93,8 +93,9 @@ class Supervised:
 def supervise(
     settings: Settings, listener: socket.socket, sandbox: Supervised, requests: socket.socket, stop: StopSignal
 ) -> None:
-    """Run web process and workers until stopping is requested; when this returns all of them have ended, and the
-    sandbox, whose requests they write.
+    """Run web process and workers until stopping is requested; when this returns, they and the sandbox have ended.
+
+    requests: the socket into which they write what the sandbox is to do.
     """
     service, sockets = [sys.executable, "-m", "service"], (requests.fileno(), listener.fileno())
     names = ["--supervisor", str(os.getpid()), "--sandbox", str(requests.fileno())]

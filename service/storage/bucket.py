@@ -6,7 +6,7 @@ import errno
 import os
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, BinaryIO
@@ -21,7 +21,6 @@ from service.storage.files import check_key, is_key
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
 
-PROXIES = ("http_proxy", "https_proxy", "all_proxy")
 # Words of the library's errors, and what they are about.
 HINTS = {
     "InvalidCertificate(": "its certificate is not trusted; name its authority's certificate in SSL_CERT_FILE "
@@ -57,14 +56,12 @@ def _in_words(text: str) -> str:
         if word in text:
             return hint
     causes = re.findall(r'^ +(?:message|error): "(.+)"', text, re.MULTILINE)
-    proxies = [name for name in os.environ if name.lower() in PROXIES] if "error sending request" in text else []
-    asked = [f"perhaps by the proxy of {' or '.join(proxies)}"] if proxies else []
-    return ", ".join([text.strip().partition("\n")[0], *causes, *asked])
+    return ", ".join([text.strip().partition("\n")[0], *causes])
 
 
-def check_environment(environment: Mapping[str, str]) -> None:
+def _check_environment() -> None:
     """Raises OSError for an AWS_ variable on which the library would panic, or which it would misunderstand."""
-    for name, value in environment.items():
+    for name, value in os.environ.items():
         if not name.startswith("AWS_"):
             continue
         if value != value.strip() or not value.isprintable():
@@ -88,7 +85,7 @@ class BucketStorage:
     """
 
     def __init__(self, url: str) -> None:
-        check_environment(os.environ)
+        _check_environment()
         # Plain HTTP only where the endpoint says so: a store within the same network.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}

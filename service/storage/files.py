@@ -15,21 +15,14 @@ from typing import BinaryIO, Protocol
 
 from sgmethod.io.files import sync_folder, write_atomically
 
-UNFINISHED = "unfinished"
+UNFINISHED = "unfinished"  # files that are being written, and probes of whether they can be
+FOLDERS = ("sources", "bitstreams", UNFINISHED)
 _KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
-FOLDERS = ("sources", "bitstreams")
-PROBE_FOLDER = UNFINISHED  # where a file may be put to see whether it can be
 
 
 def source_key(job_id: str) -> str:
     """Where a job's source image lies."""
     return f"sources/{job_id}"
-
-
-def job_of_source(key: str) -> str | None:
-    """The id of the job whose source image a key names; None for other keys."""
-    folder, _, name = key.partition("/")
-    return name if folder == "sources" else None
 
 
 def bitstream_key(job_id: str, attempt: int) -> str:
@@ -91,7 +84,7 @@ class DiskStorage:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        for folder in (*FOLDERS, UNFINISHED):
+        for folder in FOLDERS:
             (root / folder).mkdir(mode=0o700, parents=True, exist_ok=True)
         sync_folder(root)
 
@@ -111,7 +104,7 @@ class DiskStorage:
         self._path(key).unlink(missing_ok=True)
 
     def check(self) -> None:
-        for folder in (*FOLDERS, UNFINISHED):
+        for folder in FOLDERS:
             (self._root / folder).stat()
 
     def free_bytes(self) -> int | None:
@@ -119,7 +112,7 @@ class DiskStorage:
 
     def old(self, age_s: float) -> Iterator[str]:
         oldest = time.time() - age_s
-        for folder in (*FOLDERS, UNFINISHED):
+        for folder in FOLDERS:
             for path in (self._root / folder).iterdir():
                 key = f"{folder}/{path.name}"
                 with contextlib.suppress(FileNotFoundError):  # another process finished with it meanwhile

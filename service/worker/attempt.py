@@ -37,19 +37,14 @@ class Encoded:
 
 
 class Attempt:
-    """What a worker tells of one claim. Its end waits for a job table or a storage out of reach, until stopping is
-    requested.
-
-    keeps_sources: images of finished jobs stay for the sweep, and may be encoded again until then.
+    """One attempt at a job, as its worker reports it. Its end waits for a job table or a storage that is out of reach,
+    until stopping is requested.
     """
 
-    def __init__(
-        self, table: JobTable, storage: Storage, claim: Claim, stop: StopSignal, *, keeps_sources: bool = False
-    ) -> None:
+    def __init__(self, table: JobTable, storage: Storage, claim: Claim, stop: StopSignal) -> None:
         self._table = table
         self._storage = storage
         self._stop = stop
-        self._keeps_sources = keeps_sources
         self.claim = claim
         self.key = bitstream_key(claim.job_id, claim.attempt)
         self.early_end_wanted = False  # with what there is
@@ -93,9 +88,9 @@ class Attempt:
         if isinstance(outcome, Encoded):
             self._publish(outcome)
             return
-        claim, retry = self.claim, outcome.code == "crashed"
+        claim = self.claim
         log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, outcome.code, outcome.detail)
-        if not self._insist(lambda: self._table.fail(claim, outcome, retry=retry)):
+        if not self._insist(lambda: self._table.fail(claim, outcome)):
             raise ClaimLostError
 
     def _publish(self, encoded: Encoded) -> None:
@@ -141,5 +136,5 @@ class Attempt:
         job = self._table.get(self.claim.job_id)
         if job is None or job.result is None or job.result.bitstream_key != self.key:
             self._storage.delete(self.key)
-        if job is None or (job.state in FINAL_STATES and not self._keeps_sources):
+        if job is None or (job.state in FINAL_STATES and not self._table.keeps_sources):
             self._storage.delete(source_key(self.claim.job_id))

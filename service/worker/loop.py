@@ -29,7 +29,7 @@ FOLLOW_S = 0.2  # how soon a request to stop is seen
 # A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
 MISSING_S = 15.0
 SIGN_S = 2.0
-ROUNDS_END_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
+ROUNDS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and signing off may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 
@@ -45,7 +45,6 @@ class Worker:
         self._storage = storage
         self._sandbox = sandbox
         self._stop = stop
-        self._keeps_sources = settings.source_retention_s > 0
         self._name = f"{socket.gethostname()}:{os.getpid()}"
 
     def run(self) -> None:
@@ -81,7 +80,7 @@ class Worker:
             log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
 
     def _run_next(self) -> bool:
-        """As run_one; trouble with the job table or the storage is logged and waited out."""
+        """Like run_one, but log and wait out trouble with the job table or the storage."""
         with survived("running a job"):  # PostgreSQL's engine would swallow the exception
             return self.run_one()
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
@@ -91,13 +90,13 @@ class Worker:
         """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""
         for job in self._table.reconcile():
             log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
-            if not self._keeps_sources:
+            if not self._table.keeps_sources:
                 self._storage.delete(source_key(job.id))
         claim = self._table.claim(self._name)
         if claim is None:
             return False
         log.info("job %s: attempt %d of worker %s", claim.job_id, claim.attempt, self._name)
-        attempt = Attempt(self._table, self._storage, claim, self._stop, keeps_sources=self._keeps_sources)
+        attempt = Attempt(self._table, self._storage, claim, self._stop)
         try:
             attempt.conclude(self._encode(attempt))
         except ClaimLostError:
@@ -142,16 +141,13 @@ class Worker:
 
     def _task(self, attempt: Attempt) -> frames.Encode:
         claim, threads = attempt.claim, self._settings.encode_threads
-        job = self._table.get(claim.job_id)
-        if job is None:
-            raise ClaimLostError
         return frames.Encode(
             job_id=claim.job_id,
             request=claim.request,
             threads=threads,
             memory_bytes=self._settings.job_memory_bytes,
             cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
-            max_pixels=job.image.width * job.image.height,
+            max_pixels=claim.image.width * claim.image.height,
         )
 
     def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:

@@ -18,7 +18,7 @@ from service.jobs.table import JobTable
 log = logging.getLogger(__name__)
 
 POLL_S = 1.0
-ANSWER_S = 10.0  # for which an answer may be silent
+ANSWER_S = 10.0  # how long an address may be silent
 
 
 def send_next(table: JobTable, address: str, secret: bytes) -> bool:
@@ -32,7 +32,7 @@ def send_next(table: JobTable, address: str, secret: bytes) -> bool:
     where = urlsplit(address).hostname  # the rest of an address may be a secret
     try:
         _post(address, headers(secret, notice, int(time.time())), notice.body.encode())
-    except (OSError, HTTPException, ValueError) as error:  # the last for a proxy whose address is none
+    except (OSError, HTTPException, ValueError) as error:  # ValueError: a proxy with an address that cannot be one
         log.warning("job %s: webhook to %s: %s", notice.job_id, where, error)
         return True
     table.notice_delivered(notice)  # if that fails it is sent once more, under the same id

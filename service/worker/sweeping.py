@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from service.jobs.job import Job
 from service.jobs.table import JobTable
-from service.storage.files import Storage, job_of_source, source_key
+from service.storage.files import Storage, source_key
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
 ORPHAN_AGE_S = 3600.0
 LONGEST_PAUSE_S, SHORTEST_PAUSE_S = 3600.0, 1.0
-OVERDUE = 1 / 4  # of the time for which something is kept, that it may stay beyond
+OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part of that time
 
 
 @dataclass(frozen=True)
@@ -33,25 +32,22 @@ def sweep(
     dry_run: bool = False,
 ) -> Swept:
     """Remove jobs that ended more than retention_s seconds ago (0: none), images of jobs that ended more than
-    source_retention_s seconds ago, if any are kept (0: none), and files that no job needs.
+    source_retention_s seconds ago, and files that no job needs.
 
     With dry_run nothing is removed. Raises JobTableError, OSError.
     """
     expired = table.finished(retention_s) if retention_s else []
-    if not dry_run:
-        for job in expired:
-            _remove(table, storage, job)
+    for job_id in [] if dry_run else expired:
+        _remove(table, storage, job_id)
     # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
-    ended = table.finished(source_retention_s) if source_retention_s else []
-    images = (source_key(job.id) for job in ended if _has_image(job))
+    ended = table.finished(source_retention_s, with_image=True)
     keep = table.needed_keys()
-    files = {*images, *(key for key in storage.old(orphan_age_s) if key not in keep)}
-    if not dry_run:
-        for key in files:
-            storage.delete(key)
-            job_id = job_of_source(key)
-            if job_id is not None:
-                table.source_removed(job_id)
+    files = {*map(source_key, ended), *(key for key in storage.old(orphan_age_s) if key not in keep)}
+    for key in () if dry_run else files:
+        storage.delete(key)
+        folder, _, name = key.partition("/")
+        if folder == "sources":
+            table.source_removed(name)
     return Swept(len(expired), len(files))
 
 
@@ -61,15 +57,10 @@ def pause_s(*kept_s: float) -> float:
     return min(max(wanted_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
 
 
-def _has_image(job: Job) -> bool:
-    """Whether more is counted for it than its bitstream."""
-    return job.stored_bytes > (job.result.size_bytes if job.result is not None else 0)
-
-
-def _remove(table: JobTable, storage: Storage, job: Job) -> None:
-    removed = table.remove(job.id)
+def _remove(table: JobTable, storage: Storage, job_id: str) -> None:
+    removed = table.remove(job_id)
     if removed is None:
         return
-    storage.delete(source_key(removed.id))  # which may be kept for as long
+    storage.delete(source_key(job_id))  # which may be kept for as long
     if removed.result is not None:
         storage.delete(removed.result.bitstream_key)

@@ -16,7 +16,6 @@ from service.jobs.job import (
     JobRules,
     NewJob,
     SourceImage,
-    SubmitLimits,
     new_job_id,
 )
 from service.jobs.postgres import PostgresJobTable
@@ -26,7 +25,7 @@ from service.jobs.table import JobTable
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
 RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": None})
-CRASH = JobError("crashed", "it crashed")
+CRASH, REFUSED = JobError("crashed", "it crashed"), JobError("refused", "no")
 LONG_S, NO_TIME_S = 60.0, 0.0
 RULES = JobRules(LONG_S, 3)
 
@@ -40,7 +39,7 @@ def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
 
 def submitted(table: JobTable, **more: Any) -> str:
     """The id of a new job."""
-    return table.submit(new(**more), SubmitLimits(100))[0].id
+    return table.submit(new(**more))[0].id
 
 
 def claimed(table: JobTable) -> Claim:

@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 
 import sgmethod
-from service.jobs.job import Claim, EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, SubmitLimits, new_job_id
+from service.jobs.job import Claim, EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
 from service.jobs.table import JobTable
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
@@ -177,7 +177,7 @@ class Service(ServiceProcess):
         """The id of a new job of which there is no more than its row in the table: nothing was posted."""
         table = self._open_table()
         new = NewJob(new_job_id(), EncodeRequest("bpp", 1.0, "rd", 60.0), image, "f", owner=owner)
-        job, _ = table.submit(new, SubmitLimits(10_000))
+        job, _ = table.submit(new)
         table.close()
         return job.id
 
@@ -199,13 +199,15 @@ class Service(ServiceProcess):
     def refuse(self, job_id: str) -> None:
         """Do as a worker whose codec refuses the job."""
         table = self._open_table()
-        assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"), retry=False)
+        assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"))
         table.close()
 
     def _settings(self) -> Settings:
         kept_s = float(self.environment["SG_SOURCE_RETENTION_S"])
         url = self.environment.get("SG_DATABASE_URL", "")
-        return Settings(data_dir=self.data_dir, database_url=url, lease_s=60, source_retention_s=kept_s)
+        return Settings(
+            data_dir=self.data_dir, database_url=url, lease_s=60, source_retention_s=kept_s, queue_length=100_000
+        )
 
     def _open_table(self) -> JobTable:
         return open_job_table(self._settings())

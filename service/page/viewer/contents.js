@@ -4,7 +4,7 @@ import { $, element } from "../parts.js";
 import { size } from "../words.js";
 
 /** [name, bytes, words] for each part that the file has. The bytes add up to the file's. */
-export function contentsOf({ headerBytes, payloadBytes, textureBytes, alphaBytes, spent }) {
+function contentsOf({ headerBytes, payloadBytes, textureBytes, alphaBytes, spent }) {
   const { place, shape, slant, light, tint } = spent;
   const rest = 8 * payloadBytes - place - shape - slant - light - tint;
   return [

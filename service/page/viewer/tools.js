@@ -19,8 +19,8 @@ export class Tools {
     this.changed = changed;
     viewer.moved = () => ($("zoom").textContent = `${Math.round(100 * viewer.zoom)} %`);
     viewer.timed = (ms) => {
-      const persecond = Math.round(1000 / ms);
-      $("frame").textContent = `${ms.toFixed(1)} ms a frame, ${persecond} a second`;
+      const perSecond = Math.round(1000 / ms);
+      $("frame").textContent = `${ms.toFixed(1)} ms a frame, ${perSecond} a second`;
       clearTimeout(this.#still);
       this.#still = setTimeout(() => ($("frame").textContent = ""), STILL_MS);
     };

@@ -16,8 +16,10 @@ from service.opening import open_job_table as open_backend_of
 from service.settings import Settings
 from tests.harness.job_table import (
     CRASH,
+    IMAGE,
     LONG_S,
     NO_TIME_S,
+    REFUSED,
     REQUEST,
     RESULT,
     OpenTable,
@@ -34,7 +36,7 @@ def test_jobs_are_claimed_in_order_and_once(table: JobTable) -> None:
     ids = [submitted(table) for _ in range(3)]
     claims = [claimed(table) for _ in range(3)]
     assert [claim.job_id for claim in claims] == ids
-    assert claims[0] == Claim(ids[0], 1, REQUEST)
+    assert claims[0] == Claim(ids[0], 1, REQUEST, IMAGE)
     assert table.claim("w") is None
 
 
@@ -70,7 +72,7 @@ def test_the_operators_limits_reach_the_table(tmp_path: Path) -> None:
     for crashes in range(1, 5):
         claim = claimed(table)
         assert claim.job_id == first
-        assert table.fail(claim, CRASH, retry=True)
+        assert table.fail(claim, CRASH)
         assert state(table, first) == ("queued" if crashes < 4 else "failed")
     table.close()
 
@@ -84,7 +86,7 @@ def test_heartbeat_carries_the_trace(table: JobTable) -> None:
     assert table.trace(job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
     assert table.trace(job_id, 2) == [{"step": 2}]
     assert table.trace(job_id, 3) == []
-    assert table.fail(claim, CRASH, retry=True)
+    assert table.fail(claim, CRASH)
     claimed(table)
     assert table.trace(job_id) == []
 
@@ -101,7 +103,7 @@ def test_a_stop_is_for_the_attempt_that_runs(table: JobTable) -> None:
     assert not stop_wanted(table, claim)
     assert table.stop(job_id)
     assert stop_wanted(table, claim)
-    assert table.fail(claim, CRASH, retry=True)
+    assert table.fail(claim, CRASH)
     assert not stop_wanted(table, claim)
     again = claimed(table)
     assert not stop_wanted(table, again)
@@ -121,8 +123,8 @@ def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     before = hasty.get(job_id)
     assert not hasty.heartbeat(stale, [{"step": 1}], 0)
     assert not hasty.finish(stale, RESULT)
-    assert not hasty.fail(stale, CRASH, retry=True)
-    assert not hasty.fail(stale, CRASH, retry=False)
+    assert not hasty.fail(stale, CRASH)
+    assert not hasty.fail(stale, REFUSED)
     assert not hasty.release(stale)
     assert hasty.get(job_id) == before
     assert hasty.trace(job_id) == []
@@ -149,18 +151,18 @@ def test_ends(table: JobTable) -> None:
     claim = claimed(table)
     for _ in range(2):  # as after a commit whose answer was lost
         assert table.finish(claim, RESULT)
-    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
+    assert table.fail(claimed(table), REFUSED)
     for attempt in (1, 2):
         claim = claimed(table)
         assert (claim.job_id, claim.attempt) == (crashing, attempt)
-        assert table.fail(claim, CRASH, retry=True)
+        assert table.fail(claim, CRASH)
         assert state(table, crashing) == "queued"
-    assert table.fail(claimed(table), JobError("crashed", "the last one"), retry=True)
+    assert table.fail(claimed(table), JobError("crashed", "the last one"))
     assert table.claim("w") is None
     jobs = [job_of(table, job_id) for job_id in (done, refused, crashing)]
     assert [(job.state, job.crashes, job.result, job.error) for job in jobs] == [
         ("done", 0, RESULT, None),
-        ("failed", 0, None, JobError("refused", "no")),
+        ("failed", 0, None, REFUSED),
         ("failed", 3, None, JobError("crashed", "the last one")),
     ]
     assert all(job.finished_at is not None for job in jobs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,12 +14,8 @@ from service.jobs.job import (
     Census,
     Claim,
     EncodeResult,
-    JobError,
     KeyReusedError,
-    OwnQueueFullError,
-    QueueFullError,
-    QuotaError,
-    SubmitLimits,
+    LimitError,
     new_job_id,
 )
 from service.jobs.table import JobTable
@@ -27,7 +24,7 @@ from tests.harness.job_table import (
     CRASH,
     IMAGE,
     LONG_S,
-    NO_TIME_S,
+    REFUSED,
     REQUEST,
     RESULT,
     OpenTable,
@@ -42,34 +39,41 @@ from tests.harness.job_table import (
 
 def test_a_job_is_what_was_submitted(table: JobTable) -> None:
     wanted = new("key")
-    job, accepted = table.submit(wanted, SubmitLimits(100))
+    job, accepted = table.submit(wanted)
     assert accepted
     assert (job.id, job.request, job.image, job.state, job.attempt) == (wanted.id, REQUEST, IMAGE, "queued", 0)
-    assert table.get(wanted.id) == table.find_by_key("key") == job
+    assert table.get(wanted.id) == job
     assert table.get(new_job_id()) is None
-    assert table.find_by_key("other") is None
 
 
-def test_queue_length_counts_waiting_jobs_only(table: JobTable) -> None:
-    table.submit(new(), SubmitLimits(1))
-    with pytest.raises(QueueFullError):
-        table.submit(new(), SubmitLimits(1))
+def test_queue_length_counts_waiting_jobs_only(open_job_table: OpenTable) -> None:
+    table = open_job_table(LONG_S, queue_length=1)
+    table.submit(new("key"))
+    for refused in (lambda: table.submit(new()), table.check_queue, lambda: table.check_queue("ann", "key")):
+        with pytest.raises(LimitError) as refusal:
+            refused()
+        assert refusal.value.reason == "queue"
+    table.check_queue(idempotency_key="key")  # which makes no new job
     claimed(table)
-    table.submit(new(), SubmitLimits(1))
+    table.submit(new())
     assert table.queued() == 1
 
 
-def test_one_owner_cannot_fill_the_queue(table: JobTable) -> None:
+def test_one_owner_cannot_fill_the_queue(open_job_table: OpenTable) -> None:
+    table = open_job_table(LONG_S, queue_length=100, own_queue_length=1)
     first = submitted(table, owner="ann")
-    with pytest.raises(OwnQueueFullError):
-        table.submit(new(owner="ann"), SubmitLimits(100, 1))
     submitted(table, owner="bob")
-    assert (table.queued(), table.queued("ann"), table.queued("eve")) == (2, 1, 0)
-    with pytest.raises(OwnQueueFullError):
-        table.submit(new(owner="bob"), SubmitLimits(100, 1))
+    for owner in ("ann", "bob"):
+        for refused in (lambda owner=owner: table.submit(new(owner=owner)), partial(table.check_queue, owner)):
+            with pytest.raises(LimitError, match="already has 1 jobs waiting") as refusal:
+                refused()
+            assert refusal.value.reason == "own_queue"
+    table.check_queue("eve")
+    for _ in range(2):
+        submitted(table)  # nobody's
     table.remove(first)
-    table.submit(new(owner="ann"), SubmitLimits(100, 1))
-    table.submit(new(owner="ann"), SubmitLimits(100, 0))  # no limit
+    submitted(table, owner="ann")
+    submitted(open_job_table(LONG_S), owner="ann")  # without limits
 
 
 def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +110,7 @@ def test_census(table: JobTable) -> None:
             db.execute("UPDATE workers SET seen_at = seen_at - ? WHERE name = ?", (silent_s, worker))
     assert table.census().silent_s == pytest.approx(hours, abs=minutes)
     table.finish(claim, RESULT)
-    table.fail(claimed(table), JobError("refused", "no"), retry=False)
+    table.fail(claimed(table), REFUSED)
     assert table.census().jobs == {"queued": 2, "running": 0, "done": 1, "failed": 1}
 
 
@@ -116,17 +120,16 @@ def grow_older(table: JobTable, seconds: float) -> None:
         db.execute("UPDATE jobs SET created_at = created_at - ?, lease_until = lease_until - ?", (seconds, seconds))
 
 
-def test_idempotency_keys_are_their_owners_alone(table: JobTable) -> None:
-    first, accepted = table.submit(new("key", owner="anna"), SubmitLimits(1))
+def test_idempotency_keys_are_their_owners_alone(open_job_table: OpenTable) -> None:
+    table = open_job_table(LONG_S, queue_length=2)
+    first, accepted = table.submit(new("key", owner="anna"))
     assert accepted
-    assert table.submit(new("key", owner="anna"), SubmitLimits(1)) == (first, False)  # though the queue is full
     with pytest.raises(KeyReusedError):
-        table.submit(new("key", fingerprint="other", owner="anna"), SubmitLimits(100))
-    theirs, accepted = table.submit(new("key", owner="bert"), SubmitLimits(100))
+        table.submit(new("key", fingerprint="other", owner="anna"))
+    theirs, accepted = table.submit(new("key", owner="bert"))
     assert accepted
-    assert table.find_by_key("key", "anna") == first
-    assert table.find_by_key("key", "bert") == table.get(theirs.id) == theirs
-    assert table.find_by_key("key") is None
+    assert table.get(theirs.id) == theirs != first
+    assert table.submit(new("key", owner="anna")) == (first, False)  # though the queue is full
 
 
 def test_owners(table: JobTable) -> None:
@@ -153,22 +156,22 @@ def test_live_keys(table: JobTable) -> None:
     assert table.needed_keys() == {source_key(waiting), source_key(failed), unpublished}
     assert table.release(claim)
     table.remove(waiting)
-    assert table.fail(claimed(table), CRASH, retry=False)
+    assert table.fail(claimed(table), REFUSED)
     assert table.needed_keys() == set()
 
 
 def test_finished_jobs(table: JobTable) -> None:
     ids = [submitted(table) for _ in range(4)]
     assert table.finish(claimed(table), RESULT)
-    assert table.fail(claimed(table), CRASH, retry=False)
+    assert table.fail(claimed(table), REFUSED)
     claimed(table)
-    assert [job.id for job in table.finished(-1.0)] == ids[:2]
+    assert table.finished(-1.0) == ids[:2]
     assert table.finished(60.0) == []
 
 
 def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
     table = open_table(database_url, folder, LONG_S)
-    ids.put(table.submit(new("the same key"), SubmitLimits(100))[0].id)
+    ids.put(table.submit(new("the same key"))[0].id)
     table.close()
 
 
@@ -182,54 +185,55 @@ def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_pa
 def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, kept_s: float) -> None:
     """Of images of finished jobs too, where those are kept."""
     table = open_job_table(LONG_S, source_retention_s=kept_s)
-    done, failed, crashing = (table.submit(new(owner="ann"), SubmitLimits(10))[0] for _ in range(3))
+    done, failed, crashing = (table.submit(new(owner="ann"))[0] for _ in range(3))
     size = done.image.size_bytes
     kept = size if kept_s else 0
     assert table.census().stored_bytes == 3 * size
     claims = {claim.job_id: claim for claim in (claimed(table) for _ in range(3))}
     for _ in range(2):  # as after a commit whose answer was lost
         assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
-    table.fail(claims[failed.id], JobError("refused", "no"), retry=False)
+    table.fail(claims[failed.id], REFUSED)
     assert table.census().stored_bytes == size + 7 + 2 * kept
-    table.fail(claims[crashing.id], CRASH, retry=True)
+    table.fail(claims[crashing.id], CRASH)
     assert table.census().stored_bytes == size + 7 + 2 * kept  # it is tried again
     while (claim := table.claim("w")) is not None:
-        table.fail(claim, CRASH, retry=True)
+        table.fail(claim, CRASH)
     assert table.census().stored_bytes == 7 + 3 * kept
-    assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [kept + 7, kept, kept]
     images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
     assert table.needed_keys() == {*images, "bitstreams/x"}
-    assert open_job_table(LONG_S, source_retention_s=NO_TIME_S).needed_keys() == {"bitstreams/x"}
     for job in (done, done, failed, crashing):
         table.source_removed(job.id)
-    assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [7, 0, 0]
-    table.source_removed(table.submit(new(), SubmitLimits(10))[0].id)  # which waits
+    assert (table.census().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
+    table.source_removed(table.submit(new())[0].id)  # which waits
     assert table.census().stored_bytes == 7 + size
     table.remove(done.id)
     assert table.census().stored_bytes == size
 
 
-def test_quotas(table: JobTable) -> None:
+def test_quotas(open_job_table: OpenTable) -> None:
     size = new().image.size_bytes
-    table.submit(new(owner="ann"), SubmitLimits(10, own_quota=size))
-    with pytest.raises(QuotaError) as refusal:
-        table.submit(new(owner="ann"), SubmitLimits(10, own_quota=2 * size - 1))
-    assert refusal.value.of_owner
-    table.submit(new(owner="bob"), SubmitLimits(10, own_quota=size))
-    with pytest.raises(QuotaError) as refusal:
-        table.submit(new(owner="cat"), SubmitLimits(10, quota=3 * size - 1, own_quota=size))
-    assert not refusal.value.of_owner
-    table.submit(new(owner="cat"), SubmitLimits(10, quota=3 * size, own_quota=size))
+
+    def refused(owner: str, **quotas: int) -> str:
+        with pytest.raises(LimitError, match="remove jobs first") as refusal:
+            open_job_table(LONG_S, **quotas).submit(new(owner=owner))
+        return refusal.value.reason
+
+    own = open_job_table(LONG_S, own_quota_bytes=size)
+    submitted(own, owner="ann")
+    assert refused("ann", own_quota_bytes=2 * size - 1) == "own_quota"
+    submitted(own, owner="bob")
+    assert refused("cat", quota_bytes=3 * size - 1, own_quota_bytes=size) == "quota"
+    submitted(open_job_table(LONG_S, quota_bytes=3 * size, own_quota_bytes=size), owner="cat")
 
 
 def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     """Whether or not the jobs are still there."""
     done, crashed, refused, cancelled = (submitted(table) for _ in range(4))
     assert table.finish(claimed(table), RESULT)
-    assert table.finish(Claim(done, 1, REQUEST), RESULT)  # once more, as after an answer that was lost
+    assert table.finish(Claim(done, 1, REQUEST, IMAGE), RESULT)  # once more, as after an answer that was lost
     for _ in range(3):  # of RULES
-        assert table.fail(claimed(table), CRASH, retry=True)
-    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
+        assert table.fail(claimed(table), CRASH)
+    assert table.fail(claimed(table), REFUSED)
     for job_id in (done, crashed, refused, cancelled):
         table.remove(job_id)
     totals = table.census().totals

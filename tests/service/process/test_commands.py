@@ -13,7 +13,7 @@ import pytest
 from service.__main__ import _where
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
-from service.jobs.job import EncodeRequest, NewJob, SourceImage, SubmitLimits, new_job_id
+from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key
@@ -92,7 +92,7 @@ def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path / "data")
     table, storage = open_job_table(settings), open_storage(settings)
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), SubmitLimits(10))
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"))
     table.close()
     needed, orphan = source_key(job.id), source_key(new_job_id())
     for key in (needed, orphan):

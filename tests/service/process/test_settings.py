@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from service import settings as settings_module
 from service.process import supervisor
-from service.settings import Settings, available_cores
+from service.settings import Settings
 from sgmethod.io.image import ImageLimits
+from sgmethod.native import native
 from tests.harness.data import ROOT
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Outcome, RunCommand
@@ -61,13 +61,13 @@ def test_limits_never_exceed_what_the_encoder_reads() -> None:
 def test_threads_of_all_workers_stay_within_the_cores(workers: int) -> None:
     threads = Settings(workers=workers).encode_threads
     assert threads >= 1
-    assert threads * workers <= max(available_cores(), workers)
+    assert threads * workers <= max(native.available_cores(), workers)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 8])
 def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
     """Which the kernels count; their own tests try quotas (tests/native/core/cores.cpp)."""
-    monkeypatch.setattr(settings_module, "available_cores", lambda: cores)
+    monkeypatch.setattr(native, "available_cores", lambda: cores)
     assert Settings().workers == max(1, cores // 4)
 
 

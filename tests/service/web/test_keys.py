@@ -247,7 +247,7 @@ SITES = [  # Host, Origin, the answers to a GET and to a POST
 @pytest.fixture(scope="module")
 def named(start_for_module: StartService) -> Service:
     """A web process without keys, which has a name and a friend."""
-    return start_for_module("web", host_names="pictures.example", cors_origins="https://friend.example")
+    return start_for_module("web", host_names="Pictures.example", cors_origins="https://friend.example")
 
 
 @pytest.mark.parametrize(("host", "origin", "get", "post"), SITES)

@@ -126,11 +126,11 @@ def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
     table = open_job_table(LONG_S, webhooks=("http://a", "http://b"))
     done = ended(table)
     refused = submitted(table)
-    assert table.fail(claimed(table), JobError("refused", "it is no picture"), retry=False)
+    assert table.fail(claimed(table), JobError("refused", "it is no picture"))
     crashed = submitted(table)
     for _ in range(3):
         assert table.census().notices == 4
-        assert table.fail(claimed(table), CRASH, retry=True)
+        assert table.fail(claimed(table), CRASH)
     assert table.census().notices == 6
     table.remove(done)
     told = {}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import socket
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from service.jobs.job import EncodeResult, JobError, new_job_id
+from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
@@ -17,7 +18,7 @@ from service.storage.files import DiskStorage, Storage, bitstream_key, source_ke
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
 from tests.harness import job_table
-from tests.harness.job_table import LONG_S, OpenTable, claimed
+from tests.harness.job_table import LONG_S, REFUSED, OpenTable, claimed
 from tests.harness.processes import wait_until
 
 AT_ONCE_S = -5.0
@@ -66,13 +67,14 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
 
 
 def test_images_go_before_their_jobs(table: JobTable, storage: Storage, open_job_table: OpenTable) -> None:
-    """And are not counted any more then."""
-    job_id = submitted(table, storage)
-    assert table.finish(claimed(table), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
+    """As when they are kept no longer. They are not counted any more then."""
     keeping = open_job_table(LONG_S, source_retention_s=60.0)
-    assert sweep(keeping, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 0)
+    job_id = submitted(keeping, storage)
+    assert keeping.finish(claimed(keeping), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
+    sweep_orphans = partial(sweep, retention_s=1000, orphan_age_s=AT_ONCE_S)
+    assert sweep_orphans(keeping, storage, source_retention_s=60) == Swept(0, 0)
     assert stored(storage) == {source_key(job_id)}
-    assert sweep(table, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
+    assert sweep_orphans(table, storage) == Swept(0, 1)
     assert (stored(storage), table.census().stored_bytes) == (set(), 7)
 
 
@@ -81,7 +83,7 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
     table = open_job_table(LONG_S, source_retention_s=60.0)
     done, refused, waiting = (submitted(table, storage) for _ in range(3))
     assert table.finish(claimed(table), EncodeResult(bitstream_key(done, 1), "", {"bytes": 7}))
-    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
+    assert table.fail(claimed(table), REFUSED)
     assert sweep(table, storage, retention_s=1000, source_retention_s=60) == Swept(0, 0)
     for swept in (Swept(0, 2), Swept(0, 0)):
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S, dry_run=True) == swept
@@ -114,7 +116,7 @@ def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Stor
     finished(table, storage)
     submitted(table, storage)
     refused = claimed(table)
-    assert table.fail(refused, JobError("refused", "no"), retry=False)
+    assert table.fail(refused, REFUSED)
     storage.delete(source_key(refused.job_id))
     waiting = submitted(table, storage)
     assert sweep(table, storage, retention_s=60) == Swept(0, 0)
