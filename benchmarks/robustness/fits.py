@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.pictures import Pixels, photograph
 from benchmarks.robustness.case import Case, Cases, Found
-from benchmarks.robustness.stiff.drawings import text
+from benchmarks.robustness.stiff.pictures import text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
