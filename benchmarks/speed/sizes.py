@@ -1,5 +1,5 @@
-"""Encode and decode of pictures of several sizes and of several numbers of Gaussians, beside other codecs. Each is in a
-process of its own, which has a peak of memory of its own."""
+"""Encode and decode of pictures of several sizes, beside other codecs; each in a process of its own, for its peak of
+memory."""
 
 from __future__ import annotations
 
