@@ -79,7 +79,6 @@ def run(result: str, line: str, folder: Path) -> float:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)

@@ -37,7 +37,7 @@ FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "f
 
 
 def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
-    """By method, for one number of Gaussians, over the pictures that every method has; with the number of pictures."""
+    """Means by method, for one number of Gaussians, over the pictures that every method has; with their number."""
     found: dict[str, Row] = {}
     mine = [row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS]
     images = [{row["image"] for row in mine if row["method"] == name} for name in {row["method"] for row in mine}]
@@ -50,7 +50,7 @@ def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
 
 
 def rows_of(content: Row, name: str) -> list[Row]:
-    """Of one table; parts name their setting by what is left out."""
+    """The rows of one table. A part's setting is what is left out."""
     return [{"setting": row.get("without"), **row} for row in content["rows"] if row.get("table") == name]
 
 
@@ -73,7 +73,7 @@ def worth(content: Row, name: str, setting: str, other: str) -> Worth:
 
 
 def complete(rows: Sequence[Row]) -> tuple[By, list[Case]]:
-    """By setting the rows of each picture and seed, for the pictures that every setting and seed has."""
+    """Rows by setting, picture and seed, for the pictures that every setting and seed has; and these cases."""
     by: By = {}
     for row in rows:
         by.setdefault(row["setting"], {}).setdefault((row["image"], row["seed"]), []).append(row)

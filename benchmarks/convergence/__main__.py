@@ -2,7 +2,7 @@
 
     python -m benchmarks.convergence --images FOLDER [--most 5] [--pictures kodim05] [--megapixels 0.4]
                                      [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--paper-limits 1,3,10,30]
-                                     [--methods rd,jpeg] [--settings '8 s,effort 1'] [--few] [--weights FOLDER]
+                                     [--methods rd,jpeg] [--few] [--weights FOLDER]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file, and a file under each time limit; rd again with
@@ -62,7 +62,7 @@ def ours(
     effort: int = DEFAULT_EFFORT,
     tune: str = "psnr",
 ) -> Row:
-    """One encode with its trace: seconds and dB."""
+    """Encode once; the curve is the trace, in seconds and dB."""
     encoded = encode(pixels, Budget("bpp", bpp), profile, tune=tune, effort=effort, time_limit_s=limit_s)
     stats = encoded.stats
     return {
@@ -102,7 +102,7 @@ def point(rival: Rival, near: float | None, pixels: Pixels, bpp: float, lpips: M
 
 
 class Run:
-    """What is measured, into one JSON."""
+    """Measurements that go into one JSON."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
@@ -116,7 +116,7 @@ class Run:
         self.lpips: Measure = Networks(options.weights).lpips if options.weights else lambda *_: None
 
     def all_of(self, picture: str, megapixels: float, pixels: Pixels) -> None:
-        """Every method on one picture."""
+        """Measure every method on one picture."""
         o = self.options
         # What the first of a process takes counts nowhere, and of rd what the first of a size takes.
         encode(pixels, bpp=o.bpp, tune="psnr")
@@ -125,8 +125,7 @@ class Run:
 
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
             key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
-            wanted = method in o.methods and (o.settings is None or setting in o.settings)
-            if wanted and not self.record.has(**key):
+            if method in o.methods and not self.record.has(**key):
                 self.record.add({**key, **measure()})
 
         for profile in OURS:
@@ -152,19 +151,18 @@ class Run:
                 once(method, str(setting), partial(point, make(setting), near, pixels, o.bpp, self.lpips))
 
     def _gaussians(self, picture: str, megapixels: float) -> int | None:
-        """As many as rd's file of the picture has."""
+        """The number of Gaussians in rd's file of the picture."""
         row = found({"method": "rd", "setting": "", "picture": picture, "megapixels": megapixels}, self.record.rows)
         return row["gaussians"] if row else None
 
     def _quality(self, method: str, picture: str, megapixels: float) -> float | None:
-        """That of the last setting of another codec."""
+        """The quality of another codec's last setting."""
         key = {"method": method, "picture": picture, "megapixels": megapixels}
         row = found(key, reversed(self.record.rows))
         return row["quality"] if row else None
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=5)
     parser.add_argument("--megapixels", type=numbers, default="0.4", help="such as 0.4,2,12")
@@ -175,7 +173,6 @@ def main() -> None:
     parser.add_argument(
         "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
     )
-    parser.add_argument("--settings", type=lambda text: text.split(","), help="those of a method, as in the table; all")
     parser.add_argument("--few", action="store_true")
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RUNS / "convergence" / "kodak.json")

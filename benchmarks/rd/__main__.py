@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import numbers, some_of
-from benchmarks.machine import RUNS, Record, in_words
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.codecs import Sg
 from benchmarks.rd.report import Row, means, means_table
@@ -105,7 +105,6 @@ def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=10**6)
     parser.add_argument(
@@ -139,8 +138,7 @@ def main() -> None:
                     kept[key] = measure(codec, path.name, pixels, aim, networks)
                     record.add(asdict(kept[key]))
                 wanted.append(kept[key])
-    libraries = [f"Other codecs: {', '.join(settings['codecs'])}."] if settings["codecs"] else []
-    print("", means_table(means(wanted)), *libraries, in_words(record.content), sep="\n\n")
+    print(f"\n{means_table(means(wanted))}")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ write to `build/bench`."""
 
 
 def pages(results: Path) -> list[Page]:
-    """Those that have been measured."""
+    """The pages whose figures were measured."""
     found = []
     for make, needed, more in MAKERS:
         contents = {name: content for name in (*needed, *more) if (content := load(results, name))}
@@ -77,7 +77,6 @@ def index(made: list[Page]) -> str:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--root", type=Path, default=ROOT)

@@ -45,7 +45,7 @@ def times_our_bytes(rows: Sequence[Row], most: int) -> float | None:
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From previews/kodak.json."""
+    """The page from previews/kodak.json."""
     rows = contents["previews/kodak"]["rows"]
     return Page(
         name="previews",

@@ -71,7 +71,7 @@ def name_of(codec: str) -> str:
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From rd/*.json, as far as there are."""
+    """The page from rd/*.json, as far as there are."""
     at_rates = [contents[f"rd/{n}"] for n in ("kodak", "effort", "patient") if f"rd/{n}" in contents]
     rows = rows_of(*at_rates)
     average = means(rows)
@@ -166,7 +166,7 @@ def by_picture(rows: Sequence[Row], codec: str, anchor: str) -> tuple[float, flo
 
 
 def fewer(rate: float) -> str:
-    """A difference in words."""
+    """A difference in rate, in words."""
     return f"{abs(rate):.1f} % {'fewer' if rate < 0 else 'more'} bits"
 
 

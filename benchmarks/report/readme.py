@@ -49,7 +49,7 @@ def filled(text: str, results: Path) -> str:
 
 
 def bullet(title: str, text: str) -> str:
-    """One point of a list, in lines."""
+    """One point of a list, broken into lines."""
     return textwrap.fill(
         f"- **{title}** {text}", WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )

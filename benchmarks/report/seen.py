@@ -46,19 +46,19 @@ def tabled(contents: Mapping[str, Content], wanted: Sequence[str], bpp: float | 
 
 
 def measured(contents: Mapping[str, Content], figures: Sequence[str]) -> list[str]:
-    """Those that some row has."""
+    """The figures that some row has."""
     rows = [row for content in contents.values() for row in content["rows"]]
     return [name for name in figures if any(name in row for row in rows)]
 
 
 def middle(content: Content) -> float:
-    """The rate that is told of."""
+    """The rate that the page is about."""
     at = rates(content["rows"])
     return at[len(at) // 2]
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From perceptual/kodak.json and perceptual/photographs.json, as far as there are."""
+    """The page from perceptual/kodak.json and perceptual/photographs.json, as far as there are."""
     bpp = middle(next(iter(contents.values())))
     more = (("Every rate", WHOLE), ("Local statistics over the source's", local.FIGURES))
     appendix = [f"{title}:\n\n{tabled(contents, of)}" for title, of in more if measured(contents, of)]

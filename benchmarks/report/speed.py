@@ -43,7 +43,7 @@ Rows = Sequence[dict[str, Any]]
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From convergence/*.json and speed.json, as far as there are."""
+    """The page from convergence/*.json, speed.json and growth.json, as far as there are."""
     by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
     ends = dict.fromkeys((min(by_size), max(by_size)))
     panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
@@ -86,12 +86,12 @@ def by_pixels(growth: Content) -> str:
 
 
 def size_of(content: Content) -> float:
-    """Megapixels of its pictures."""
+    """Megapixels of the pictures in a JSON."""
     return float(content["rows"][0]["megapixels"])
 
 
 def at(rows: Rows, method: str, setting: str) -> tuple[float, float] | None:
-    """Mean seconds and dB."""
+    """Mean seconds and dB of a method and setting."""
     mine = [row for row in rows if (row["method"], row["setting"]) == (method, setting)]
     if not mine:
         return None

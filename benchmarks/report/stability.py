@@ -25,7 +25,7 @@ VALUE, GRADIENT = (next(key for key in SHORT if word in key) for word in ("pixel
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From stiff.json and stability.json, as far as there are."""
+    """The page from stiff.json and stability.json, as far as there are."""
     stiff, extremes = (contents.get(name) for name in ("stiff", "stability"))
     rows = [row for row in extremes["rows"] if row["set"] in SETS] if extremes else []
     hard = [Row(**row) for row in stiff["rows"]] if stiff else []

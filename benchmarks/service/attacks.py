@@ -59,7 +59,7 @@ def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
 
 
 class Memory(threading.Thread):
-    """Samples the web process and its helpers, the sandbox and its forks. most, now: bytes of each."""
+    """A thread that samples the memory of the web process and its helpers, the sandbox and its forks."""
 
     def __init__(self, web: int) -> None:
         super().__init__(name="memory", daemon=True)
@@ -68,7 +68,7 @@ class Memory(threading.Thread):
         self.sample()
 
     def sample(self) -> dict[str, int]:
-        """Bytes at this moment."""
+        """Bytes of both at this moment."""
         sandboxes = {n: p for n, p in processes().items() if p.is_a("sandbox")}
         helpers = [
             n for n, p in sandboxes.items() if self._web in (p.parent, getattr(sandboxes.get(p.parent), "parent", 0))

@@ -49,7 +49,7 @@ class LoadService(ServiceProcess):
     timeout_s = PATIENCE_S
 
     def submit(self, image: bytes, bpp: float, time_limit_s: float) -> str:
-        """The id of the new job."""
+        """Submit a job; its id."""
         query = {"bpp": bpp, "time_limit_s": time_limit_s}
         answer = self.client.post("/encode", content=image, params=query, headers={"Content-Type": "image/png"})
         answer.raise_for_status()

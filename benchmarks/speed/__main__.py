@@ -27,7 +27,6 @@ GAUSSIANS = 5000  # on which the kernels are timed
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
     parser.add_argument("--only", type=some_of(PARTS, "part"), default=",".join(PARTS))

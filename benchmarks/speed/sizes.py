@@ -106,6 +106,6 @@ def beside(paths: Sequence[Path], megapixels: float, repeats: int, data: bytes) 
 
 
 def peak_mib(status: str | None = None) -> float:
-    """Of this process until now, or of that whose status is given. getrusage would count the process before too."""
+    """The peak of this process, or of that whose status is given. getrusage would count the process before too."""
     lines = (status or Path("/proc/self/status").read_text()).splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:"))

@@ -25,7 +25,6 @@ BUDGETS: dict[BudgetKind, tuple[float, ...]] = {"bpp": (0.1, 0.3, 1, 2, 4, 8), "
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.robustness stiff", description="Profile rd on hard pictures."
     )
