@@ -1,4 +1,4 @@
-"""Each command that CONTRIBUTING.md lists, on one small picture. Slow: each starts Python anew."""
+"""Each command that benchmarks lists, on one small picture. Slow: each starts Python anew."""
 
 from __future__ import annotations
 
