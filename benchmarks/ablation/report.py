@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from benchmarks.rd.report import bd_quality
-from benchmarks.tables import mean, number, table
+from benchmarks.tables import in_all, mean, number, table
 
 Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
@@ -39,11 +39,9 @@ FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "f
 def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
     """Means by method, for one number of Gaussians, over the pictures that every method has; with their number."""
     found: dict[str, Row] = {}
-    mine = [row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS]
-    images = [{row["image"] for row in mine if row["method"] == name} for name in {row["method"] for row in mine}]
-    common = set.intersection(*images) if images else set()
+    mine = in_all([row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS], "method")
     for method in REPRESENTATIONS:
-        own = [row for row in mine if row["method"] == method and row["image"] in common]
+        own = [row for row in mine if row["method"] == method]
         if own:
             found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
     return found

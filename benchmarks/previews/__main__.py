@@ -4,9 +4,8 @@
                                   [--weights FOLDER] [--seen 256,1024]
 
 Each file is the best within so many bytes. There is no row where a codec makes none so small, or the same as within
-fewer. Times are of processors,
-all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS at the bytes of
---seen. What the JSON already holds for the same code and machine is not done again. Needs the extra "benchmark".
+fewer. Times are of processors, all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2,
+LPIPS and DISTS at the bytes of --seen. Needs the extra "benchmark".
 """
 
 from __future__ import annotations
