@@ -47,9 +47,9 @@ FULL = {
     "rd/quality": f"rd {KODAK} {QUALITIES}",
     "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
-    "convergence/kodak": f"convergence {SEEN} --megapixels 0.4",
-    "convergence/2-megapixels": f"convergence {SEEN} --megapixels 2 --few",
-    "convergence/12-megapixels": f"convergence {SEEN} --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 "
+    "convergence/kodak": f"convergence {KODAK} --megapixels 0.4",
+    "convergence/2-megapixels": f"convergence {KODAK} --megapixels 2 --few",
+    "convergence/12-megapixels": f"convergence {KODAK} --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 "
     "--paper-limits 10,30",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.1,0.25,0.4 --kinds {SEEN_KINDS}",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",

@@ -123,6 +123,12 @@ def write_json(path: Path, content: object) -> None:
     write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
+def peak_bytes(process: int | str = "self") -> int:
+    """The most memory that a process had until now. getrusage would count the process before too."""
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+
+
 def _short(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from benchmarks.ablation.report import REPRESENTATIONS
+from benchmarks.machine import peak_bytes
 from benchmarks.pictures import Pixels
-from benchmarks.speed.sizes import peak_mib
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame
 from sgmethod.decoder import draw
@@ -49,7 +49,7 @@ def measured(method: str, path: Path, gaussians: int, steps: int) -> dict[str, A
     fitted(method, pixels[:32, :32], 10, 10)  # or the first would pay for what is loaded
     began = time.perf_counter()
     scene = fitted(method, pixels, gaussians, steps)
-    taken, mib = time.perf_counter() - began, peak_mib()
+    taken, mib = time.perf_counter() - began, peak_bytes() / 2**20
     shown, drawing_s = drawn(scene)
     costs = {"gaussians": len(scene.gaussians), "seconds": taken, "frames_per_s": 1 / drawing_s, "mib": mib}
     return {"shown": shown, **costs}

@@ -65,7 +65,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
         "- The search for the quality that fits a size, which other codecs' times leave out.\n"
         "- Networks at their best: SIREN had 60 seconds of PyTorch on the CPU, and no GPU.",
-        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence\n"
+        command="python -m benchmarks --full --images KODAK --only speed,convergence\n"
         "python -m benchmarks.speed growth --images PHOTOGRAPHS --megapixels 0.75,3,12 --bytes 500,2000,10000,50000",
         contents=contents,
         panels=panels,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -66,14 +65,6 @@ class LoadService(ServiceProcess):
                 break
             time.sleep(0.1)
         raise SystemExit(f"job {job_id} is {job['state']}: {job['error']}")
-
-
-def resident_bytes(process: int) -> int:
-    """Memory that a process has now; 0 if there is none of that number."""
-    try:
-        return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, IndexError):  # it has just ended
-        return 0
 
 
 @contextmanager

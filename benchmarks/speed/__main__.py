@@ -19,7 +19,6 @@ from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.rivals import versions
 from benchmarks.speed import growth, kernels, sizes
-from sgmethod import Budget
 from tests.harness.data import PHOTOGRAPHS
 
 PARTS = ("sizes", "kernels")
@@ -42,8 +41,7 @@ def main() -> None:
     paths = chosen_from(options.images, 64)
     for megapixels in options.megapixels if "sizes" in options.only else ():
         if not record.has(what="size", megapixels=megapixels):
-            budget = Budget("bpp", options.bpp)
-            record.add({"what": "size", **sizes.row(paths, megapixels, budget, options.repeats)})
+            record.add({"what": "size", **sizes.row(paths, megapixels, options.bpp, options.repeats)})
     if "kernels" in options.only and not record.has(what="kernel"):
         gaussians = kernels.fitted(kernels.load(paths[0]), GAUSSIANS, options.steps)
         for row in kernels.measure(kernels.Jobs(gaussians), options.rounds):
