@@ -126,11 +126,11 @@ def sentence(name: str, content: Content) -> str:
     lower = measured({name: content}, BETTER_IF_LOWER)
     parts = [f"{ours[figure] / avif[figure]:.2f} times AVIF's {TITLES[figure]}" for figure in lower]
     points = ours["ssimulacra2"] - avif["ssimulacra2"]
-    behind, of = worse(content["rows"], bpp, "visual", "avif", "ssimulacra2")
+    behind, of = worse(content["rows"], bpp)
     return (
         f"On {name} at {bpp:g} bpp, files tuned for the eye have {several(parts)}. Their SSIMULACRA 2 is "
-        f"{abs(points):.1f} points {'lower' if points < 0 else 'higher'} on average, and lower on {len(behind)} of "
-        f"{of} pictures."
+        f"{abs(points):.1f} points {'lower' if points < 0 else 'higher'} on average, and lower on {behind} of {of} "
+        "pictures."
     )
 
 
