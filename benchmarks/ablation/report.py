@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from benchmarks.rd.report import bd_quality
+from benchmarks.rd.report import bd_psnr
 from benchmarks.tables import in_all, mean, number, table
 
 Row = dict[str, Any]
@@ -62,7 +62,7 @@ def worth(content: Row, name: str, setting: str, other: str) -> Worth:
 
     def more(both: list[Row]) -> float | None:
         if name in CODED:
-            return bd_quality(*([(r["bpp"], r["psnr"]) for r in both if r["setting"] == of] for of in (other, setting)))
+            return bd_psnr(*([(r["bpp"], r["psnr"]) for r in both if r["setting"] == of] for of in (other, setting)))
         most = max(row.get("asked", 0) for row in both)
         pair = {row["setting"]: row["psnr"] for row in both if row.get("asked", 0) == most}
         return float(pair[setting] - pair[other])

@@ -73,9 +73,10 @@ def figures(results: Path) -> str:
             f"With film grain switched on, AVIF reaches an LPIPS of {number(grain['lpips'], '.2f')} and beats us in "
             f"DISTS, a similar measure: {number(grain['dists'], '.2f')} against {number(ours['dists'], '.2f')}."
         )
-    if (change := against_quoted(average, "rd", rate.ANCHOR)) is not None:
+    change = against_quoted(average, "rd", rate.ANCHOR)
+    if change is not None and change < 0:
         notes.append(
-            f"For the same PSNR, sgmethod needs {rate.fewer(change)} than {rate.ANCHOR}, by its published figures."
+            f"At the same PSNR, {rate.ANCHOR} needs {100 / (100 + change):.0f} times our bits, by its published figures."
         )
     return "\n\n".join([made, *([textwrap.fill(" ".join(notes), WIDTH, break_long_words=False)] if notes else [])])
 
