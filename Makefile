@@ -23,7 +23,7 @@ test: $(VENV)/.test ## set up, then check lint, format and types, and run the te
 	$(BIN)/python -m mypy
 	$(PYTEST) -m "not thorough"
 
-thorough: $(VENV)/.test sanitize versions ## what a release needs beside `make test`: the slow tests, sanitizers, Python 3.12 to 3.14
+thorough: $(VENV)/.test sanitize versions ## what a release needs beside `make test`: the slow tests, sanitizers, the newest Python at hand
 	$(PYTEST) -m "thorough or hypothesis" --hypothesis-profile thorough
 
 coverage: $(VENV)/.test ## report which lines and branches the tests of `make test` run

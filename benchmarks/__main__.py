@@ -33,7 +33,7 @@ SMALL = {
     "convergence/kodak": f"convergence {KODAK} {FEW} --megapixels 0.1 --seconds 6 --limits 0.5 --paper-limits 2 --few",
     "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
     "stability": "robustness extremes --seeds 3 --generations 4",
-    "speed": f"speed {KODAK} --megapixels 0.1,0.4 --gaussians 1000,5000 --repeats 1 --steps 100 --rounds 10",
+    "speed": f"speed {KODAK} --megapixels 0.1,0.4 --repeats 1 --steps 100 --rounds 10",
     "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
     "representation": f"ablation representation {KODAK} --most 1 --gaussians 500 --steps 300",
     "ablation": f"ablation {KODAK} {FEW} --seeds 1 --steps 100 --fit-steps 200 --tune-steps 100",
@@ -43,18 +43,14 @@ SMALL = {
 FULL = {
     "rd/kodak": f"rd {SEEN} {RATES} --rivals",
     "rd/effort": f"rd {SEEN} {PATIENT} --bpp 0.15,0.25,0.4",
-    "rd/settings": f"rd {SEEN} --profiles '' {RATES} --rivals 'jpegxl effort 4'",
     "rd/patient": f"rd {SEEN} --profiles '' {RATES} --rivals 'avif tune=psnr speed 0'",
     "rd/quality": f"rd {KODAK} {QUALITIES}",
-    "rd/effort-quality": f"rd {KODAK} {PATIENT} {QUALITIES}",
     "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
-    "convergence/kodak": f"convergence {SEEN} --megapixels 0.4",
-    "convergence/2-megapixels": f"convergence {SEEN} --megapixels 2 --few",
-    "convergence/12-megapixels": f"convergence {SEEN} --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 "
+    "convergence/kodak": f"convergence {KODAK} --megapixels 0.4",
+    "convergence/2-megapixels": f"convergence {KODAK} --megapixels 2 --few",
+    "convergence/12-megapixels": f"convergence {KODAK} --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 "
     "--paper-limits 10,30",
-    "convergence/codecs": f"convergence {SEEN} --megapixels 2,12 --settings ',effort 1,10,9,8,7,6,5,4,3,2,1,0' "
-    "--methods 'rd,rd visual,jpeg,jpeg2000,webp,avif,jpegxl,avif visual'",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.1,0.25,0.4 --kinds {SEEN_KINDS}",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes",
@@ -83,7 +79,6 @@ def run(result: str, line: str, folder: Path) -> float:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)

@@ -32,10 +32,10 @@ def some_of(every: Collection[str], what: str, none: bool = False) -> Callable[[
 
 
 def numbers(text: str) -> list[float]:
-    """Any."""
+    """Read numbers."""
     return [float(word) for word in text.split(",")]
 
 
 def integers(text: str) -> list[int]:
-    """Whole ones."""
+    """Read whole numbers."""
     return [int(word) for word in text.split(",")]

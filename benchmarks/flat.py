@@ -13,12 +13,12 @@ MEANT = ("image", "picture", "seed")  # over these
 # What tells rows of a JSON apart, besides; first in each line.
 KEYS = (
     *("codec", "max_bpp", "quality", "kind", "megapixels", "max_bytes", "method", "setting", "what", "asked", "job"),
-    *("isa", "threads", "table", "without", "scene", "set", "case", "rule", "value", "attack", "database", "minutes"),
+    *("isa", "threads", "table", "without", "set", "case", "rule", "value", "attack", "database"),
 )
 
 
 def flat(rows: Sequence[Row], apart: str = "") -> str:
-    """CSV. apart: one more column that tells rows apart."""
+    """Rows as CSV. apart: one more column that tells rows apart."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     keys = [name for name in (apart, *KEYS) if any(name in row for row in rows)]
     for row in rows:
@@ -39,7 +39,7 @@ def flat(rows: Sequence[Row], apart: str = "") -> str:
 
 
 def _cells(row: Row, before: str = "") -> Iterator[tuple[str, Any]]:
-    """Numbers and words; of repeated times the median; no curves."""
+    """Numbers and words of a row, and the median of repeated times; no curves."""
     for name, value in row.items():
         if isinstance(value, dict):
             yield from _cells(value, f"{before}{name} ")
@@ -53,7 +53,7 @@ def _cells(row: Row, before: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _one(values: Sequence[Any]) -> Any:
-    """The mean of numbers, if there are no others; a word that all share."""
+    """The mean, if all are numbers; else the word that all share."""
     if all(isinstance(value, float | int) and not isinstance(value, bool) for value in values):
         return f"{statistics.fmean(values):.6g}"
     return values[0] if len({*values}) == 1 else None

@@ -1,14 +1,13 @@
-"""All that runs on a GPU, in eight minutes at most; each row is written as soon as it is there.
+"""Measure all that runs on a GPU, in eight minutes at most; each row is written as soon as it is there.
 
     python -m benchmarks.gpu --images FOLDER --out JSON
 
-errors     values and gradients of the kernels on the device, in parts of the largest, against float64 there
+errors     values and gradients of the kernels on the device against float64 there, relative to the largest
 decode     pictures a second, from Gaussians in memory to pictures in memory, and from a file's bytes
 steps      a step of batches of fits, its price of bits included
 fits       sgmethod.torch.fit of 10,000, 30,000 and 70,000 Gaussians: seconds, PSNR and memory
 batches    the same of pictures of 256 x 256 by 1,000 Gaussians, 1, 16 and 256 at a time
 encode     encode(device=) beside the CPU
-graph      drawing one picture again, as a recorded graph
 
 It goes on where it stopped; rows for which no time is left are left out. --quick runs the first three at the tiniest
 sizes on the CPU, where Triton interprets the kernels: this tests the command, and measures nothing.
@@ -22,7 +21,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -65,14 +63,14 @@ QUICK = Sizes(((0.001, 10),), (), (1, 2), 16, 5, (), 1)
 
 
 class Bench:
-    """The rows, given a device, the folder's pictures and their sizes."""
+    """What is measured on a device, with a folder of pictures."""
 
     def __init__(self, device: torch.device, paths: list[Path], sizes: Sizes) -> None:
         self.device, self.paths, self.sizes = device, paths, sizes
         self.ends = time.monotonic() + LIMIT_S
 
     def rows(self) -> Iterator[Measured]:
-        """All, those first that say whether the others can be trusted."""
+        """All rows; those first that say whether the others can be trusted."""
         s = self.sizes
         for megapixels, n in s.decoded[:2]:
             for pyramid in (True, False):
@@ -96,10 +94,8 @@ class Bench:
             yield key, partial(self.fit, partial(self._pictures, batch), s.each)
         for megapixels in s.encoded:
             for device in (str(self.device), "cpu"):
-                yield (
-                    {"what": "encode", "megapixels": megapixels, "on": device},
-                    partial(self.encode, megapixels, device),
-                )
+                key = {"what": "encode", "megapixels": megapixels, "on": device}
+                yield key, partial(self.encode, megapixels, device)
 
     def errors(self, megapixels: float, n: int, pyramid: bool) -> Row:
         """The kernels against lists of pairs in double precision."""
@@ -117,7 +113,7 @@ class Bench:
         return {name: _worst(one[0], other) for name, one, other in zip(names, found, true, strict=True)}
 
     def decode(self, megapixels: float, n: int, batch: int) -> Row:
-        """As the paper counts."""
+        """Drawn pictures a second, as the paper counts them."""
         from sgmethod.backend.tiles import Tiles
 
         width, height = self._size(megapixels)
@@ -127,18 +123,6 @@ class Bench:
             return Tiles(Frame(width, height), *values).draw()
 
         return {"per_second": batch / self._seconds(draw)}
-
-    def decode_graph(self, megapixels: float, n: int) -> Row:
-        """The same for one picture as a recorded graph, without the time that Python takes to launch kernels."""
-        from sgmethod.backend.tiles import Tiles
-
-        width, height = self._size(megapixels)
-        values = self._gaussians(width, height, n, 1)
-        wanted, graph = Tiles(Frame(width, height), *values).draw(), torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
-            drawn = Tiles(Frame(width, height), *values).draw()
-        seconds = self._seconds(graph.replay)
-        return {"per_second": 1 / seconds, "most_off": _worst(drawn, wanted.double())}
 
     def decode_bytes(self, megapixels: float, n: int) -> Row:
         """Bits on the CPU, drawing on the device; beside decode(), which draws on the CPU."""
@@ -180,7 +164,7 @@ class Bench:
         images = torch.from_numpy(pictures()).permute(0, 3, 1, 2).to(self.device)
         torch.cuda.reset_peak_memory_stats()
         began = time.perf_counter()
-        found = sgmethod.torch.fit(images, n, stop=lambda: time.monotonic() > self.ends)  # type: ignore[attr-defined, unused-ignore]
+        found = sgmethod.torch.fit(images, n, stop=lambda: time.monotonic() > self.ends)
         error = found.error.double().cpu()
         seconds = time.perf_counter() - began
         memory = torch.cuda.max_memory_allocated() / 2**20
@@ -194,7 +178,7 @@ class Bench:
         }
 
     def encode(self, megapixels: float, device: str) -> Row:
-        """A whole file."""
+        """Encode a whole file."""
         pixels = sized(self.paths, 0, megapixels)
         began = time.perf_counter()
         data = sgmethod.encode(pixels, bpp=0.4, tune="psnr", effort=2, device=device, time_limit_s=60).data
@@ -217,7 +201,7 @@ class Bench:
         return np.stack(parts)
 
     def _gaussians(self, width: int, height: int, n: int, batch: int) -> list[Tensor]:
-        """Random ones, of the sizes and shapes of a fit: some are wide, and some needles."""
+        """Random Gaussians of the sizes and shapes of a fit: some are wide, and some needles."""
         rng, scale = np.random.default_rng(0), 0.6 * np.sqrt(width * height / n)
         means = rng.uniform(0, 1, (batch, n, 2)) * (width, height)
         factors = scale * np.exp(rng.normal(0, 0.6, (batch, n, 3)))
@@ -227,7 +211,7 @@ class Bench:
         return [torch.tensor(values, dtype=torch.float32, device=self.device) for values in arrays]
 
     def _seconds(self, work: Callable[[], object], repeats: int = 0) -> float:
-        """One run: the median of five turns, each to its end on the device, after one that compiles and warms up."""
+        """Seconds of one run: the median of five turns, each to its end on the device, after one that compiles."""
         work()
         turns = []
         for _ in range(5 if self.sizes.repeats > 1 else 1):
@@ -254,9 +238,6 @@ def measure(bench: Bench, record: Record) -> bool:
     for key, values in bench.rows():
         if record.has(**key):
             continue
-        if key["what"] in ("fits", "batches") and not hasattr(sgmethod.torch, "fit"):
-            print(f"{key['what']} left out: sgmethod.torch has no fit()", file=sys.stderr)
-            continue
         if time.monotonic() > bench.ends:
             print(f"{key['what']} left out: no time is left", file=sys.stderr)
             continue
@@ -266,13 +247,6 @@ def measure(bench: Bench, record: Record) -> bool:
             is_well = False
             print(f"{key}: {type(error).__name__}: {error}", file=sys.stderr)
     return is_well
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Numpy, which interprets the kernels, warns where values overflow."""
-    with np.errstate(all="ignore"):
-        yield
 
 
 def main() -> int:
@@ -297,7 +271,7 @@ def main() -> int:
     name = "interpreter" if options.quick else torch.cuda.get_device_name(device)
     settings = {"device": name, "cuda": torch.version.cuda, "sizes": "quick" if options.quick else "whole"}
     record = Record(options.out, "benchmarks.gpu", settings)
-    with _quiet():
+    with np.errstate(all="ignore"):  # NumPy, which interprets the kernels, warns where values overflow
         return 0 if measure(Bench(device, paths, QUICK if options.quick else Sizes()), record) else 1
 
 

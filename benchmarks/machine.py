@@ -28,7 +28,7 @@ CODE = ("sgmethod", "service", "benchmarks", ":!benchmarks/results", ":!benchmar
 
 
 def origin() -> dict[str, object]:
-    """Plain JSON types: commit, date (UTC) and machine."""
+    """Commit, date (UTC) and machine, in plain JSON types."""
     return {
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -41,14 +41,6 @@ def origin() -> dict[str, object]:
             "packages": {name: _version(name) for name in PACKAGES},
         },
     }
-
-
-def in_words(where: dict[str, object]) -> str:
-    """One line for the foot of a table, from what origin() gave."""
-    machine = where["machine"]
-    assert isinstance(machine, dict)
-    cores, isa = machine["cores"], machine["instruction_set"]
-    return f"{machine['processor']}, {cores} cores, {isa}; commit {where['commit']}; {where['date']}"
 
 
 def commit() -> str:
@@ -109,7 +101,7 @@ class Record:
         return found(key, self.rows) is not None
 
     def add(self, row: dict[str, Any]) -> None:
-        """Write it down, and print it."""
+        """Add a row to the JSON, and print it."""
         self.rows.append(row)
         write_json(self.path, {**self.content, "rows": self.rows})
         print(", ".join(f"{name} {_short(value)}" for name, value in row.items() if value is not None), flush=True)
@@ -129,6 +121,12 @@ def write_json(path: Path, content: object) -> None:
     """Whole or not at all: an interrupted benchmark leaves the results before it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def peak_bytes(process: int | str = "self") -> int:
+    """The most memory that a process had until now. getrusage would count the process before too."""
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
 
 
 def _short(value: object) -> str:

@@ -26,7 +26,7 @@ def pictures_in(folder: Path) -> list[Path]:
 
 
 def chosen_from(folder: Path, most: int) -> list[Path]:
-    """So many of the folder's pictures, evenly spread. Raises SystemExit if there is none."""
+    """At most `most` of the folder's pictures, evenly spread. Raises SystemExit if there is none."""
     every = pictures_in(folder)
     if not every:
         raise SystemExit(f"there is no picture in {folder}")
@@ -34,7 +34,7 @@ def chosen_from(folder: Path, most: int) -> list[Path]:
 
 
 def add_options(parser: argparse.ArgumentParser, most: int) -> None:
-    """--images, --most and --pictures, which named_in() understands."""
+    """Add --images, --most and --pictures, which named_in() understands."""
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--most", type=int, default=most, help="pictures, evenly spread over the folder")
     parser.add_argument("--pictures", type=lambda text: text.split(","), help="those of them to measure, by name; all")

@@ -50,7 +50,7 @@ def write_site(photos: Path, site: Path) -> None:
 
 
 def preview_element(preview: sgmethod.Preview, url: str, alt: str) -> str:
-    """HTML of one photograph. It reserves the photograph's space before anything has loaded."""
+    """Return the HTML of one photograph. It reserves the photograph's space before anything has loaded."""
     size = f'width="{preview.width}" height="{preview.height}"'
     img = f'<img src="{html.escape(url)}" alt="{html.escape(alt)}" {size} loading="lazy" decoding="async">'
     return f'<sg-img preview="{preview.text}">{img}</sg-img>'

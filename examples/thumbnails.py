@@ -12,7 +12,7 @@ import sgmethod  # noqa: F401 (registers .sg with Pillow)
 
 
 def make_thumbnails(photos: Path, thumbnails: Path) -> None:
-    """A thumbnail of at most 320 x 320 pixels and 2,000 bytes of each photograph in a folder."""
+    """Write a thumbnail of at most 320 x 320 pixels and 2,000 bytes of each photograph in a folder."""
     thumbnails.mkdir(exist_ok=True)
     for path in sorted(photos.iterdir()):
         with Image.open(path) as photo:

@@ -30,7 +30,7 @@ TABLES = ("parts", *paper.TABLES)
 
 
 def measure_parts(record: Record, picture: Path, seed: int, bpp: float, steps: int) -> None:
-    """Rows of the table of parts."""
+    """Measure the rows of the table of parts."""
     for part in parts.PARTS:
         key: dict[str, Any] = {"table": "parts", "without": part, "image": picture.name, "seed": seed}
         if not record.has(**key):
@@ -38,7 +38,7 @@ def measure_parts(record: Record, picture: Path, seed: int, bpp: float, steps: i
 
 
 def measure_paper(record: Record, tables: list[str], picture: Path, seed: int, steps: tuple[int, int]) -> None:
-    """Rows of the paper's tables, by number of Gaussians, as files of one number share their fit."""
+    """Measure rows of the paper's tables, by number of Gaussians, as files of one number share their fit."""
     for asked in sorted({number for name in tables for number in paper.TABLES[name].numbers}):
         for name in tables:
             table = paper.TABLES[name]
@@ -49,7 +49,6 @@ def measure_paper(record: Record, tables: list[str], picture: Path, seed: int, s
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.ablation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

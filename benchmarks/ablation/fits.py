@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from benchmarks.ablation.report import REPRESENTATIONS
+from benchmarks.machine import peak_bytes
 from benchmarks.pictures import Pixels
-from benchmarks.speed.sizes import peak_mib
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame
 from sgmethod.decoder import draw
@@ -49,7 +49,7 @@ def measured(method: str, path: Path, gaussians: int, steps: int) -> dict[str, A
     fitted(method, pixels[:32, :32], 10, 10)  # or the first would pay for what is loaded
     began = time.perf_counter()
     scene = fitted(method, pixels, gaussians, steps)
-    taken, mib = time.perf_counter() - began, peak_mib()
+    taken, mib = time.perf_counter() - began, peak_bytes() / 2**20
     shown, drawing_s = drawn(scene)
     costs = {"gaussians": len(scene.gaussians), "seconds": taken, "frames_per_s": 1 / drawing_s, "mib": mib}
     return {"shown": shown, **costs}
@@ -70,25 +70,42 @@ def fitted(method: str, pixels: Pixels, gaussians: int, steps: int) -> Scene:
     """The fit of one of REPRESENTATIONS."""
     if method == "rd":
         return by_rd(pixels, gaussians, steps)
-    return by_paper(pixels, gaussians, replace(VARIANTS[method], fit_steps=steps), 0)
+    return fit_of_paper(pixels, gaussians, replace(VARIANTS[method], fit_steps=steps)).scene
 
 
 def by_rd(pixels: Pixels, gaussians: int, steps: int) -> Scene:
     """Profile rd's fit of exactly so many."""
-    found, (height, width) = ExactFit(gaussians, steps).of(pixels, Kernels(), Clock(), lambda _: None), pixels.shape[:2]
+    found = ExactFit(gaussians, steps).of(pixels, Kernels(), Clock(), lambda _: None)
+    height, width = pixels.shape[:2]
     frame = Frame(width, height)
     return Scene(found.gaussians, width, height, found.background, frame.cutoff, frame.pyramid)
 
 
-def by_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> Scene:
+@dataclass(frozen=True)
+class PaperFit:
+    """A fit of profile paper: the picture as it sees it, its Gaussians, and the steps they took."""
+
+    level: Level
+    gaussians: Gaussians
+    steps: int
+
+    @property
+    def scene(self) -> Scene:
+        """The Gaussians to draw."""
+        frame = self.level.frame
+        return Scene(self.gaussians, frame.width, frame.height, (0, 0, 0), frame.cutoff, frame.pyramid)
+
+
+def fit_of_paper(
+    pixels: Pixels,
+    gaussians: int,
+    settings: PaperSettings,
+    seed: int = 0,
+    clock: Clock | None = None,
+    limit_s: float | None = None,
+) -> PaperFit:
     """Profile paper's fit, or the same with a part left out."""
-    level, found = fit_of_paper(pixels, gaussians, settings, seed)
-    frame = level.frame
-    return Scene(found, frame.width, frame.height, (0, 0, 0), frame.cutoff, frame.pyramid)
-
-
-def fit_of_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> tuple[Level, Gaussians]:
-    """The picture as the fit sees it, and its Gaussians."""
-    image, clock, level = pixels.astype(np.float32) / np.float32(255), Clock(), paper.level_of(pixels, Kernels())
+    image, clock = pixels.astype(np.float32) / np.float32(255), clock or Clock()
+    level = paper.level_of(pixels, Kernels())
     start = placement.place(image, gaussians, settings.start, np.random.default_rng(seed))
-    return level, paper.fit(level, start, settings, Recorder(clock), Deadline(clock))[0]
+    return PaperFit(level, *paper.fit(level, start, settings, Recorder(clock), Deadline(clock, limit_s)))

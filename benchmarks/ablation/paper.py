@@ -17,19 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.ablation.fits import FLOAT, by_paper, fit_of_paper
+from benchmarks.ablation.fits import FLOAT, PaperFit, fit_of_paper
 from benchmarks.pictures import Pixels
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
-from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
 
 PIXELS = 768 * 512
@@ -42,7 +40,7 @@ NOT_DIVIDED = 8**3
 
 @dataclass(frozen=True)
 class Table:
-    """settings: of its rows, by name; numbers: of Gaussians; coded: whether files are measured, or float fits."""
+    """A table of the paper. settings: of its rows, by name; numbers: of Gaussians; coded: files, not float fits."""
 
     settings: dict[str, PaperSettings]
     numbers: tuple[int, ...]
@@ -86,7 +84,7 @@ TABLES = {
 def measure(
     table: Table, setting: str, number: int, picture: Path, seed: int, steps: tuple[int, int]
 ) -> dict[str, Any]:
-    """One row. steps: of the fit, and of the tuning."""
+    """Measure one row. steps: of the fit, and of the tuning."""
     settings = replace(table.settings[setting], fit_steps=steps[0], tune_steps=steps[1])
     pixels = read_image_8_bit(picture.read_bytes())
     if table.coded:
@@ -102,17 +100,17 @@ def _float(pixels: Pixels, settings: PaperSettings, number: int, seed: int) -> d
     start = replace(start, ratio_start=round(part * start.ratio_start), threshold_factor=k)
     n = _as_dense(number, pixels)
     began = time.perf_counter()
-    fitted = by_paper(pixels, n, replace(settings, start=start), seed)
-    seconds, shown = time.perf_counter() - began, draw(fitted)
+    fit = fit_of_paper(pixels, n, replace(settings, start=start), seed)
+    seconds, shown = time.perf_counter() - began, draw(fit.scene)
     return {"gaussians": n, "psnr": psnr(shown, pixels), "ms_ssim": ms_ssim(shown, pixels), "seconds": seconds}
 
 
 def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, Any]:
     of_fit = replace(PAPER, start=settings.start, lambda_g=settings.lambda_g, fit_steps=settings.fit_steps)
     began, clock = time.perf_counter(), Clock()
-    level, fitted = _fitted(path, of_fit, n, seed)
+    fit = _fitted(path, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
-    tuner = Tuner(fitted, level, settings, None if settings.lambda_b else budget, seed)
+    tuner = Tuner(fit.gaussians, fit.level, settings, None if settings.lambda_b else budget, seed)
     schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
     schedule.run(Deadline(clock), Recorder(clock), tuner.step)
     stream = tuner.stream("paper" if settings.start.structure_guided else "baseline")
@@ -128,7 +126,7 @@ def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, 
 
 
 @lru_cache(maxsize=1)
-def _fitted(path: Path, settings: PaperSettings, n: int, seed: int) -> tuple[Level, Gaussians]:
+def _fitted(path: Path, settings: PaperSettings, n: int, seed: int) -> PaperFit:
     return fit_of_paper(read_image_8_bit(path.read_bytes()), n, settings, seed)
 
 
@@ -137,7 +135,7 @@ def _as_dense(number: int, pixels: Pixels) -> int:
 
 
 def _halved(pixels: Pixels) -> Pixels:
-    """At half the size; an odd last row or column is left out."""
+    """A picture at half the size, without an odd last row or column."""
     height, width = pixels.shape[0] // 2, pixels.shape[1] // 2
     even = pixels[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3)
     return np.asarray(np.round(even.mean((1, 3))), np.uint8)

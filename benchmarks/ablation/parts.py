@@ -44,7 +44,7 @@ PARTS = {
 
 
 def measure(part: str, picture: Path, seed: int, bpp: float, steps: int) -> dict[str, Any]:
-    """One file without the part."""
+    """Encode a file without the part."""
     settings = replace(PARTS[part], effort=replace(PARTS[part].effort, steps=steps))
     stats = encode(picture, Budget("bpp", bpp), tune="psnr", settings=settings, seed=seed).stats
     return {"psnr": stats.psnr, "bpp": stats.bpp, "gaussians": stats.gaussians, "seconds": stats.seconds}

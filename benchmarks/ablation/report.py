@@ -6,8 +6,8 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from benchmarks.rd.report import bd_quality
-from benchmarks.tables import mean, number, table
+from benchmarks.rd.report import bd_psnr
+from benchmarks.tables import in_all, mean, number, table
 
 Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
@@ -37,20 +37,18 @@ FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "f
 
 
 def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
-    """By method, for one number of Gaussians, over the pictures that every method has; with the number of pictures."""
+    """Means by method, for one number of Gaussians, over the pictures that every method has; with their number."""
     found: dict[str, Row] = {}
-    mine = [row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS]
-    images = [{row["image"] for row in mine if row["method"] == name} for name in {row["method"] for row in mine}]
-    common = set.intersection(*images) if images else set()
+    mine = in_all([row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS], "method")
     for method in REPRESENTATIONS:
-        own = [row for row in mine if row["method"] == method and row["image"] in common]
+        own = [row for row in mine if row["method"] == method]
         if own:
             found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
     return found
 
 
 def rows_of(content: Row, name: str) -> list[Row]:
-    """Of one table; parts name their setting by what is left out."""
+    """The rows of one table. A part's setting is what is left out."""
     return [{"setting": row.get("without"), **row} for row in content["rows"] if row.get("table") == name]
 
 
@@ -64,7 +62,7 @@ def worth(content: Row, name: str, setting: str, other: str) -> Worth:
 
     def more(both: list[Row]) -> float | None:
         if name in CODED:
-            return bd_quality(*([(r["bpp"], r["psnr"]) for r in both if r["setting"] == of] for of in (other, setting)))
+            return bd_psnr(*([(r["bpp"], r["psnr"]) for r in both if r["setting"] == of] for of in (other, setting)))
         most = max(row.get("asked", 0) for row in both)
         pair = {row["setting"]: row["psnr"] for row in both if row.get("asked", 0) == most}
         return float(pair[setting] - pair[other])
@@ -73,7 +71,7 @@ def worth(content: Row, name: str, setting: str, other: str) -> Worth:
 
 
 def complete(rows: Sequence[Row]) -> tuple[By, list[Case]]:
-    """By setting the rows of each picture and seed, for the pictures that every setting and seed has."""
+    """Rows by setting, picture and seed, for the pictures that every setting and seed has; and these cases."""
     by: By = {}
     for row in rows:
         by.setdefault(row["setting"], {}).setdefault((row["image"], row["seed"]), []).append(row)

@@ -39,7 +39,7 @@ def measure(method: str, path: Path, gaussians: int, steps: int, seen: Networks 
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> str:
-    """Means over the pictures."""
+    """A table of means over the pictures."""
     lines = []
     for asked in sorted({row["asked"] for row in rows}):
         for method, figures in representations(rows, asked).items():
@@ -50,7 +50,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.ablation representation",
         description=__doc__,

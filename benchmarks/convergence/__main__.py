@@ -2,15 +2,14 @@
 
     python -m benchmarks.convergence --images FOLDER [--most 5] [--pictures kodim05] [--megapixels 0.4]
                                      [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--paper-limits 1,3,10,30]
-                                     [--methods rd,jpeg] [--settings '8 s,effort 1'] [--few] [--weights FOLDER]
+                                     [--methods rd,jpeg] [--few]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file, and a file under each time limit; rd again with
-each effort. plain Adam: as many Gaussians as rd's file has, never coded. siren: as many bytes as the budget,
-in half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual:
-tuned for the eye (tune=iq), where rd and avif are tuned for PSNR. avif reduced: on half the sides, as people do.
---seconds: for all but rd and other codecs, where no limit is shorter. --few: two or three settings of each other codec,
-three efforts of rd. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
+each effort. rd visual: tuned for the eye, where rd is tuned for PSNR. plain Adam: as many Gaussians as rd's file has,
+never coded. siren: as many bytes as the budget, in half precision. Other codecs: each speed or effort at the best
+quality within the budget. --seconds: for all but rd and other codecs, where no limit is shorter. --few: two or three
+settings of each other codec, three efforts of rd.
 """
 
 from __future__ import annotations
@@ -25,11 +24,10 @@ from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, plain_adam, siren
 from benchmarks.machine import RUNS, Record, found
 from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
-from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, ReducedAvif, Rival, WebP, versions
-from sgmethod import Budget, decode, encode
+from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, versions
+from sgmethod import Budget, encode
 from sgmethod.metrics import psnr
-from sgmethod.metrics.perceptual import Networks
-from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS
+from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Tune
 
 OURS = ("rd", "paper", "baseline")
 VISUAL = "rd visual"
@@ -37,86 +35,50 @@ WARMED_ON = 64  # pixels along a side, by profile paper
 OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
 FEW_EFFORTS = (1, 3, 7)
 Start = Callable[[Pixels, float, int], Shown]
-NETWORKS: dict[str, Start] = {"siren": siren}
 # Every setting, and a few: the quickest first, since its quality is where the search of the next one begins.
 RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
-    "jpeg2000": (lambda _: Jpeg2000(), (0,), (0,)),
     "webp": (WebP, tuple(range(7)), (0, 4)),
     "avif": (AvifForPsnr, tuple(range(10, -1, -1)), (10, 6, 4)),
-    "avif visual": (AvifForEyes, tuple(range(10, -1, -1)), (10, 6)),
-    "avif reduced": (ReducedAvif, (10, 6, 4), (10, 6, 4)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
-METHODS = (*OURS, VISUAL, "plain Adam", *NETWORKS, *RIVALS)
+METHODS = (*OURS, VISUAL, "plain Adam", "siren", *RIVALS)
 Row = dict[str, Any]
-Measure = Callable[[Pixels, Pixels], float | None]
 
 
 def ours(
-    pixels: Pixels,
-    profile: str,
-    bpp: float,
-    limit_s: float | None,
-    lpips: Measure,
-    effort: int = DEFAULT_EFFORT,
-    tune: str = "psnr",
+    pixels: Pixels, profile: str, bpp: float, limit_s: float | None, effort: int = DEFAULT_EFFORT, tune: Tune = "psnr"
 ) -> Row:
-    """One encode with its trace: seconds and dB."""
+    """Encode once; the curve is the trace, in seconds and dB."""
     encoded = encode(pixels, Budget("bpp", bpp), profile, tune=tune, effort=effort, time_limit_s=limit_s)
-    stats = encoded.stats
-    return {
-        "bytes": stats.bytes,
-        "gaussians": stats.gaussians,
-        "seconds": stats.seconds,
-        "psnr": stats.psnr,
-        "lpips": lpips(decode(encoded.data), pixels),
-        "curve": [[point.seconds, point.psnr] for point in encoded.trace],
-    }
+    stats, curve = encoded.stats, [[point.seconds, point.psnr] for point in encoded.trace]
+    figures = {"bytes": stats.bytes, "gaussians": stats.gaussians, "seconds": stats.seconds, "psnr": stats.psnr}
+    return figures | {"curve": curve}
 
 
-def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int | None, lpips: Measure) -> Row:
+def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int | None) -> Row:
     """The curve of the pictures that a method shows. amount: what it has, Gaussians or bytes; size: bytes, if any."""
-    curve, perceived = [], []
-    for run_s, (picture, source), whole in start(pixels, seconds, amount):
-        curve.append([round(run_s, 4), round(psnr(picture, source), 4)])
-        if whole:
-            perceived.append([curve[-1][0], lpips(picture, source)])
-    return {
-        "bytes": size,
-        "gaussians": None,
-        "seconds": curve[-1][0],
-        "psnr": curve[-1][1],
-        "lpips": perceived[-1][1],
-        "curve": curve,
-        "lpips_curve": perceived,
-    }
+    curve = [[round(run_s, 4), round(psnr(*look), 4)] for run_s, look in start(pixels, seconds, amount)]
+    return {"bytes": size, "gaussians": None, "seconds": curve[-1][0], "psnr": curve[-1][1], "curve": curve}
 
 
-def point(rival: Rival, near: float | None, pixels: Pixels, bpp: float, lpips: Measure) -> Row:
+def point(rival: Rival, near: float | None, pixels: Pixels, bpp: float) -> Row:
     """Another codec's file within the budget; the seconds are those of its encode. near: as Rival.best takes it."""
     file = rival.best(pixels, bpp, near)
-    decoded = rival.decode(file.data)
     row: Row = {"bytes": len(file.data), "gaussians": None, "quality": file.quality, "seconds": file.encode_s}
-    return row | {"psnr": psnr(decoded, pixels), "lpips": lpips(decoded, pixels), "curve": None}
+    return row | {"psnr": psnr(rival.decode(file.data), pixels), "curve": None}
 
 
 class Run:
-    """What is measured, into one JSON."""
+    """Measurements that go into one JSON."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
-        settings = {
-            "bpp": options.bpp,
-            "seconds": options.seconds,
-            "codecs": versions(),
-            "lpips": bool(options.weights),
-        }
+        settings = {"bpp": options.bpp, "seconds": options.seconds, "codecs": versions()}
         self.record = Record(options.out, "benchmarks.convergence", settings)
-        self.lpips: Measure = Networks(options.weights).lpips if options.weights else lambda *_: None
 
     def all_of(self, picture: str, megapixels: float, pixels: Pixels) -> None:
-        """Every method on one picture."""
+        """Measure every method on one picture."""
         o = self.options
         # What the first of a process takes counts nowhere, and of rd what the first of a size takes.
         encode(pixels, bpp=o.bpp, tune="psnr")
@@ -125,46 +87,39 @@ class Run:
 
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
             key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
-            wanted = method in o.methods and (o.settings is None or setting in o.settings)
-            if wanted and not self.record.has(**key):
+            if method in o.methods and not self.record.has(**key):
                 self.record.add({**key, **measure()})
 
         for profile in OURS:
-            limit = None if profile == "rd" else o.seconds
-            once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
-        for limit in o.limits:
-            once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
-        for profile in ("paper", "baseline"):
-            for limit in o.paper_limits:
-                once(profile, f"{limit:g} s", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
-        once(VISUAL, "", partial(ours, pixels, "rd", o.bpp, None, self.lpips, tune="visual"))
+            limits = o.limits if profile == "rd" else o.paper_limits
+            once(profile, "", partial(ours, pixels, profile, o.bpp, None if profile == "rd" else o.seconds))
+            for limit in limits:
+                once(profile, f"{limit:g} s", partial(ours, pixels, profile, o.bpp, limit))
+        once(VISUAL, "", partial(ours, pixels, "rd", o.bpp, None, tune="visual"))
         for effort in FEW_EFFORTS if o.few else OTHER_EFFORTS:
-            for method, tune in (("rd", "psnr"), (VISUAL, "visual")):
-                measure = partial(ours, pixels, "rd", o.bpp, None, self.lpips, effort, tune)
-                once(method, f"effort {effort}", measure)
+            once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, effort))
+            once(VISUAL, f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, effort, "visual"))
         if gaussians := self._gaussians(picture, megapixels):
-            once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None, self.lpips))
-        for method, network in NETWORKS.items():
-            once(method, "", partial(learned, network, pixels, o.seconds, size, size, self.lpips))
+            once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None))
+        once("siren", "", partial(learned, siren, pixels, o.seconds, size, size))
         for method, (make, every, few) in RIVALS.items():
             for setting in few if o.few else every:
                 near = self._quality(method, picture, megapixels)
-                once(method, str(setting), partial(point, make(setting), near, pixels, o.bpp, self.lpips))
+                once(method, str(setting), partial(point, make(setting), near, pixels, o.bpp))
 
     def _gaussians(self, picture: str, megapixels: float) -> int | None:
-        """As many as rd's file of the picture has."""
+        """The number of Gaussians in rd's file of the picture."""
         row = found({"method": "rd", "setting": "", "picture": picture, "megapixels": megapixels}, self.record.rows)
         return row["gaussians"] if row else None
 
     def _quality(self, method: str, picture: str, megapixels: float) -> float | None:
-        """That of the last setting of another codec."""
+        """The quality of another codec's last setting."""
         key = {"method": method, "picture": picture, "megapixels": megapixels}
         row = found(key, reversed(self.record.rows))
         return row["quality"] if row else None
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=5)
     parser.add_argument("--megapixels", type=numbers, default="0.4", help="such as 0.4,2,12")
@@ -172,12 +127,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--limits", type=numbers, default="0.25,0.5,1,2,4", help="seconds, of rd")
     parser.add_argument("--paper-limits", type=numbers, default="1,3,10,30", help="seconds, of paper and baseline")
-    parser.add_argument(
-        "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
-    )
-    parser.add_argument("--settings", type=lambda text: text.split(","), help="those of a method, as in the table; all")
+    parser.add_argument("--methods", type=some_of(METHODS, "method"), default=",".join(METHODS))
     parser.add_argument("--few", action="store_true")
-    parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RUNS / "convergence" / "kodak.json")
     options = parser.parse_args()
     run = Run(options)

@@ -1,8 +1,8 @@
 """Other ways to fit the same picture: plain Adam on the raw numbers of Gaussians, and a network of the file's bytes.
 
-Each yields its picture at growing times, the whole of it now and then and at the end. In between a network shows the
-pixels of every few rows and columns of a large one, since it takes a minute to draw all of 12 megapixels. The clock
-stands while a picture is drawn and measured.
+Each yields its picture at growing times. Until the end, a network shows the pixels of every few rows and columns of a
+large picture, since it takes a minute to draw all of 12 megapixels. The clock stands while a picture is drawn and
+measured.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from sgmethod.settings.paper import BASELINE
 from sgmethod.start.placement import place
 
 Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pixels, [H, W, 3]
-Shown = Iterator[tuple[float, Look, bool]]  # seconds so far; whether it is the whole picture
-FIRST_S, GROWTH, GROWTH_OF_WHOLE = 0.1, 1.25, 3  # when the picture is looked at, and when at the whole of it
-REST = 0.2  # of what a look took, before the next: to draw a picture can take longer than steps; of the whole never
+Shown = Iterator[tuple[float, Look]]  # with the seconds so far
+FIRST_S, GROWTH = 0.1, 1.25  # when the picture is looked at
+REST = 0.2  # of what a look took, before the next: to draw a picture can take longer than steps
 LOOKED_AT = 2.5e5  # pixels, about, of a network's picture
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
 RATE_OF_ADAM = 0.2
@@ -58,27 +58,8 @@ def plain_adam(pixels: Pixels, seconds: float, gaussians: int) -> Shown:
     yield from watched(step, show, seconds, began)
 
 
-def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: float, began: float) -> Shown:
-    """Repeat a step for a number of seconds, and show what has become at times that grow by a factor, or further
-    apart where a look takes long. show: is told whether to show the whole."""
-    due, stood, due_whole = FIRST_S, 0.0, FIRST_S
-    while True:
-        step()
-        run = time.perf_counter() - began - stood
-        if run >= min(due, seconds):
-            paused = time.perf_counter()
-            whole = run >= min(due_whole, seconds)
-            due_whole = run * GROWTH_OF_WHOLE if whole else due_whole
-            yield run, show(whole), whole
-            looked = time.perf_counter() - paused
-            stood += looked
-            if run >= seconds:
-                return
-            due = run + max(run * (GROWTH - 1), 0 if whole else looked * REST)
-
-
 def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
-    """As wide as the bytes allow. What is shown has its numbers rounded to half precision."""
+    """A network as wide as the bytes allow. What is shown has its numbers rounded to half precision."""
     began = time.perf_counter()
     network = networks.siren(size // BYTES_OF_NUMBER)
     torch.set_num_threads(native.thread_count())
@@ -96,3 +77,20 @@ def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
         return shown, pixels[::apart, ::apart]
 
     yield from watched(training.step, show, seconds, began)
+
+
+def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: float, began: float) -> Shown:
+    """Repeat a step for a number of seconds, and show what has become at times that grow by a factor, or further
+    apart where a look takes long. show: is told whether it is the last time."""
+    due, stood = FIRST_S, 0.0
+    while True:
+        step()
+        run = time.perf_counter() - began - stood
+        if run >= min(due, seconds):
+            paused = time.perf_counter()
+            yield run, show(run >= seconds)
+            if run >= seconds:
+                return
+            looked = time.perf_counter() - paused
+            stood += looked
+            due = run + max(run * (GROWTH - 1), looked * REST)

@@ -23,8 +23,8 @@ LAYERS, FREQUENCY = 4, 30  # hidden ones; of their sines
 
 @dataclass(frozen=True)
 class Network:
-    """colours: [K, 3] of places [K, 2] in [0, 1]; numbers: what is learned; rate and eps: of Adam; batch: pixels of a
-    step."""
+    """A network that shows a picture. colours: [K, 3] of places [K, 2] in [0, 1]; numbers: what is learned; rate, eps:
+    of Adam; batch: pixels of a step."""
 
     colours: Callable[[Tensor], Tensor]
     numbers: list[nn.Parameter]
@@ -63,7 +63,7 @@ class Training:
         self._random = torch.Generator().manual_seed(0)
 
     def step(self) -> None:
-        """One."""
+        """Take one step."""
         index = torch.randint(len(self._colours), (self.network.batch,), generator=self._random)
         self._optimiser.zero_grad()
         loss = ((self.network.colours(_places(index, self.shape)) - self._colours[index] / 255) ** 2).mean()
@@ -81,7 +81,7 @@ def drawn(network: Network, shape: tuple[int, ...], apart: int = 1) -> Pixels:
 
 
 def _places(index: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Of pixels by their numbers, x and y in [0, 1]."""
+    """Places of pixels by their numbers, x and y in [0, 1]."""
     height, width = shape[:2]
     return torch.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], 1)
 

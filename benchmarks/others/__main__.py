@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 import torch
 
-from benchmarks.ablation.fits import FLOAT
+from benchmarks.ablation.fits import FLOAT, fit_of_paper
 from benchmarks.ablation.paper import PIXELS
 from benchmarks.arguments import integers, some_of
 from benchmarks.convergence.network import Training, drawn
@@ -32,15 +32,10 @@ from benchmarks.others.fields import ingp, neurbf
 from benchmarks.others.splats import ENTRIES_BITS, FlatSplats, Splats, bits_of
 from benchmarks.pictures import Pixels, add_options, named_in
 from sgmethod import decode, encode
-from sgmethod.backend.kernels import Kernels
 from sgmethod.decoder import draw
-from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.recorder import Recorder
+from sgmethod.fitting.deadline import Clock
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.paper import fit as paper
-from sgmethod.scene import Scene
-from sgmethod.start import placement
 
 DENSE, NUMBERS = 70_000, 8  # Gaussians of 768x512 pixels; numbers of each
 LEAST = 6000  # pixels: with fewer, networks have more numbers than Gaussians have
@@ -52,7 +47,7 @@ Found = tuple[Pixels, dict[str, Any]]  # what is shown, and figures
 
 
 class ProcessorClock(Clock):
-    """On a busy machine too, everyone gets the same."""
+    """A clock of processor time, so that every method gets as much on a busy machine."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -63,7 +58,7 @@ class ProcessorClock(Clock):
 
 
 def stepped(step: Callable[[], None], seconds: float) -> int:
-    """The number of steps that the time was enough for."""
+    """Repeat a step for a number of seconds of the processor; the number of steps."""
     until, steps = time.process_time() + seconds, 0
     while time.process_time() < until:
         step()
@@ -72,25 +67,19 @@ def stepped(step: Callable[[], None], seconds: float) -> int:
 
 
 def represented(method: str, pixels: Pixels, seconds: float) -> Found:
-    """By numbers in floating point."""
+    """Fit a picture by numbers in floating point."""
     gaussians = round(DENSE * pixels[..., 0].size / PIXELS)
     if method in FIELDS:
         network = FIELDS[method](NUMBERS * gaussians, pixels)
         steps = stepped(Training(network, pixels).step, seconds)
         numbers = sum(one.numel() for one in network.numbers)
         return drawn(network, pixels.shape), {"numbers": numbers, "steps": steps}
-    clock, level = ProcessorClock(), paper.level_of(pixels, Kernels())
-    image = pixels.astype(np.float32) / np.float32(255)
-    start = placement.place(image, gaussians, FLOAT.start, np.random.default_rng(0))
-    settings = replace(FLOAT, fit_steps=100_000)
-    found, steps = paper.fit(level, start, settings, Recorder(clock), Deadline(clock, seconds))
-    frame = level.frame
-    scene = Scene(found, frame.width, frame.height, (0, 0, 0), frame.cutoff, frame.pyramid)
-    return draw(scene), {"numbers": NUMBERS * len(found), "steps": steps}
+    fit = fit_of_paper(pixels, gaussians, replace(FLOAT, fit_steps=100_000), 0, ProcessorClock(), seconds)
+    return draw(fit.scene), {"numbers": NUMBERS * len(fit.gaussians), "steps": fit.steps}
 
 
 def compressed(method: str, pixels: Pixels, seconds: float, bpp: float) -> Found:
-    """By a file."""
+    """Code a picture as a file."""
     size = pixels[..., 0].size
     if method == "rd":
         data = encode(pixels, bpp=bpp, tune="psnr").data
@@ -104,7 +93,7 @@ def compressed(method: str, pixels: Pixels, seconds: float, bpp: float) -> Found
 
 
 def reduced(path: Path, sides: list[int]) -> Pixels:
-    """Lying or standing, as it is."""
+    """A picture reduced to the sides, lying or standing as it is."""
     pixels = read_image_8_bit(path.read_bytes())
     long, short = max(sides), min(sides)
     size = (long, short) if pixels.shape[1] >= pixels.shape[0] else (short, long)
@@ -112,7 +101,6 @@ def reduced(path: Path, sides: list[int]) -> Pixels:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=6)
     parser.add_argument("--sides", type=integers, default="192,128")

@@ -46,7 +46,7 @@ class Grids:
         self.table = nn.Parameter(torch.empty(int(sizes.sum()), FEATURES).uniform_(-1e-4, 1e-4))
 
     def __call__(self, at: Tensor) -> Tensor:
-        """[K, outputs]."""
+        """Features [K, outputs] of places."""
         x = at[:, None] * self._sides[:, None]  # [K, LEVELS, 2]
         low = x.floor()
         part, found = x - low, torch.zeros(len(at), LEVELS, FEATURES)
@@ -78,7 +78,7 @@ class Bases:
         self._frequencies = torch.logspace(0, 1, BASES, HIGHEST)
 
     def __call__(self, at: Tensor) -> Tensor:
-        """[K, outputs]."""
+        """Features [K, outputs] of places."""
         at = at * self._size
         column, row = at.long().unbind(1)
         near = self._near[row * self._size[0] + column]  # [K, NEAREST]
@@ -89,7 +89,7 @@ class Bases:
 
 
 def ingp(numbers: int, pixels: Pixels) -> Network:
-    """With a limited amount of numbers."""
+    """A network with a limited amount of numbers."""
     torch.manual_seed(0)
     layers = perceptron(Grids.outputs)
     grids = Grids(numbers - count(layers), max(pixels.shape) // 2)
@@ -97,7 +97,7 @@ def ingp(numbers: int, pixels: Pixels) -> Network:
 
 
 def neurbf(numbers: int, pixels: Pixels) -> Network:
-    """With a limited amount of numbers."""
+    """A network with a limited amount of numbers."""
     torch.manual_seed(0)
     layers = perceptron(Grids.outputs + Bases.outputs)
     grids = Grids((numbers - count(layers)) // 2, max(pixels.shape) // 2)
@@ -112,11 +112,11 @@ def neurbf(numbers: int, pixels: Pixels) -> Network:
 
 
 def perceptron(inputs: int) -> nn.Sequential:
-    """From features to colours."""
+    """A small network from features to colours."""
     layers = [layer for a, b in pairwise([inputs, WIDTH, WIDTH, 3]) for layer in (nn.Linear(a, b), nn.ReLU())]
     return nn.Sequential(*layers[:-1])
 
 
 def count(layers: nn.Module) -> int:
-    """Of its numbers."""
+    """The number of parameters."""
     return sum(number.numel() for number in layers.parameters())

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from benchmarks.published import quoted_values
-from benchmarks.tables import MISSING, mean, number, table
+from benchmarks.tables import MISSING, in_all, mean, number, table
 
 NAMES = {"paper": "the paper", "ingp": "I-NGP", "neurbf": "NeuRBF", "2dgs": "2DGS", "3dgs": "3D-GS, flattened"}
 NAMES |= {"rd": "profile `rd`"}
@@ -20,26 +20,22 @@ def summary(content: dict[str, Any]) -> Iterator[str]:
     quoted, settings = quoted_values(QUOTED, "psnr"), content["settings"]
     width, height = settings["sides"]
     for name, size in TABLES.items():
-        rows = [row for row in content["rows"] if row["table"] == name]
-        images = [
-            {row["image"] for row in rows if row["method"] == method} for method in {row["method"] for row in rows}
-        ]
-        common = set.intersection(*images) if images else set()
+        rows = in_all([row for row in content["rows"] if row["table"] == name], "method")
         lines = []
         for method in dict.fromkeys(row["method"] for row in rows):
-            own = [row for row in rows if row["method"] == method and row["image"] in common]
+            own = [row for row in rows if row["method"] == method]
             cells = [
                 number(mean([row.get(figure) for row in own]), form)
                 for figure, form in ({size: ",.0f"} | FORMS).items()
             ]
             theirs = number(quoted.get(NAMES[method]), ".2f") if name == "representation" else MISSING
             lines.append([NAMES[method], *cells, theirs])
-        if common:
+        if lines:
             titles = ["method", size, "steps", "seconds of the processor", "PSNR", "MS-SSIM", "PSNR quoted"]
             told = [k for k in range(len(titles)) if any(line[k] != MISSING for line in lines)]
             of = (
-                f"{len(common)} pictures of {width}x{height} pixels; fits of {settings['seconds']:g} s on one core, in "
-                "plain torch but for those by our kernels"
+                f"{len({row['image'] for row in rows})} pictures of {width}x{height} pixels; fits of "
+                f"{settings['seconds']:g} s on one core, in plain torch but for those by our kernels"
             )
             of += "; quoted: whole pictures, minutes on a GPU" if name == "representation" else ""
             shown = table(" | ".join(titles[k] for k in told), [[line[k] for k in told] for line in lines])

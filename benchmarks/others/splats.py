@@ -30,7 +30,7 @@ COLUMN = struct.Struct("<IBB")
 
 
 class Splats:
-    """2DGS."""
+    """Gaussians as 2DGS has them."""
 
     scales, turns = 2, 1  # numbers of each
 
@@ -54,7 +54,7 @@ class Splats:
         self._adam, self._steps = torch.optim.Adam(groups, eps=1e-15), 0
 
     def step(self) -> None:
-        """One, of all pixels."""
+        """Take one step, by all pixels."""
         if self._steps % RELIST == 0:
             self._listed = self.listed()
         self._steps += 1
@@ -64,14 +64,14 @@ class Splats:
         self._adam.step()
 
     def covariances(self) -> Tensor:
-        """[N, 2, 2]."""
+        """Covariances [N, 2, 2] in the picture's plane."""
         angle = torch.pi * self.values["turns"][:, 0]
         turned = torch.stack([angle.cos(), -angle.sin(), angle.sin(), angle.cos()], 1).view(-1, 2, 2)
         return self._spread(turned * self.values["scales"].exp()[:, None])
 
     @staticmethod
     def _spread(factors: Tensor) -> Tensor:
-        """A pixel has an extent too, as in 3D-GS."""
+        """Covariances in the picture's plane, widened by the extent of a pixel as in 3D-GS."""
         return (factors @ factors.mT)[:, :2, :2] + 0.1 * torch.eye(2)
 
     @torch.no_grad()
@@ -116,11 +116,11 @@ class Splats:
 
     @torch.no_grad()
     def picture(self) -> Pixels:
-        """What it shows now."""
+        """The picture that the splats show now."""
         return levels_of(self.blended(*self.listed()).view(self.size[1], self.size[0], 3).numpy())
 
     def data(self) -> bytes:
-        """A file, without the size of the picture."""
+        """The splats as a file, without the size of the picture."""
         found = {name: value.detach().numpy() for name, value in self.values.items()}
         order = found["depths"][:, 0].argsort()  # says the depth
         shapes = np.concatenate([found["scales"], found["turns"]], 1)[order]
@@ -130,7 +130,7 @@ class Splats:
         return packed([*plain, *((book, 2 * OTHER_BITS) for book, _ in books)])
 
     def take(self, data: bytes) -> None:
-        """Become what a file says."""
+        """Take the values of a file."""
         means, opacities, codes, colors, shapes = unpacked(data)
         color, shape = (book[code] for book, code in zip((colors, shapes), codes.round().astype(int).T, strict=True))
         found = {"means": means, "opacities": opacities, "colors": color}
@@ -142,7 +142,7 @@ class Splats:
 
 
 class FlatSplats(Splats):
-    """3D-GS; each of its numbers is rounded by itself."""
+    """Gaussians as 3D-GS has them; each of their numbers is rounded by itself."""
 
     scales, turns = 3, 4
 
@@ -162,7 +162,7 @@ class FlatSplats(Splats):
 
 
 def bits_of(kind: type[Splats]) -> tuple[int, int]:
-    """Of each Gaussian, and of a file beside them (at most)."""
+    """Bits of each Gaussian, and of the rest of a file at most."""
     if kind is FlatSplats:
         return 2 * POSITION_BITS + OTHER_BITS * (kind.scales + kind.turns + 1 + 1 + 3), 8 * 160
     return 2 * POSITION_BITS + OTHER_BITS + 2 * ENTRIES_BITS, (2 << ENTRIES_BITS) * 3 * 2 * OTHER_BITS + 8 * 160
@@ -181,7 +181,7 @@ def packed(columns: Sequence[tuple[Array, int]]) -> bytes:
 
 
 def unpacked(data: bytes) -> list[Array]:
-    """The arrays of such a file."""
+    """The arrays that packed() stored."""
     found, at = [], 0
     while at < len(data):
         rows, count, bits = COLUMN.unpack_from(data, at)

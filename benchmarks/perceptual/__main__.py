@@ -1,11 +1,10 @@
 """What people see, over a folder of pictures: python -m benchmarks.perceptual --images FOLDER --weights FOLDER
 
-For each picture and rate: a file tuned for PSNR, one tuned for the eye, the latter decoded without its texture, and
-other codecs at the best quality that takes no more bytes: AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is
-libavif's own), the same with grain of its own, AVIF with tune=ssimulacra2, and JPEG XL. A picture that AVIF cannot make
-so small is left out of the means, a codec that cannot with one of the others does not get any. What the JSON already
-holds for the same code and machine is not done again. Needs the extra "benchmark", and weights (python -m
-benchmarks.perceptual.weights FOLDER).
+For each picture and rate: a file tuned for PSNR, one tuned for the eye, and other codecs at the best quality that takes
+no more bytes: AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, libavif's default), AVIF with grain of its own, AVIF with
+tune=ssimulacra2, and JPEG XL. A picture that AVIF cannot make so small is left out of the means; a codec that cannot
+with one of the others has none. Needs the extra "benchmark", and weights (python -m benchmarks.perceptual.weights
+FOLDER).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arguments import numbers
-from benchmarks.machine import RUNS, Record, in_words
+from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.local import local_statistics
 from benchmarks.perceptual.means import KINDS, RIVALS, TITLES, lines
 from benchmarks.perceptual.wasserstein import Wasserstein
@@ -38,8 +37,6 @@ def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[
         yield "psnr", len(data), 0.0, decode(data)
     if "visual" in kinds:
         yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
-    if "visual, no texture" in kinds:
-        yield "visual, no texture", len(visual), 0.0, decode(visual, texture=False)
     for name in (name for name in RIVALS if name in kinds):
         rival = rivals.Avif() if name == "avif" else rivals.RIVALS[name]()
         made = rival.run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
@@ -48,7 +45,7 @@ def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[
 
 
 def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wasserstein) -> dict[str, float | None]:
-    """By the names of means.FIGURES."""
+    """The figures of a picture, by the names of means.FIGURES."""
     similarity = ms_ssim(picture, source)
     found = {"psnr": psnr(picture, source), "ms_ssim": similarity, "ssimulacra2": ssimulacra2(picture, source)}
     found |= {**networks(picture, source), "wasserstein": wasserstein(picture, source)}
@@ -57,7 +54,6 @@ def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wa
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.perceptual", description="What people see, in figures.")
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--weights", type=Path, required=True, help="folder of the networks' weights")
@@ -84,7 +80,7 @@ def main() -> None:
             for kind, size, texture, picture in decoded(pixels, bpp, wanted):
                 row = {**key, "kind": kind, "bytes": size, "texture": round(texture, 5)}
                 record.add(row | figures(picture, pixels, networks, wasserstein))
-    print(table(TITLES, list(lines(record.rows))), in_words(record.content), sep="\n\n")
+    print(table(TITLES, list(lines(record.rows))))
 
 
 if __name__ == "__main__":

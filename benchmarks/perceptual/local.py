@@ -41,14 +41,14 @@ def _band(plane: Array, sigma: float) -> Array:
 
 
 def _compared(band: Array, source: Array) -> tuple[Array, Array, Array]:
-    """Of the squares that count: the spread over the source's, and both kurtoses."""
+    """For the squares that count: the spread over the source's, and both kurtoses."""
     (spread, kurtosis), (wanted, known) = (_moments(_squares(plane)) for plane in (band, source))
     counts = wanted > np.quantile(wanted, LEFT_OUT) if wanted.size else np.zeros(0, bool)
     return spread[counts] / wanted[counts], kurtosis[counts], known[counts]
 
 
 def _squares(plane: Array) -> Array:
-    """[N, SIDE * SIDE]; what is left at the right and below is left out."""
+    """The whole squares of a plane, [N, SIDE * SIDE]."""
     rows, columns = (side // SIDE for side in plane.shape)
     cut = plane[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE)
     return np.asarray(cut.transpose(0, 2, 1, 3).reshape(rows * columns, SIDE * SIDE))

@@ -5,10 +5,9 @@
         --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
     python -m benchmarks.perceptual.sheet --images KODAK PHOTOGRAPHS/measured --blind 7 --bpp 0.2 --out BLIND
 
-For each part, at twice its size: the picture, ours tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which
-is libavif's own) and JPEG XL; or what --of names. AVIF's is the largest file within --bpp, and ours has no more bytes
-than that; others have no fewer than ours. --earlier: a folder with NAME.sg of an earlier version, for the column
-"earlier".
+For each part, at twice its size: the picture, ours tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq,
+libavif's default) and JPEG XL; or what --of names. AVIF's is the largest file within --bpp, and ours has no more bytes
+than that; others have no fewer than ours.
 
 --blind: for readers who are told neither what is whose nor what to look for. Of each part, twelve grainy ones if not
 told, a sheet BLIND/NUMBER.png: the source, then ours and AVIF's, or what --of names, in an order that is drawn anew for
@@ -46,9 +45,9 @@ GRAINY = (
     "onestandsout:400:330,sunset_by_aitzol_berasategi:120:370,bythewater:400:110,picture_0b_by_freespace:20:400"
 )
 OF, BLIND = "source,visual,avif,jpegxl", "visual,avif"
-LABELS = {"visual": "sgmethod", "earlier": "sgmethod, earlier", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
+LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
 RIVALS = {rival.name: rival for rival in (Avif, JpegXl, Jpeg)}
-COLUMNS = ("source", "visual", "earlier", *RIVALS)
+COLUMNS = ("source", "visual", *RIVALS)
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 22  # pixels of the sheet, for words
 SHOWN = 512, 384  # most pixels of the picture on a blind sheet, from a part's corner on
@@ -58,8 +57,8 @@ Column = tuple[str, str, Pixels]  # its name, what stands over it, and the whole
 Part = tuple[str, int, int]  # a picture's name, and where the part begins
 
 
-def made_by(wanted: list[str], path: Path, bpp: float, earlier: Path | None = None) -> Iterator[Column]:
-    """Each that is wanted."""
+def made_by(wanted: list[str], path: Path, bpp: float) -> Iterator[Column]:
+    """The columns that are wanted."""
     source = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
     avif = Avif().run(source, bpp)
     ours = encode(source, bytes=len(avif.data), tune="visual").data
@@ -67,9 +66,8 @@ def made_by(wanted: list[str], path: Path, bpp: float, earlier: Path | None = No
         if name == "source":
             yield name, f"{path.stem}, source", source
             continue
-        if name in ("visual", "earlier"):
-            data = (earlier / f"{path.stem}.sg").read_bytes() if earlier and name == "earlier" else ours
-            pixels = decode(data)
+        if name == "visual":
+            data, pixels = ours, decode(ours)
         elif name == "avif":
             data, pixels = avif.data, avif.decode(avif.data)
         else:
@@ -80,7 +78,7 @@ def made_by(wanted: list[str], path: Path, bpp: float, earlier: Path | None = No
 
 
 def no_fewer(rival: Rival, source: Pixels, least: int) -> bytes:
-    """Its smallest file of at least that many bytes, or its largest."""
+    """The smallest file of at least that many bytes, or the largest there is."""
     qualities = rival.qualities
     first = bisect_left(range(len(qualities) - 1), least, key=lambda k: len(rival.encode(source, qualities[k])))
     return rival.encode(source, qualities[first])
@@ -95,24 +93,20 @@ def hidden(columns: list[Column], order: random.Random) -> list[Column]:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, nargs="+", required=True, help="folders of the pictures, PNG")
     parser.add_argument("--parts", help="NAME:X:Y of each, separated by commas")
     parser.add_argument("--of", type=some_of(COLUMNS, "column"), help=f"of {', '.join(COLUMNS)}")
     parser.add_argument("--bpp", type=float, default=0.25)
-    parser.add_argument("--earlier", type=Path, help="folder of .sg files")
     parser.add_argument("--blind", type=int, metavar="SEED", help="of the order in which names are hidden")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "seen.webp")
     options = parser.parse_args()
     is_blind = options.blind is not None
     wanted = options.of or (f"source,{BLIND}" if is_blind else OF).split(",")
-    if "earlier" in wanted and not options.earlier:
-        parser.error("the column earlier needs --earlier")
     parts = [part_of(text) for text in (options.parts or (GRAINY if is_blind else PARTS)).split(",")]
     paths = {path.stem: path for folder in options.images for path in folder.glob("*.png")}
     names = {name for name, _, _ in parts}
-    made = {name: [*made_by(wanted, paths[name], options.bpp, options.earlier)] for name in names}
+    made = {name: [*made_by(wanted, paths[name], options.bpp)] for name in names}
     if is_blind:
         write_blind(parts, made, options.blind, options.out)
     else:
@@ -120,7 +114,7 @@ def main() -> None:
 
 
 def part_of(text: str) -> Part:
-    """NAME:X:Y."""
+    """Read NAME:X:Y."""
     name, x, y = text.split(":")
     return name, int(x), int(y)
 

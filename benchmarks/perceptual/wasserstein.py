@@ -25,7 +25,7 @@ MEAN, SPREAD = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225])  # of ImageNet
 
 
 class Wasserstein:
-    """What the network sees in a source is kept until another one comes."""
+    """The measure. What the network sees in a source is kept until another one comes."""
 
     def __init__(self, weights: Path) -> None:
         """weights: the folder, as sgmethod.metrics.perceptual has it."""
@@ -37,7 +37,7 @@ class Wasserstein:
 
     @torch.no_grad()
     def __call__(self, picture: Pixels, source: Pixels) -> float:
-        """Of pictures [H, W, 3] with sides of 64 pixels or more: 0 for the source itself."""
+        """The distance of a picture [H, W, 3], with sides of 64 pixels or more; 0 for the source itself."""
         if self._source is not source:
             self._source, self._seen = source, self._statistics(source)
         return sum(distance(*pair) for pair in zip(self._statistics(picture), self._seen, strict=True))
@@ -65,12 +65,12 @@ def statistics(feature: Tensor, log2_sigma: int) -> tuple[Tensor, Tensor]:
 
 
 def distance(one: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> float:
-    """Squared, of Gaussians with these means and deviations, on average over places and channels."""
+    """The squared distance of Gaussians with these means and deviations, on average over places and channels."""
     return sum(float((a - b).square().mean()) for a, b in zip(one, other, strict=True))
 
 
 def _low_passed(x: Tensor, step: int) -> Tensor:
-    """At every step-th place, both ways. Beyond an edge a feature is reflected."""
+    """Blur by [1 2 1] / 4 and take every step-th place, both ways. Beyond an edge a feature is reflected."""
     for axis in (1, 2):
         around = [(0, 0, 1, 1), (1, 1, 0, 0)][axis - 1]
         padded = functional.pad(x, around, mode="reflect")

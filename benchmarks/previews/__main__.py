@@ -4,9 +4,8 @@
                                   [--weights FOLDER] [--seen 256,1024]
 
 Each file is the best within so many bytes. There is no row where a codec makes none so small, or the same as within
-fewer. Times are of processors,
-all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS at the bytes of
---seen. What the JSON already holds for the same code and machine is not done again. Needs the extra "benchmark".
+fewer. Times are of processors, all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2,
+LPIPS and DISTS at the bytes of --seen. Needs the extra "benchmark".
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import integers, some_of
-from benchmarks.machine import RUNS, Record, in_words
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.previews.codecs import CODECS, Made
 from benchmarks.rd.rivals import package
@@ -62,7 +61,6 @@ def summary(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=10**6)
     parser.add_argument("--bytes", type=integers, default=BYTES, help="of a file at most")
@@ -85,7 +83,7 @@ def main() -> None:
                 if not record.has(**key, bytes=made.bytes):
                     found = measured(made, pixels, networks if most in options.seen else None)
                     record.add({"codec": codec, "max_bytes": most, "image": path.name} | found)
-    print(summary(record.rows), in_words(record.content), sep="\n\n")
+    print(summary(record.rows))
 
 
 if __name__ == "__main__":

@@ -40,13 +40,13 @@ class Made:
 
 
 def resized(pixels: Pixels, width: int, height: int) -> Pixels:
-    """Averaged where it becomes smaller, else bicubic."""
+    """Resize by averages where a picture becomes smaller, else bicubically."""
     method = cv2.INTER_AREA if width < pixels.shape[1] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(pixels, (width, height), interpolation=method), np.uint8)
 
 
 def reduced(pixels: Pixels, side: int) -> Pixels:
-    """At most `side` pixels along either side."""
+    """Reduce a picture to at most `side` pixels along either side."""
     height, width = pixels.shape[:2]
     scale = min(side / max(width, height), 1)
     return resized(pixels, max(round(scale * width), 1), max(round(scale * height), 1))
@@ -107,7 +107,7 @@ def thumbhash(pixels: Pixels, most: int) -> Made | None:
 
 
 def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
-    """Its best file over all factors, None where none is so small."""
+    """A maker of the rival's best file over all factors; None where none is so small."""
 
     def make(pixels: Pixels, most: int) -> Made | None:
         height, width = pixels.shape[:2]

@@ -46,6 +46,6 @@ def paper() -> dict[str, Any]:
 
 
 def quoted_values(title: str, figure: str) -> dict[str, float]:
-    """A figure of one of the paper's tables, by row; of Kodak where it has other pictures too."""
+    """A figure of one of the paper's tables by row, for Kodak where it has other pictures too."""
     rows = [row for row in paper()["rows_of"][title] if row.get("dataset", "Kodak") == "Kodak"]
     return {str(row["method"]) if "method" in row else f"{row['bits']:g}": float(row[figure]) for row in rows}

@@ -6,9 +6,9 @@
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
-an interrupted run resumes where it stopped. Each file is the best within a rate in bits per pixel, or the smallest
-that its codec makes where none is. Profile rd comes twice, tuned for PSNR and for the eye. Others come with --rivals
-(pip install -e '.[benchmark]'); rivals.py says how each is set.
+an interrupted run resumes where it stopped. Each file is the best within a rate in bits per pixel; where none is so
+small, the smallest that its codec makes. Profile rd comes twice, tuned for PSNR and for the eye. --rivals adds other
+codecs, set as rivals.py says.
 
 --quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
 compared with such. --weights: a folder as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS too.
@@ -28,16 +28,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import numbers, some_of
-from benchmarks.machine import RUNS, Record, in_words
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
-from benchmarks.rd.codecs import FITTED, Codec, Sg
+from benchmarks.rd.codecs import Sg
 from benchmarks.rd.report import Row, means, means_table
-from benchmarks.rd.rivals import RIVALS, USUAL, versions
+from benchmarks.rd.rivals import RIVALS, USUAL, Rival, versions
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.metrics.perceptual import MIN_SIDE, Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
+Codec = Sg | Rival
 DECODES = 5  # the median of their times is reported
 
 
@@ -66,9 +67,8 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         encode_s=round(made.encode_s, 3),
         decode_ms=round(statistics.median(times), 3),
     )
-    if isinstance(codec, Sg):
-        effort = codec.effort if codec.profile == "rd" else None
-        row = replace(row, effort=effort)
+    if isinstance(codec, Sg) and codec.profile == "rd":
+        row = replace(row, effort=codec.effort)
         row = replace(row, max_bpp=None, quality=aim) if codec.one_quality else row
     if networks is None or min(pixels.shape[:2]) < MIN_SIDE:
         return row
@@ -77,15 +77,12 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
 
 
 def codecs_of(options: argparse.Namespace) -> list[Codec]:
-    """Those that are asked for."""
+    """The codecs that are asked for."""
     if options.quality:
         return [Sg("rd", tune, options.effort, one_quality=True) for tune in options.tune]
     codecs: list[Codec] = []
     for name in options.profiles:
-        if name in FITTED:
-            codecs.append(Sg(name))
-        else:
-            codecs += [Sg(name, tune, options.effort) for tune in options.tune]
+        codecs += [Sg(name, tune, options.effort) for tune in options.tune] if name == "rd" else [Sg(name)]
     return [*codecs, *(rival() for name, rival in RIVALS.items() if name in options.rivals)]
 
 
@@ -108,7 +105,6 @@ def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=10**6)
     parser.add_argument(
@@ -142,8 +138,7 @@ def main() -> None:
                     kept[key] = measure(codec, path.name, pixels, aim, networks)
                     record.add(asdict(kept[key]))
                 wanted.append(kept[key])
-    libraries = [f"Other codecs: {', '.join(settings['codecs'])}."] if settings["codecs"] else []
-    print("", means_table(means(wanted)), *libraries, in_words(record.content), sep="\n\n")
+    print(f"\n{means_table(means(wanted))}")
 
 
 if __name__ == "__main__":

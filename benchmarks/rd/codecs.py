@@ -1,17 +1,14 @@
-"""What a codec is here, and the profiles of this project."""
+"""The profiles of this project as codecs, and what any codec makes of a picture."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from benchmarks.pictures import Pixels
 from sgmethod import Budget, decode, encode, info
 from sgmethod.profiles import DEFAULT_EFFORT, Tune
-
-FITTED = ("paper", "baseline")
 
 
 @dataclass(frozen=True)
@@ -22,17 +19,6 @@ class Run:
     encode_s: float
     decode: Callable[[bytes], Pixels]
     gaussians: int | None = None
-
-
-class Codec(Protocol):
-    """Anything that can be compared here."""
-
-    @property
-    def name(self) -> str:
-        """What its rows are called; rows of one name have one way to be made."""
-
-    def run(self, pixels: Pixels, aim: float) -> Run:
-        """The best file within a rate in bits per pixel."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +35,7 @@ class Sg:
 
     @property
     def name(self) -> str:
-        """The profile, and what is not as ever."""
+        """The profile, and every setting that is not the usual one."""
         parts = {
             "visual": self.tune == "visual",
             f"effort {self.effort}": self.effort != DEFAULT_EFFORT,
@@ -58,7 +44,7 @@ class Sg:
         return " ".join([self.profile, *(part for part, said in parts.items() if said)])
 
     def run(self, pixels: Pixels, aim: float) -> Run:
-        """As Codec.run."""
+        """The best file within a rate in bits per pixel, or the file of a quality."""
         budget = Budget("quality" if self.one_quality else "bpp", aim)
         began = time.perf_counter()
         made = encode(pixels, budget, self.profile, tune=self.tune, effort=self.effort)

@@ -1,12 +1,7 @@
-"""Other codecs, each with one quality to choose, at settings that serve it best.
+"""Other codecs, each with one quality to choose, at the settings that serve it best.
 
-What was compared, by BD-rate of PSNR on six pictures of Kodak, three for HEIC: AVIF with tune=psnr needs 2.8 to 4.8 %
-fewer bits with 4:4:4 than with 4:2:0, on every picture, so that is its row for PSNR. HEIC with tune=psnr needs 2.3 to
-5.9 % fewer than with x265's own tuning, and 4:2:0 fewer than 4:4:4. For JPEG, mozjpeg with flat tables is 0.6 dB
-and more ahead of libjpeg-turbo at 0.25 bpp and above on two pictures. jpegli is behind both at up to 0.4 bpp, needs
-0.23 to 0.39 bpp at its lowest quality on six pictures, and has no row.
-WebP and JPEG XL have no tuning for PSNR that their packages offer. Only JPEG XL decodes a picture of Kodak sooner with
-two threads (by a sixth); AVIF and JPEG 2000 do not.
+docs/notebook/comparisons.md says how these were chosen. On a picture of Kodak, a second thread makes only the
+decoder of JPEG XL faster, by a sixth.
 """
 
 from __future__ import annotations
@@ -43,17 +38,17 @@ class File:
 
 
 class Rival:
-    """Its qualities are in the order in which files grow."""
+    """Another codec. Its qualities are in the order in which files grow."""
 
     name: str
     qualities: Sequence[float]
 
     def encode(self, pixels: Pixels, quality: float) -> bytes:
-        """A file."""
+        """Encode a picture [H, W, 3] at a quality."""
         raise NotImplementedError
 
     def decode(self, data: bytes) -> Pixels:
-        """Its pixels."""
+        """Decode a file to pixels [H, W, 3]."""
         raise NotImplementedError
 
     def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
@@ -78,7 +73,7 @@ class Rival:
         return files.get(low) or self._file(pixels, self.qualities[low])
 
     def run(self, pixels: Pixels, aim: float) -> Run:
-        """As Codec.run; the time is that of one encode, not of the search."""
+        """The best file; the time is that of one encode, not of the search."""
         file = self.best(pixels, aim)
         return Run(file.data, file.encode_s, self.decode)
 
@@ -89,7 +84,7 @@ class Rival:
 
 
 def _around(start: int, count: int, fits: Callable[[int], bool]) -> tuple[int, int]:
-    """The last of 0..count-1 known to fit, or 0, and the first known not to, or count."""
+    """The last of 0 to count - 1 that is known to fit, or 0, and the first that is known not to, or count."""
     offset = 1
     if fits(start):
         while start + offset < count and fits(start + offset):
@@ -128,7 +123,7 @@ class MozJpeg(Jpeg):
 
 
 class Jpeg2000(Rival):
-    """OpenJPEG, irreversible wavelet, quality = PSNR aimed at."""
+    """OpenJPEG with the irreversible wavelet; quality is the PSNR aimed at."""
 
     name, qualities = "jpeg2000", [q / 20 for q in range(15 * 20, 60 * 20)]
 
@@ -140,7 +135,7 @@ class Jpeg2000(Rival):
 
 
 class WebP(Rival):
-    """libwebp; the slowest method if not told."""
+    """libwebp, by default with its slowest method."""
 
     name, qualities = "webp", [q / 10 for q in range(1001)]
 
@@ -155,7 +150,7 @@ class WebP(Rival):
 
 
 class Avif(Rival):
-    """libavif of imagecodecs, 4:2:0, tune=iq, which is its own, on every core; speed 4 if not told."""
+    """libavif of imagecodecs, 4:2:0, tune=iq (its default), on every core, by default at speed 4."""
 
     name, qualities = "avif", range(100)
 
@@ -170,7 +165,7 @@ class Avif(Rival):
 
 
 class TunedAvif(Avif):
-    """libavif of Pillow, which can be told how to tune; on every core, speed 4 if not told."""
+    """libavif of Pillow, which lets callers choose the tuning; on every core, by default at speed 4."""
 
     subsampling, advanced = "4:2:0", {"tune": "iq"}
 
@@ -185,14 +180,14 @@ class TunedAvif(Avif):
 
 
 class AvifForPsnr(TunedAvif):
-    """For the highest PSNR."""
+    """AVIF for the highest PSNR."""
 
     name, subsampling, advanced = "avif tune=psnr", "4:4:4", {"tune": "psnr"}
 
 
 class ReducedAvif(AvifForPsnr):
-    """The same on a picture that is reduced first, as people do for few bytes: its sides by two, or by more until
-    LEAST_BPP bits are left for each pixel. Times have the reducing in them; decoding enlarges."""
+    """AVIF of a picture that is reduced first, as people do for few bytes: its sides by two, or by more until
+    LEAST_BPP bits are left for each pixel. Times include the reducing; decoding enlarges."""
 
     name = "avif reduced"
 
@@ -210,19 +205,19 @@ class ReducedAvif(AvifForPsnr):
 
 
 class AvifForEyes(TunedAvif):
-    """As libavif is where nobody says anything."""
+    """AVIF with the tuning that is libavif's default."""
 
     name = "avif tune=iq"
 
 
 class AvifWithGrain(TunedAvif):
-    """The same, with grain that is taken out of the picture and drawn again by the decoder."""
+    """AVIF with grain that is taken out of the picture and drawn again by the decoder."""
 
     name, advanced = "avif grain", {"tune": "iq", "denoise-noise-level": "25"}
 
 
 class AvifForSsimulacra(TunedAvif):
-    """For the highest SSIMULACRA 2."""
+    """AVIF for the highest SSIMULACRA 2."""
 
     name, advanced = "avif tune=ssimulacra2", {"tune": "ssimulacra2"}
 
@@ -243,7 +238,7 @@ class Heic(Rival):
 
 
 class JpegXl(Rival):
-    """libjxl, on every core; effort 7 if not told; quality = minus the distance."""
+    """libjxl, on every core, by default at effort 7; quality is minus the distance."""
 
     name, qualities = "jpegxl", [-q / 20 for q in range(25 * 20, 1, -1)]
 
@@ -271,23 +266,14 @@ class PatientAvif(AvifForPsnr):
         return super().best(pixels, aim, near)
 
 
-class QuickJpegXl(JpegXl):
-    """Effort 4, which has more PSNR than 7 where it makes files so small."""
-
-    name = "jpegxl effort 4"
-
-    def __init__(self) -> None:
-        super().__init__(effort=4)
-
-
 USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes, AvifWithGrain)
-SELDOM = (PatientAvif, QuickJpegXl, AvifForSsimulacra)
+SELDOM = (PatientAvif, AvifForSsimulacra)
 RIVALS: dict[str, Callable[[], Rival]] = {rival.name: rival for rival in (*USUAL, *SELDOM)}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
 
 
 def package(name: str) -> Any:
-    """One that only other codecs need. Raises SystemExit where it is missing."""
+    """A package that only other codecs need. Raises SystemExit where it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -295,12 +281,12 @@ def package(name: str) -> Any:
 
 
 def imagecodecs() -> Any:
-    """The package."""
+    """The package of most codecs."""
     return package("imagecodecs")
 
 
 def versions() -> list[str]:
-    """Of the libraries, none where a package is missing."""
+    """Names and versions of the libraries; none where a package is missing."""
     if not all(importlib.util.find_spec(name) for name in PACKAGES):
         return []
     wanted = ("libjpeg_turbo-", "openjpeg-", "libwebp-", "libavif-", "libjxl-")

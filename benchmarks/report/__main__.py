@@ -22,11 +22,11 @@ from tests.harness.data import ROOT
 
 # Each page, the JSON that it cannot do without, and further ones.
 MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tuple[str, ...]], ...] = (
-    (rate.page, ("rd/kodak",), ("rd/effort", "rd/settings", "rd/patient", "rd/quality", "rd/effort-quality")),
+    (rate.page, ("rd/kodak",), ("rd/effort", "rd/patient", "rd/quality")),
     (
         speed.page,
         ("convergence/kodak",),
-        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed", "growth"),
+        ("convergence/2-megapixels", "convergence/12-megapixels", "speed", "growth"),
     ),
     (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
@@ -34,7 +34,7 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     (paper.page, (), ("representation", "ablation", "rd/paper", "rd/kodak", "others")),
     (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
-APART = {"stiff": "picture", "speed": "gaussians"}  # of the CSV, besides the usual
+APART = {"stiff": "picture"}  # of the CSV, besides the usual
 HEAD = """# Results
 
 Each page answers one question. `python -m benchmarks.report` generates them from the JSON in
@@ -61,7 +61,7 @@ write to `build/bench`."""
 
 
 def pages(results: Path) -> list[Page]:
-    """Those that have been measured."""
+    """The pages whose figures were measured."""
     found = []
     for make, needed, more in MAKERS:
         contents = {name: content for name in (*needed, *more) if (content := load(results, name))}
@@ -77,7 +77,6 @@ def index(made: list[Page]) -> str:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--root", type=Path, default=ROOT)

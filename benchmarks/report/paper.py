@@ -37,7 +37,7 @@ NOTHING_DB = 0.05  # of one seed
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From representation.json, ablation.json, rd/paper.json and others.json, as far as there are."""
+    """The page from representation.json, ablation.json, rd/*.json and others.json, as far as there are."""
     lines = list(claims(contents))
     there = [line for line in lines if line[-1] == "yes"]
     fits = contents.get("representation")
@@ -183,7 +183,7 @@ def judged(theirs: float, ours: ablation.Worth) -> str:
 
 
 def both(lines: list[list[str]]) -> str:
-    """Gains of everything together, in a sentence."""
+    """Gains of both parts together, in a sentence."""
     told = [
         f"{here} with {what.partition(', ')[2]} ({theirs} quoted)" for what, theirs, here, *_ in lines if "both" in what
     ]

@@ -20,7 +20,7 @@ MARKS = "os^DvP*xh<>dX+p|"  # unlike colours and dashes, none repeats
 
 
 def style(k: int) -> dict[str, Any]:
-    """Of the k-th line of a plot, the same in every panel."""
+    """Colour, dashes and marks of the k-th line, the same in every panel."""
     return {"color": f"C{k % len(COLOURS)}", "linestyle": DASHES[k % len(DASHES)], "marker": MARKS[k % len(MARKS)]}
 
 

@@ -6,29 +6,36 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks import published
-from benchmarks.published.report import ahead
-from benchmarks.rd.report import SEEN, TITLES, Means, Row, against, against_cool_chic, curve, means, scaled
+from benchmarks.rd.report import (
+    ONE_QUALITY,
+    SEEN,
+    TITLES,
+    Means,
+    Row,
+    against,
+    against_cool_chic,
+    against_quoted,
+    curve,
+    means,
+)
 from benchmarks.report.plots import style
 from benchmarks.report.section import Content, Draw, Page, number, percent, several, table
 
 NAMES = {
     "rd": "`rd`, tuned for PSNR",
     "rd visual": "`rd`, tuned for the eye (the default)",
-    "paper": "`paper`",
-    "baseline": "`baseline`",
     "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
     "avif tune=psnr speed 0": "AVIF, 4:4:4, speed 0, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
-    "avif grain": "AVIF, 4:2:0, speed 4, `tune=iq`, grain",
     "heic": "HEIC, x265, 4:2:0, `tune=psnr`",
     "jpeg2000": "JPEG 2000",
     "webp": "WebP, method 6",
     "jpegxl": "JPEG XL, effort 7",
-    "jpegxl effort 4": "JPEG XL, effort 4",
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
 }
 ANCHOR = "GaussianImage"
+BEST = ("VTM", "ELIC", "Cheng 2020, attention", "HM", "AV1 (libaom)")  # of the published codecs
 BPP = 0.25  # of the table
 MAX_BPP = 0.5  # of the plot
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
@@ -42,8 +49,7 @@ UNTIMED = {"encode_s": None, "decode_ms": None}
 
 
 def rows_of(*contents: Content) -> list[Row]:
-    """All of them; without times where the command had some of the threads alone, as beside another one, or another
-    processor than the first of them."""
+    """The rows of all; without times where a command had not all threads, or another processor than the first."""
     found = []
     for content in contents:
         is_alone = not content.get("command", "").startswith("SG_THREADS=")
@@ -53,20 +59,20 @@ def rows_of(*contents: Content) -> list[Row]:
 
 
 def processor(content: Content) -> str | None:
-    """That it was measured on."""
+    """The processor it was measured on."""
     name: str | None = content.get("machine", {}).get("processor")
     return name
 
 
 def name_of(codec: str) -> str:
-    """As a reader sees it. What stands behind a known name, an effort or a number of steps, says what it is."""
+    """A codec as readers see it: a known name, and the effort that may follow it."""
     known = max((name for name in NAMES if f"{codec} ".startswith(f"{name} ")), key=len, default="")
     return ", ".join(part for part in (NAMES.get(known, ""), codec.removeprefix(known).strip()) if part)
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From rd/*.json, as far as there are."""
-    at_rates = [contents[f"rd/{n}"] for n in ("kodak", "effort", "settings", "patient") if f"rd/{n}" in contents]
+    """The page from rd/*.json, as far as there are."""
+    at_rates = [contents[f"rd/{n}"] for n in ("kodak", "effort", "patient") if f"rd/{n}" in contents]
     rows = rows_of(*at_rates)
     average = means(rows)
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
@@ -93,7 +99,7 @@ def codecs_table(rows: Sequence[Row], average: Means) -> str:
     forms = {"psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
-        bits = percent(first(against(rows, codec, AVIF))) if codec != AVIF else ""
+        bits = percent(against(rows, codec, AVIF)) if codec != AVIF else ""
         above = f" (over the limit on {m['above']:g} of {m['images']:g})" if m["above"] else ""
         lines.append([name_of(codec) + above, *(number(m[name], form) for name, form in forms.items()), bits])
     titles = [f"codec, at most {BPP:g} bits per pixel", *(TITLES.get(name, name) for name in forms)]
@@ -104,7 +110,7 @@ def for_psnr(rows: Sequence[Row]) -> str:
     """One sentence on bits for the same PSNR."""
     told = []
     for rival in (AVIF, "heic", "webp"):
-        if (rate := first(against(rows, "rd", rival))) is not None:
+        if (rate := against(rows, "rd", rival)) is not None:
             told.append(f"{fewer(rate)} than {name_of(rival).partition(',')[0]}")
     return f"For the same PSNR, `rd` tuned for PSNR needs {several(told)}."
 
@@ -125,13 +131,12 @@ def for_eyes(average: Means) -> str:
 
 
 def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
-    """Other codecs, other pictures, other rates."""
-    told = dict(ahead(rows_of(one_quality)) if one_quality else {})
-    told["Cool-Chic 5.0"] = first(against_cool_chic(rows, "rd"))
-    others = several([f"{fewer(rate)} than {name}" for name, rate in told.items() if rate is not None])
+    """What the page does not show: other codecs, other pictures, other rates."""
+    told = ahead(rows, one_quality)
+    others = several([f"{fewer(rate)} than {name.replace(', ', ' with ')}" for name, rate in told.items()])
     published = f"- Codecs that were not run here. By their published figures, `rd` needs {others} for the same PSNR.\n"
     spread = ""
-    if first(against(rows, "rd", AVIF)) is not None:
+    if against(rows, "rd", AVIF) is not None:
         least, most = by_picture(rows, "rd", AVIF)
         spread = f" (from {least:+.0f} to {most:+.0f} % against AVIF)"
     return (
@@ -144,22 +149,25 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
     )
 
 
+def ahead(rows: Sequence[Row], one_quality: Content | None) -> dict[str, float]:
+    """BD-rates of rd against published codecs, in percent: those of BEST have one quality for all pictures."""
+    average = means(rows_of(one_quality)) if one_quality else {}
+    found = {other: against_quoted(average, f"rd {ONE_QUALITY}", other) for other in BEST}
+    found["Cool-Chic 5.0"] = against_cool_chic(rows, "rd")
+    return {other: rate for other, rate in found.items() if rate is not None}
+
+
 def by_picture(rows: Sequence[Row], codec: str, anchor: str) -> tuple[float, float]:
     """The least and the most of a codec's BD-rates for the same PSNR over the pictures that both have."""
     images = dict.fromkeys(row.image for row in rows if row.codec == codec)
     found = (against([row for row in rows if row.image == image], codec, anchor) for image in images)
-    rates = [rate for rate, _ in filter(None, found)]
+    rates = [rate for rate in found if rate is not None]
     return min(rates), max(rates)
 
 
 def fewer(rate: float) -> str:
-    """A difference in words."""
+    """A difference in rate, in words."""
     return f"{abs(rate):.1f} % {'fewer' if rate < 0 else 'more'} bits"
-
-
-def first(found: tuple[float, int] | None) -> float | None:
-    """The rate alone, where the number of pictures is known."""
-    return found[0] if found else None
 
 
 def lines_of(average: Means) -> dict[str, dict[str, Any]]:
@@ -174,7 +182,7 @@ def draw_psnr(axes: Any, average: Means) -> None:
     """PSNR against bits per pixel."""
     shown = lines_of(average)
     for codec, how in shown.items():
-        axes.plot(*zip(*sorted(scaled(curve(average, codec), 1)), strict=True), **how)
+        axes.plot(*zip(*sorted(curve(average, codec)), strict=True), **how)
     quoted = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"] if p["bpp"] < MAX_BPP]
     axes.plot(*zip(*quoted, strict=True), **style(len(shown)), label=f"{ANCHOR}, quoted")
     axes.set(xlabel="bits per pixel", ylabel="PSNR, dB")

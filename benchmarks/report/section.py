@@ -39,7 +39,7 @@ class Page:
     appendix: Sequence[str] = ()
 
     def text(self) -> str:
-        """Markdown."""
+        """The page in Markdown."""
         assert self.table.count("\n") <= MOST_ROWS + 1, f"the table of {self.name} has more than {MOST_ROWS} rows"
         name = ": ".join(filter(None, [self.title, self.of]))
         folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN(self.appendix)}\n\n</details>"
@@ -54,7 +54,7 @@ class Page:
         )
 
     def footer(self) -> str:
-        """One line: the rows as CSV and JSON, when, and on what."""
+        """One line: rows as CSV and JSON, and when and on what they were measured."""
         files = [f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json))" for name in self.contents]
         where = self.contents.values()
         dates = sorted(content["date"][:10] for content in where)
@@ -75,10 +75,10 @@ def load(results: Path, name: str) -> Content | None:
 
 
 def percent(rate: float | None) -> str:
-    """A difference in rate."""
+    """A difference in rate, with its sign."""
     return MISSING if rate is None else number(rate, "+.1f") + " %"
 
 
 def several(words: Sequence[str]) -> str:
-    """As a list in a sentence."""
+    """Words as a list in a sentence."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -46,19 +46,19 @@ def tabled(contents: Mapping[str, Content], wanted: Sequence[str], bpp: float | 
 
 
 def measured(contents: Mapping[str, Content], figures: Sequence[str]) -> list[str]:
-    """Those that some row has."""
+    """The figures that some row has."""
     rows = [row for content in contents.values() for row in content["rows"]]
     return [name for name in figures if any(name in row for row in rows)]
 
 
 def middle(content: Content) -> float:
-    """The rate that is told of."""
+    """The rate that the page is about."""
     at = rates(content["rows"])
     return at[len(at) // 2]
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From perceptual/kodak.json and perceptual/photographs.json, as far as there are."""
+    """The page from perceptual/kodak.json and perceptual/photographs.json, as far as there are."""
     bpp = middle(next(iter(contents.values())))
     more = (("Every rate", WHOLE), ("Local statistics over the source's", local.FIGURES))
     appendix = [f"{title}:\n\n{tabled(contents, of)}" for title, of in more if measured(contents, of)]
@@ -80,7 +80,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         "([which](../notebook/eye.md#how-much-noise-is-picked-without-names)). [A sheet of crops at twice their "
         "size](../seen.webp) shows the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` "
         "generates it.\n"
-        "- The noise of today: it has another strength since this was measured, as that entry says.\n"
+        "- The current noise: its strength was changed after this was measured, as that entry says.\n"
         "- Artefacts that no metric detects well, such as streaks and dots in smooth areas.\n"
         "- Pictures that AVIF (as built into imagecodecs) cannot compress this far: no mean includes them. A codec "
         "that cannot with another picture has no row.\n"
@@ -126,11 +126,11 @@ def sentence(name: str, content: Content) -> str:
     lower = measured({name: content}, BETTER_IF_LOWER)
     parts = [f"{ours[figure] / avif[figure]:.2f} times AVIF's {TITLES[figure]}" for figure in lower]
     points = ours["ssimulacra2"] - avif["ssimulacra2"]
-    behind, of = worse(content["rows"], bpp, "visual", "avif", "ssimulacra2")
+    behind, of = worse(content["rows"], bpp)
     return (
         f"On {name} at {bpp:g} bpp, files tuned for the eye have {several(parts)}. Their SSIMULACRA 2 is "
-        f"{abs(points):.1f} points {'lower' if points < 0 else 'higher'} on average, and lower on {len(behind)} of "
-        f"{of} pictures."
+        f"{abs(points):.1f} points {'lower' if points < 0 else 'higher'} on average, and lower on {behind} of {of} "
+        "pictures."
     )
 
 

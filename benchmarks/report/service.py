@@ -15,7 +15,7 @@ DECODE = "GET /decode/ID.png"
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From service/*.json, as far as there are."""
+    """The page from service/*.json, as far as there are."""
     names = ("service/load", "service/attacks")
     load, attacks = ([*contents[name]["rows"]] if name in contents else [] for name in names)
     attacks.sort(key=lambda row: -row["others_worst_p99_ms"])
@@ -39,7 +39,7 @@ def page(contents: Mapping[str, Content]) -> Page:
 
 
 def lines(load: Rows, attacks: Rows) -> list[list[Any]]:
-    """Load first, then the attacks that others notice most."""
+    """Rows for load, then for the attacks that others notice most."""
     found: list[list[Any]] = []
     for row in load:
         of = row["spreads"][DECODE]

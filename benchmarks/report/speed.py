@@ -43,7 +43,7 @@ Rows = Sequence[dict[str, Any]]
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From convergence/*.json and speed.json, as far as there are."""
+    """The page from convergence/*.json, speed.json and growth.json, as far as there are."""
     by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
     ends = dict.fromkeys((min(by_size), max(by_size)))
     panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
@@ -65,7 +65,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
         "- The search for the quality that fits a size, which other codecs' times leave out.\n"
         "- Networks at their best: SIREN had 60 seconds of PyTorch on the CPU, and no GPU.",
-        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence\n"
+        command="python -m benchmarks --full --images KODAK --only speed,convergence\n"
         "python -m benchmarks.speed growth --images PHOTOGRAPHS --megapixels 0.75,3,12 --bytes 500,2000,10000,50000",
         contents=contents,
         panels=panels,
@@ -86,12 +86,12 @@ def by_pixels(growth: Content) -> str:
 
 
 def size_of(content: Content) -> float:
-    """Megapixels of its pictures."""
+    """Megapixels of the pictures in a JSON."""
     return float(content["rows"][0]["megapixels"])
 
 
 def at(rows: Rows, method: str, setting: str) -> tuple[float, float] | None:
-    """Mean seconds and dB."""
+    """Mean seconds and dB of a method and setting."""
     mine = [row for row in rows if (row["method"], row["setting"]) == (method, setting)]
     if not mine:
         return None

@@ -9,7 +9,8 @@ from typing import Any
 
 from benchmarks.report.plots import style
 from benchmarks.report.section import MISSING, Content, Draw, Page, number, several, table
-from benchmarks.robustness.stiff.rules import RULES
+from benchmarks.robustness.stiff.rows import Row
+from benchmarks.robustness.stiff.rules import judged
 
 SETS = ("kernels", "fits")
 SHORT = {
@@ -24,10 +25,11 @@ VALUE, GRADIENT = (next(key for key in SHORT if word in key) for word in ("pixel
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From stiff.json and stability.json, as far as there are."""
+    """The page from stiff.json and stability.json, as far as there are."""
     stiff, extremes = (contents.get(name) for name in ("stiff", "stability"))
     rows = [row for row in extremes["rows"] if row["set"] in SETS] if extremes else []
-    lines = [*(stiff_lines(stiff) if stiff else []), *extreme_lines(rows)]
+    hard = [Row(**row) for row in stiff["rows"]] if stiff else []
+    lines = [*(judged(hard) if hard else ()), *extreme_lines(rows)]
     panels: list[Draw] = [partial(draw, rows=rows, rule=rule) for rule in (VALUE, GRADIENT)] if rows else []
     failing = [line for line in lines if line[3]]
     checks, broken = (sum(line[k] for line in lines) for k in (2, 3))
@@ -50,18 +52,6 @@ def page(contents: Mapping[str, Content]) -> Page:
         panels=panels,
         of="the worst error of kernels by the Gaussians' ratio of axes, and the limit",
     )
-
-
-def stiff_lines(content: Content) -> list[list[Any]]:
-    """Each rule of profile rd, and where it is broken worst."""
-    lines = []
-    for rule in content["rules"]:
-        worst, where = rule["worst"], MISSING
-        if worst is not None:
-            where = f"{worst['by']:.3g} {rule['unit']} ({worst['picture']}, {worst['kind']} {worst['value']:g})"
-        says = (RULES[rule["rule"]].find.__doc__ or "").rstrip(".")
-        lines.append([says, f"{rule['tolerance']:g} {rule['unit']}", rule["checked"], rule["broken"], where])
-    return lines
 
 
 def extreme_lines(rows: Sequence[dict[str, Any]]) -> list[list[Any]]:

@@ -24,7 +24,6 @@ SETS: dict[str, Callable[[argparse.Namespace], Cases]] = {
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", type=some_of(SETS, "set"), default=",".join(SETS))
     parser.add_argument("--cases", default="", help="those whose name begins so; all")

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.pictures import Pixels, photograph
 from benchmarks.robustness.case import Case, Cases, Found
-from benchmarks.robustness.stiff.drawings import text
+from benchmarks.robustness.stiff.pictures import text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
@@ -134,7 +134,7 @@ def starts(profile: str) -> dict[str, Patch]:
 
 
 def fast(settings: Settings) -> Settings:
-    """With rates that are ten times too high."""
+    """Settings with rates that are ten times too high."""
 
     def faster(s: OptimiserSettings) -> OptimiserSettings:
         return replace(s, mean_rate=10 * s.mean_rate, factor_rate=10 * s.factor_rate, color_rate=10 * s.color_rate)
@@ -171,13 +171,13 @@ def beyond(pixels: Pixels, count: int) -> Found:
 
 
 def spread(pixels: Pixels, seeds: int) -> Found:
-    """Of the same encode."""
+    """How far seeds of the same encode are apart in PSNR."""
     found = [encode(pixels, Budget("bpp", BPP), tune="psnr", seed=seed).stats.psnr for seed in range(seeds)]
     return max(found) - min(found), f"{min(found):.2f} to {max(found):.2f} dB"
 
 
 def lost(pixels: Pixels, generations: int) -> Found:
-    """PSNR against the first picture."""
+    """How much PSNR repeated encodes lose against the first picture."""
     shown, found = pixels, []
     for _ in range(generations):
         shown = decode(encode(shown, Budget("bpp", BPP), tune="psnr").data)

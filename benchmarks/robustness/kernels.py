@@ -114,7 +114,7 @@ def largest() -> Gaussians:
 
 
 def values(gaussians: Gaussians, model: Model) -> Found:
-    """The worst over instruction sets and numbers of threads."""
+    """The worst error of a pixel, over instruction sets and numbers of threads."""
     with torch.no_grad():
         exact = defined(gaussians, model).numpy()
     magnitudes = summed(gaussians, model.cutoff)
@@ -130,7 +130,7 @@ def values(gaussians: Gaussians, model: Model) -> Found:
 
 
 def gradients(gaussians: Gaussians, model: Model) -> Found:
-    """The worst column: each number of a Gaussian is of a kind of its own."""
+    """The worst error of a gradient, each number of a Gaussian relative to its own kind."""
     tensors = exact_tensors(gaussians)
     loss = (defined(gaussians, model, tensors) * upstream()).sum()
     loss.backward()  # type: ignore[no-untyped-call]
@@ -148,7 +148,7 @@ def gradients(gaussians: Gaussians, model: Model) -> Found:
 
 
 def raster(gaussians: Gaussians, model: Model, isa: int) -> native.Rasterization:
-    """The geometry over SIZE."""
+    """Gaussians laid over SIZE."""
     return native.Rasterization(
         gaussians.means, gaussians.factors, *SIZE, cutoff=model.cutoff, isa=isa, pyramid=model.pyramid
     )
@@ -198,7 +198,7 @@ def summed(gaussians: Gaussians, cutoff: float) -> NDArray[np.float64]:
 
 
 def threads() -> Iterator[int]:
-    """Sets one number of threads after the other, and at last the one before."""
+    """Set one number of threads after the other, and at last the one before."""
     before = native.thread_count()
     try:
         for count in sorted({1, 2, before}):

@@ -35,9 +35,8 @@ Request = Callable[["Crowd", str], Awaitable[str]]
 
 @dataclass(frozen=True)
 class Attack:
-    """words: for a reader; at_once: how many do it; addresses: from how many; request: one of them, again and again,
-    whose answer is a status or a word.
-    """
+    """What attackers do. words: for a reader; at_once: how many do it, from how many addresses; request: what each does
+    again and again, whose answer is a status or a word."""
 
     words: str
     at_once: int
@@ -57,7 +56,7 @@ class Crowd:
         self.answers: Counter[str] = Counter()
 
     async def attack(self, attack: Attack) -> None:
-        """All at once."""
+        """Attack by all at once."""
         sources = [f"127.66.{n // 250}.{n % 250 + 1}" for n in range(attack.addresses)]
         request = attack.request()
         os.nice(NICENESS)
@@ -79,7 +78,7 @@ class Crowd:
 
     @contextlib.asynccontextmanager
     async def connection(self, source: str) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-        """Closed with the context."""
+        """A connection, closed with the context."""
         reader, writer = await asyncio.open_connection(self.host, self.port, local_addr=(source, 0))
         try:
             yield reader, writer
@@ -100,7 +99,7 @@ class Crowd:
 
 
 def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
-    """The same file again and again."""
+    """Post the same file again and again."""
 
     def prepared() -> Request:
         body = make()
@@ -126,7 +125,7 @@ def plain_tiff() -> bytes:
 
 
 def large_pictures() -> Request:
-    """Accepted, and cancelled."""
+    """Post pictures that are accepted, and cancel the jobs."""
     body = plain_tiff()
 
     async def post(crowd: Crowd, source: str) -> str:
@@ -140,7 +139,7 @@ def large_pictures() -> Request:
 
 
 def hopeless() -> Request:
-    """Jobs that cannot succeed."""
+    """Submit jobs that cannot succeed."""
     queries = itertools.cycle(HOPELESS)
 
     async def post(crowd: Crowd, source: str) -> str:
@@ -150,7 +149,7 @@ def hopeless() -> Request:
 
 
 def idle() -> Request:
-    """Connections over which nothing comes."""
+    """Open connections, and send nothing."""
 
     async def connect(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, _):
@@ -161,7 +160,7 @@ def idle() -> Request:
 
 
 def slow_uploads() -> Request:
-    """Bodies that come as slowly as is allowed."""
+    """Send bodies as slowly as is allowed."""
 
     async def drip(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
@@ -177,7 +176,7 @@ def slow_uploads() -> Request:
 
 
 def streams() -> Request:
-    """Streams of events, held open."""
+    """Hold streams of events open."""
 
     async def watch(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
@@ -192,7 +191,7 @@ def streams() -> Request:
 
 
 def untaken() -> Request:
-    """Large pictures that nobody takes."""
+    """Ask for large pictures, and do not read them."""
 
     async def ask(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
@@ -225,7 +224,6 @@ ATTACKS = {
 
 
 def main() -> None:
-    """The command."""
     name, address, seconds, job = sys.argv[1:]
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

@@ -15,7 +15,6 @@ import json
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -23,13 +22,12 @@ from typing import Any
 from PIL import Image
 
 from benchmarks.arguments import some_of
-from benchmarks.machine import RUNS, Record
+from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import generated
-from benchmarks.service.measured import made_picture, png, resident_bytes
+from benchmarks.service.measured import made_picture, png
 from tests.harness.data import ROOT
 from tests.harness.nginx import Nginx, make_certificate
-from tests.harness.processes import processes
 from tests.harness.service import Service
 
 VICTIM = "127.0.0.2"
@@ -40,7 +38,7 @@ SETTINGS: dict[str, Any] = {
     "queue_length": 1_000_000,
     "source_retention_s": 3600,
 }
-WARM_S, LONGER_S, SAMPLE_S, REST_S = 3.0, 3.0, 0.1, 5.0
+WARM_S, LONGER_S = 3.0, 3.0
 
 
 def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
@@ -58,31 +56,6 @@ def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
     }
 
 
-class Memory(threading.Thread):
-    """Samples the web process and its helpers, the sandbox and its forks. most, now: bytes of each."""
-
-    def __init__(self, web: int) -> None:
-        super().__init__(name="memory", daemon=True)
-        self._web = web
-        self.most = {"web": 0, "helpers": 0}
-        self.sample()
-
-    def sample(self) -> dict[str, int]:
-        """Bytes at this moment."""
-        sandboxes = {n: p for n, p in processes().items() if p.is_a("sandbox")}
-        helpers = [
-            n for n, p in sandboxes.items() if self._web in (p.parent, getattr(sandboxes.get(p.parent), "parent", 0))
-        ]
-        now = {"web": resident_bytes(self._web), "helpers": sum(map(resident_bytes, helpers))}
-        self.most = {name: max(self.most[name], size) for name, size in now.items()}
-        return now
-
-    def run(self) -> None:
-        while True:
-            time.sleep(SAMPLE_S)
-            self.sample()
-
-
 def measure(name: str, seconds: float) -> dict[str, Any]:
     """The row of one attack."""
     attack = ATTACKS[name]
@@ -93,9 +66,6 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
             job, waiting = service.published(FILE.read_bytes()), service.accepted()
             wanted = asked_for(job, waiting, Path(temporary))
             generated(proxy.url, WARM_S, *wanted.values(), source=VICTIM)
-            memory = Memory(service.process.pid)
-            start = memory.sample()
-            memory.start()
             attacked = job if name == "untaken" else waiting
             with _attackers(name, proxy.url, seconds + LONGER_S, attacked) as attackers:
                 assert attackers.stdout is not None
@@ -103,9 +73,7 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
                 time.sleep(1)
                 spreads = generated(proxy.url, seconds, *wanted.values(), source=VICTIM)
                 answers = json.loads(attackers.communicate()[0])
-            time.sleep(REST_S)
-            after = memory.sample()
-            peak = _peak_bytes(service.process.pid)
+            web_mb = round(peak_bytes(service.process.pid) / 1e6, 1)
         finally:
             proxy.stop()
             status = service.stop()
@@ -117,25 +85,14 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
     return {
         **{"attack": name, "words": attack.words, "at_once": attack.at_once, "answers": answers, "others": others},
         **{"others_failed": failed, "others_worst_p99_ms": worst_ms},
-        **{"web_mb": {"start": _mb(start["web"]), "most": _mb(peak), "after": _mb(after["web"])}},
-        **{"helpers_mb": _mb(memory.most["helpers"]), "tracebacks": log.count("Traceback"), "exit_status": status},
-        "met": failed == 0 and worst_ms <= AT_MOST["p99_ms"] and _mb(peak) <= AT_MOST["web_mb"] and took_place,
+        **{"web_mb": {"most": web_mb}, "tracebacks": log.count("Traceback"), "exit_status": status},
+        "met": failed == 0 and worst_ms <= AT_MOST["p99_ms"] and web_mb <= AT_MOST["web_mb"] and took_place,
     }
 
 
 def _attackers(name: str, url: str, seconds: float, job: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "benchmarks.service.attackers", name, url.removeprefix("http://")]
     return subprocess.Popen([*command, str(seconds), job], cwd=ROOT, stdout=subprocess.PIPE, text=True)
-
-
-def _peak_bytes(number: int) -> int:
-    """The most that the process ever had: samples may miss it."""
-    status = Path(f"/proc/{number}/status").read_text().splitlines()
-    return 1024 * next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
-
-
-def _mb(size_bytes: int) -> float:
-    return round(size_bytes / 1e6, 1)
 
 
 def main() -> int:

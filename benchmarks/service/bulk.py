@@ -29,14 +29,14 @@ AT_MOST_S, MORE_AT_MOST_S = 0.5, 0.3  # a picture through the service, and what 
 
 
 def timed(pictures: int, encode_all: Callable[[], Any]) -> float:
-    """Seconds for each picture."""
+    """Seconds of each picture."""
     began = time.perf_counter()
     encode_all()
     return round((time.perf_counter() - began) / pictures, 3)
 
 
 def measure(pictures: int) -> dict[str, Any]:
-    """The row."""
+    """Measure the one row."""
     images = [png(Image.fromarray(made_picture(*SIZE, number))) for number in range(pictures)]
     sgmethod.encode(images[0], effort=EFFORT)
     here_s = timed(pictures, lambda: [sgmethod.encode(image, effort=EFFORT) for image in images])
@@ -56,7 +56,7 @@ def measure(pictures: int) -> dict[str, Any]:
 
 
 def _processor_s() -> float:
-    """Of all processes that this one has started, once they have ended."""
+    """Seconds of the processor, of all processes that this one started and that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

@@ -101,7 +101,7 @@ class Chaos:
         self.changed: set[str] = set()
 
     def rage(self) -> None:
-        """Until all jobs are submitted."""
+        """Let things happen at random until all jobs are submitted."""
         weights = dict(WEIGHTS)
         if self._postgres is None:
             del weights["database restarted"]
@@ -116,7 +116,7 @@ class Chaos:
         self._wake(float("inf"))
 
     def _do(self, event: str) -> bool:
-        """Whether there was anything to do it to."""
+        """Let an event happen; whether there was anything to do it to."""
         match event:
             case "encoder killed":
                 return self._service.kill_one("encoder", self._random)

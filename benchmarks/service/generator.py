@@ -40,13 +40,13 @@ class Wanted:
 
     @classmethod
     def of(cls, text: str) -> Wanted:
-        """From an argument of the command line."""
+        """Read an argument of the command line."""
         rate, method, path, *file = text.split()
         return cls(float(rate), method, path, Path(file[0]).read_bytes() if file else b"")
 
 
 class Client:
-    """Keeps connections and uses them again. source: the address that they come from."""
+    """A client that keeps connections and uses them again. source: the address that they come from."""
 
     def __init__(self, address: str, source: str | None = None) -> None:
         self._host, _, port = address.rpartition(":")
@@ -113,7 +113,7 @@ async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, ob
 
 
 async def run(client: Client, seconds: float, wanted: list[Wanted]) -> list[dict[str, object]]:
-    """All series at once."""
+    """Run all series at once."""
     done = await asyncio.gather(*(series(client, one, seconds) for one in wanted))
     client.close()
     return list(done)
@@ -135,7 +135,6 @@ def generated(url: str, seconds: float, *wanted: str, source: str | None = None)
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("address")
     parser.add_argument("seconds", type=float)

@@ -29,7 +29,7 @@ AT_MOST_MS = {"GET /decode/ID.png": {"p50_ms": 12.0, "p99_ms": 40.0}, "GET /live
 
 @dataclass(frozen=True)
 class Case:
-    """rate: pictures asked for a second; query: what is asked of them, where {} stands for a number that grows."""
+    """A load. rate: pictures a second; query: of their address, where {} stands for a number that grows."""
 
     name: str
     rate: float
@@ -74,7 +74,6 @@ def measure(case: Case, image: bytes, seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0, help="of load in each case (default: 30)")
     parser.add_argument("--out", type=Path, default=RUNS / "service" / "load.json")

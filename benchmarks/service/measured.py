@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,7 +48,7 @@ class LoadService(ServiceProcess):
     timeout_s = PATIENCE_S
 
     def submit(self, image: bytes, bpp: float, time_limit_s: float) -> str:
-        """The id of the new job."""
+        """Submit a job; its id."""
         query = {"bpp": bpp, "time_limit_s": time_limit_s}
         answer = self.client.post("/encode", content=image, params=query, headers={"Content-Type": "image/png"})
         answer.raise_for_status()
@@ -66,14 +65,6 @@ class LoadService(ServiceProcess):
                 break
             time.sleep(0.1)
         raise SystemExit(f"job {job_id} is {job['state']}: {job['error']}")
-
-
-def resident_bytes(process: int) -> int:
-    """Memory that a process has now; 0 if there is none of that number."""
-    try:
-        return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, IndexError):  # it has just ended
-        return 0
 
 
 @contextmanager

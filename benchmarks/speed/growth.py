@@ -50,14 +50,14 @@ def reduced(pixels: Pixels, megapixels: float) -> Pixels:
 
 
 def ours(pixels: Pixels, max_bytes: int, tune: Any, repeats: int) -> dict[str, Any]:
-    """Encodes of one file."""
+    """Encode repeatedly; the median of the seconds."""
     found = [encode(pixels, bytes=max_bytes, tune=tune).stats for _ in range(repeats)]
     seconds = statistics.median(stats.seconds for stats in found)
     return {"bytes": found[0].bytes, "psnr": found[0].psnr, "gaussians": found[0].gaussians, "seconds": seconds}
 
 
 def measure(record: Record, picture: str, source: Pixels, size: tuple[float, int], repeats: int) -> None:
-    """One picture at one size in megapixels and bytes, by every method."""
+    """Measure one picture at one size in megapixels and bytes, by every method."""
     pixels = reduced(source, size[0])
     key = {"picture": picture, "megapixels": size[0], "max_bytes": size[1]}
     for method, tune in TUNES.items():
@@ -95,7 +95,7 @@ def exponent(x: Sequence[float], y: Sequence[float]) -> float | None:
 
 
 def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
-    """Seconds along the axis, and the power of it with which they grow."""
+    """A table of seconds along the axis, and of the power with which they grow."""
     found = dict(means(rows, settings, axis))
     every = sorted({at for points in found.values() for at, *_ in points})
     lines = []
@@ -111,7 +111,6 @@ def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
 
 
 def main() -> None:
-    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=3)
     parser.add_argument("--megapixels", type=numbers, default="0.75,1.5,3,6,12")

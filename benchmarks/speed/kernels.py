@@ -1,7 +1,7 @@
-"""Time of rendering and of its gradients, on Gaussians that were fitted to a picture.
+"""Time of drawing and of its gradients, on Gaussians that were fitted to a picture.
 
-Fitted Gaussians matter: random ones are of other sizes and overlap differently. Laying the Gaussians over the
-tiles is part of every time, because a fit does it at every step and a decoder once per picture; it is measured
+Fitted Gaussians matter: random ones are of other sizes and overlap differently. Every time includes laying the
+Gaussians over the tiles, because a fit does that at every step and a decoder once per picture; it is measured
 alone too. All configurations take turns in every round, so that a busy moment of the machine falls on all alike.
 """
 
@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from benchmarks.machine import ISA_NAMES
+from benchmarks.pictures import Pixels
 from sgmethod.backend.kernels import Kernels
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
@@ -31,20 +31,17 @@ from sgmethod.start.placement import place
 SIZE = (768, 512)
 
 
-def load(path: Path) -> NDArray[np.uint8]:
+def load(path: Path) -> Pixels:
     """Pixels of a picture brought to SIZE."""
     with Image.open(path) as picture:
         return np.asarray(ImageOps.fit(picture.convert("RGB"), SIZE, Image.Resampling.LANCZOS))
 
 
-def fitted(pixels: NDArray[np.uint8], n: int, steps: int) -> tuple[Gaussians, float]:
-    """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest, and the seconds of a
-    step."""
-    settings = replace(PAPER, fit_steps=steps)
+def fitted(pixels: Pixels, n: int, steps: int) -> Gaussians:
+    """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest."""
+    settings, clock = replace(PAPER, fit_steps=steps), Clock()
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
-    clock = Clock()
-    gaussians, done = fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline(clock))
-    return gaussians, clock.seconds() / done
+    return fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline(clock))[0]
 
 
 class Jobs:
@@ -62,21 +59,21 @@ class Jobs:
         }
 
     def binning(self, isa: int) -> None:
-        """Geometry over tiles."""
+        """Lay Gaussians over the tiles."""
         native.Rasterization(*self.shapes, *SIZE, isa=isa)
 
     def forward(self, isa: int) -> None:
-        """Geometry and picture."""
+        """Draw the picture."""
         native.Rasterization(*self.shapes, *SIZE, isa=isa).render(self.colors, self.image)
 
     def both(self, isa: int) -> None:
-        """Geometry, picture, all gradients."""
+        """Draw the picture, and compute all gradients."""
         raster = native.Rasterization(*self.shapes, *SIZE, isa=isa)
         raster.render(self.colors, self.image)
         raster.backward(self.colors, self.upstream, *self.gradients)
 
 
-def measure(jobs: Jobs, rounds: int, isas: range) -> Iterator[dict[str, Any]]:
+def measure(jobs: Jobs, rounds: int) -> Iterator[dict[str, Any]]:
     """Milliseconds of all jobs for each instruction set, with one thread and with all, taking turns."""
     every = native.thread_count()
     samples = defaultdict(list)
@@ -84,7 +81,7 @@ def measure(jobs: Jobs, rounds: int, isas: range) -> Iterator[dict[str, Any]]:
         for threads in sorted({1, every}):
             native.set_thread_count(threads)
             jobs.forward(0)  # starts the threads
-            for isa in isas:
+            for isa in range(native.best_isa() + 1):
                 for name, job in jobs.by_name.items():
                     began = time.perf_counter()
                     job(isa)

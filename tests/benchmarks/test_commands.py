@@ -1,4 +1,4 @@
-"""Each command that CONTRIBUTING.md lists, on one small picture. Slow: each starts Python anew."""
+"""Each command that benchmarks lists, on one small picture. Slow: each starts Python anew."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "setting",
         ["", "0.3 s", "effort 1", "effort 3", "effort 7", ""],
     ),
-    "speed": ("--only gaussians --gaussians 20,40 --repeats 1 --steps 10 --rounds 1", "asked", [20, 40]),
+    "speed": ("--megapixels 0.01 --repeats 1 --steps 10 --rounds 1", "what", ["size", "kernel"]),
     "speed growth": (
         "--images {small} --megapixels 0.002 --at-bytes 250 --bytes 120 --at-megapixels 0.002 --repeats 1",
         "max_bytes",

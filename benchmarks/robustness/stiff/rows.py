@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.robustness.stiff.pictures import Pixels
-from sgmethod import Budget, BudgetError, Encoded, TracePoint, encode
+from benchmarks.pictures import Pixels
+from sgmethod import Budget, BudgetError, Encoded, encode
 from sgmethod.bitstream import container
 from sgmethod.native import native
 
-PROFILE = "rd"
 # What rounding to 8 bits leaves of a perfect picture: an error of 1/12 of a squared level. No better one is asked for.
 EXACT_DB = 58.9
-
-Key = tuple[str, int, str, float]
 
 
 @dataclass(frozen=True)
@@ -46,11 +42,6 @@ class Row:
     error: str | None = None
 
     @property
-    def key(self) -> Key:
-        """What makes a row one of its own."""
-        return self.picture, self.seed, self.kind, self.value
-
-    @property
     def size(self) -> int:
         """The file's bytes, where there is a file."""
         assert self.bytes is not None
@@ -67,18 +58,6 @@ class Row:
         """The file's PSNR, at most EXACT_DB: what lies beyond is no difference that counts."""
         return EXACT_DB if self.psnr is None else min(self.psnr, EXACT_DB)
 
-    @property
-    def exact(self) -> bool:
-        """Whether the picture is as good as 8 bits allow."""
-        return self.db == EXACT_DB
-
-    def __str__(self) -> str:
-        asked = f"{self.picture}, seed {self.seed}, {self.kind} {self.value:g}"
-        if self.bytes is None:
-            return f"{asked}: {self.refused or self.error}"
-        psnr = "identical" if self.psnr is None else f"{self.psnr:.2f} dB"
-        return f"{asked}: {self.bytes} bytes, {psnr}, {self.gaussians} Gaussians, {self.seconds} s"
-
 
 def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
     """Encode a picture [H, W, 3] once. An encode that fails is a row too: others follow."""
@@ -87,13 +66,14 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
     asked = Row(picture, seed, budget.kind, budget.value, max_bytes)
     clipped_before = native.rd_clipped_values()
     try:
-        encoded = encode(pixels, budget, PROFILE, tune="psnr", seed=seed)
+        encoded = encode(pixels, budget, tune="psnr", seed=seed)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         small = isinstance(error, BudgetError) and max_bytes is not None
         return replace(asked, refused=why) if small else replace(asked, error=why)
     stats = encoded.stats
-    best = best_traced(encoded.trace, stats.bytes)
+    known = [point for point in encoded.trace if 0 < point.bytes <= stats.bytes]
+    best = max(known, key=lambda point: point.psnr, default=None)
     return replace(
         asked,
         bytes=stats.bytes,
@@ -103,11 +83,6 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
         traced=(best.bytes, best.psnr, best.phase) if best else None,
         clipped=native.rd_clipped_values() - clipped_before + not_finite(encoded),
     )
-
-
-def best_traced(trace: Sequence[TracePoint], max_bytes: int) -> TracePoint | None:
-    """The point of highest PSNR among those whose size is known and within the limit."""
-    return max((p for p in trace if 0 < p.bytes <= max_bytes), key=lambda p: p.psnr, default=None)
 
 
 def not_finite(encoded: Encoded) -> int:

@@ -1,6 +1,6 @@
 """Rules that the rows of one picture and seed keep.
 
-Each is a function over those rows. For every row that it speaks of it says by how much the row is on the wrong side,
+Each is a function over those rows. For every row that it concerns, it says by how much the row is on the wrong side,
 0 at best; its line in RULES has the unit of that, and how much of it is allowed.
 """
 
@@ -8,33 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from benchmarks.robustness.stiff.rows import Row
+from benchmarks.robustness.stiff.rows import EXACT_DB, Row
+from benchmarks.tables import MISSING
 
 Found = Iterator[tuple[Row, float]]
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How far a row may be on the wrong side of a rule, and in which unit."""
+    """How far a row may be on the wrong side of a rule, and in which unit. The function's docstring is the rule."""
 
     find: Callable[[Sequence[Row]], Found]
     tolerance: float
     unit: str
-
-
-@dataclass(frozen=True)
-class Check:
-    """One row under one rule."""
-
-    rule: str
-    row: Row
-    by: float
-
-    @property
-    def broken(self) -> bool:
-        """Whether the row is too far on the wrong side."""
-        return self.by > RULES[self.rule].tolerance
 
 
 def failed(rows: Sequence[Row]) -> Found:
@@ -75,34 +63,41 @@ def trace(rows: Sequence[Row]) -> Found:
     """A file is no worse than its trace showed at that size, or has the target PSNR."""
     for row in with_file(rows):
         if row.traced is not None:
-            enough = row.exact or (row.kind == "psnr" and row.db >= row.value)
+            enough = row.db == EXACT_DB or (row.kind == "psnr" and row.db >= row.value)
             yield row, 0.0 if enough else row.traced[1] - row.db
 
 
 def with_file(rows: Sequence[Row]) -> list[Row]:
-    """Those whose encode ended with a file."""
+    """The rows whose encode ended with a file."""
     return [row for row in rows if row.bytes is not None]
 
 
 def of_kind(kind: str, rows: Sequence[Row]) -> list[Row]:
-    """Those with a file that had a budget of one kind."""
+    """The rows with a file that had a budget of one kind."""
     return [row for row in with_file(rows) if row.kind == kind]
 
 
-RULES = {
-    "failed": Rule(failed, 0, "errors"),
-    "falls": Rule(falls, 0.5, "dB"),
-    "exceeded": Rule(exceeded, 0, "bytes"),
-    "missed": Rule(missed, 0, "dB"),
-    "clipped": Rule(clipped, 0, "numbers"),
-    "trace": Rule(trace, 0.1, "dB"),
-}
+RULES = (
+    Rule(failed, 0, "errors"),
+    Rule(falls, 0.5, "dB"),
+    Rule(exceeded, 0, "bytes"),
+    Rule(missed, 0, "dB"),
+    Rule(clipped, 0, "numbers"),
+    Rule(trace, 0.1, "dB"),
+)
 
 
-def judge(rows: Sequence[Row]) -> list[Check]:
-    """Every check of every rule, in the order of RULES."""
+def judged(rows: Sequence[Row]) -> Iterator[list[Any]]:
+    """For each rule: its words, its tolerance, the checks, those that fail, and the worst of them."""
     groups: dict[tuple[str, int], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.picture, row.seed), []).append(row)
-    found = ((name, rule.find(group)) for name, rule in RULES.items() for group in groups.values())
-    return [Check(name, row, max(by, 0.0)) for name, checks in found for row, by in checks]
+    for rule in RULES:
+        checks = [check for group in groups.values() for check in rule.find(group)]
+        broken = [check for check in checks if check[1] > rule.tolerance]
+        worst = MISSING
+        if broken:
+            row, by = max(broken, key=lambda check: check[1])
+            worst = f"{by:.3g} {rule.unit} ({row.picture}, {row.kind} {row.value:g})"
+        says = (rule.find.__doc__ or "").rstrip(".")
+        yield [says, f"{rule.tolerance:g} {rule.unit}", len(checks), len(broken), worst]
