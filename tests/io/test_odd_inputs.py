@@ -19,7 +19,8 @@ from sgmethod.io import chunks
 from sgmethod.io.image import read_header, read_image, read_image_8_bit
 from tests.harness import profiles
 from tests.harness.data import PHOTOGRAPHS, golden_path
-from tests.io.test_image import exif_with, png, tiff
+from tests.io.odd_files import chunk, png, tiff
+from tests.io.test_image import exif_with
 
 SIZE = (32, 24)
 RED = (200, 80, 60)
@@ -53,23 +54,27 @@ def heic(picture: Image.Image = PLAIN, **options: object) -> bytes:
     return file.getvalue()
 
 
-def chunked(*extra: tuple[bytes, bytes], depth: int = 8, colour: int = 2, sample: tuple[int, ...] = RED) -> bytes:
+def chunked(*chunks: bytes, depth: int = 8, colour: int = 2, sample: tuple[int, ...] = RED) -> bytes:
     """A PNG file of one colour with further chunks."""
     row = b"\0" + struct.pack(f">{len(sample)}{'BH'[depth == 16]}", *sample) * SIZE[0]
-    return png(*SIZE, depth, colour, row * SIZE[1], *extra)
+    return png(row * SIZE[1], SIZE, chunks, depth=depth, colour=colour)
 
 
-def iccp(profile: bytes) -> tuple[bytes, bytes]:
-    return b"iCCP", b"icc\0\0" + zlib.compress(profile)
+def iccp(profile: bytes) -> bytes:
+    return chunk(b"iCCP", b"icc\0\0" + zlib.compress(profile))
 
 
-def gama(value: int) -> tuple[bytes, bytes]:
-    return b"gAMA", struct.pack(">I", value)
+def cicp(*points: int) -> bytes:
+    return chunk(b"cICP", bytes([*points, 0, 1]))
 
 
-def chrm(*points: float) -> tuple[bytes, bytes]:
+def gama(value: int) -> bytes:
+    return chunk(b"gAMA", struct.pack(">I", value))
+
+
+def chrm(*points: float) -> bytes:
     """Of white, red, green and blue."""
-    return b"cHRM", struct.pack(">8I", *(round(value * 100000) for value in points))
+    return chunk(b"cHRM", struct.pack(">8I", *(round(value * 100000) for value in points)))
 
 
 CHRM_P3 = chrm(0.3127, 0.3290, 0.680, 0.320, 0.265, 0.690, 0.150, 0.060)
@@ -93,7 +98,7 @@ def ppm(kind: int, peak: int | None, body: bytes, width: int = SIZE[0], height: 
 
 
 PIXELS = SIZE[0] * SIZE[1]
-RGB16 = struct.pack(">3H", *(value * 257 for value in RED))
+RED16 = (200 * 257, 80 * 257, 60 * 257)
 PALETTE = PLAIN.quantize(4)
 HOLE = Image.new("RGBA", SIZE, (*RED, 0))
 HALF = Image.new("RGBA", SIZE, (0, 0, 0, 128))
@@ -142,16 +147,14 @@ ODD = {
     "avif in Display P3": Odd(saved("AVIF", quality=100, icc_profile=P3), IN_P3, off=3),
     "heic in Display P3": Odd(heic(icc_profile=P3), IN_P3, off=3),
     "palette in Display P3": Odd(saved("PNG", PALETTE, icc_profile=P3), IN_P3),
-    "16 bits in Display P3": Odd(chunked(iccp(P3), depth=16, sample=struct.unpack(">3H", RGB16)), IN_P3),
+    "16 bits in Display P3": Odd(chunked(iccp(P3), depth=16, sample=RED16), IN_P3),
     "transparent in Display P3": Odd(saved("PNG", HOLE, icc_profile=P3), (255, 255, 255), ALPHA),
     "opaque alpha in Display P3": Odd(saved("PNG", SOLID, icc_profile=P3), IN_P3),
     "jpeg in sRGB": Odd(saved("PNG", icc_profile=profiles.rgb(profiles.SRGB)), RED, off=0),
     "grey with a profile of RGB": Odd(saved("PNG", GREY, icc_profile=P3), (128, 128, 128)),
     "grey of gamma 1.8": Odd(saved("PNG", GREY, icc_profile=profiles.grey(profiles.gamma(1.8))), (147, 147, 147)),
     "tables": Odd(saved("PNG", icc_profile=profiles.rgb_by_table()), (105, 105, 105)),
-    "tables and 16 bits": Odd(
-        chunked(iccp(profiles.rgb_by_table()), depth=16, sample=struct.unpack(">3H", RGB16)), (105, 105, 105)
-    ),
+    "tables and 16 bits": Odd(chunked(iccp(profiles.rgb_by_table()), depth=16, sample=RED16), (105, 105, 105)),
     "CMYK tiff with its profile": Odd(saved("TIFF", INK, icc_profile=profiles.cmyk()), PRESS_CYAN),
     "CMYK jpeg with its profile": Odd(saved("JPEG", INK, quality=100, icc_profile=profiles.cmyk()), PRESS_CYAN),
     "CMYK without a profile": Odd(saved("TIFF", INK), CYAN),
@@ -159,7 +162,7 @@ ODD = {
     "RGB with a profile of CMYK": Odd(saved("PNG", icc_profile=profiles.cmyk()), RED, PROFILE),
     "a profile that is none": Odd(saved("PNG", icc_profile=b"not a profile"), RED, PROFILE),
     "a profile cut short": Odd(saved("PNG", icc_profile=P3[:200]), RED, PROFILE),
-    "a profile of damaged zlib": Odd(chunked((b"iCCP", b"icc\0\0" + b"damaged")), RED, PROFILE),
+    "a profile of damaged zlib": Odd(chunked(chunk(b"iCCP", b"icc\0\0" + b"damaged")), RED, PROFILE),
     "a table cut short": Odd(saved("PNG", icc_profile=profiles.cmyk()[:900]), RED, PROFILE),
     "a profile of one colour": Odd(saved("PNG", icc_profile=profiles.rgb(((0, 0, 0),) * 3)), RED, PROFILE),
     "a profile of gamma 0": Odd(saved("PNG", icc_profile=profiles.rgb(profiles.SRGB, profiles.gamma(0))), RED, PROFILE),
@@ -170,13 +173,13 @@ ODD = {
         saved("PNG", icc_profile=profiles.rgb(profiles.SRGB, cicp=b"cicp\0\0\0\0" + bytes([9, 16, 0, 1]))), "range (PQ)"
     ),
     # What PNG states, in its order of precedence
-    "cICP of Display P3": Odd(chunked((b"cICP", bytes([12, 13, 0, 1]))), IN_P3),
-    "cICP before a profile": Odd(chunked((b"cICP", bytes([1, 13, 0, 1])), iccp(P3)), RED, off=0),
-    "cICP for PQ": Odd(chunked((b"cICP", bytes([9, 16, 0, 1]))), "range (PQ)"),
-    "cICP for HLG": Odd(chunked((b"cICP", bytes([9, 18, 0, 1]))), "range (HLG)"),
-    "cICP of unknown points": Odd(chunked((b"cICP", bytes([77, 13, 0, 1]))), RED, PROFILE, 0),
-    "a profile before sRGB": Odd(chunked(iccp(P3), (b"sRGB", b"\0")), IN_P3),
-    "sRGB before gAMA": Odd(chunked((b"sRGB", b"\0"), gama(100000)), RED, off=0),
+    "cICP of Display P3": Odd(chunked(cicp(12, 13)), IN_P3),
+    "cICP before a profile": Odd(chunked(cicp(1, 13), iccp(P3)), RED, off=0),
+    "cICP for PQ": Odd(chunked(cicp(9, 16)), "range (PQ)"),
+    "cICP for HLG": Odd(chunked(cicp(9, 18)), "range (HLG)"),
+    "cICP of unknown points": Odd(chunked(cicp(77, 13)), RED, PROFILE, 0),
+    "a profile before sRGB": Odd(chunked(iccp(P3), chunk(b"sRGB", b"\0")), IN_P3),
+    "sRGB before gAMA": Odd(chunked(chunk(b"sRGB", b"\0"), gama(100000)), RED, off=0),
     "gAMA of light": Odd(chunked(gama(100000), sample=(55, 55, 55)), (128, 128, 128)),
     "gAMA of sRGB": Odd(chunked(gama(45455)), RED, off=0),
     "gAMA of old Macs": Odd(chunked(gama(55556), colour=0, sample=(128,)), (147, 147, 147)),
@@ -209,7 +212,7 @@ ODD = {
     "pgm of text": Odd(ppm(2, 100, b"50 " * PIXELS), (128, 128, 128)),
     "pgm in 16 bits": Odd(ppm(5, 65535, b"\x80\x80" * PIXELS), (128, 128, 128), off=0),
     "ppm": Odd(ppm(6, 255, bytes(RED) * PIXELS), RED, off=0),
-    "ppm in 16 bits": Odd(ppm(6, 65535, RGB16 * PIXELS), RED, off=0),
+    "ppm in 16 bits": Odd(ppm(6, 65535, struct.pack(">3H", *RED16) * PIXELS), RED, off=0),
     "qoi": Odd(qoi(bytes(RED)), RED, off=0),
     "qoi that says light": Odd(qoi(bytes(RED), linear=1), RED, off=0),
     "qoi with alpha": Odd(qoi(bytes([0, 0, 0, 128])), (127, 127, 127), ALPHA),
@@ -253,7 +256,7 @@ ODD = {
     "a huge qoi": Odd(qoi(bytes(RED), width=2**31, height=2**31), "too large"),
     "a huge avif": Odd(saved("AVIF").replace(struct.pack(">II", *SIZE), b"\xff\xff\xff\xff" * 2), "damaged, truncated"),
     "an empty ppm": Odd(ppm(6, 255, b"", 0, 5), "damaged, truncated"),
-    "a preview in a raw file": Odd(tiff(4, 1, 8, bytes(4), t254=1), "preview"),
+    "a preview in a raw file": Odd(tiff([(np.zeros((1, 4, 1), np.uint8), {254: 1})]), "preview"),
 }
 
 
