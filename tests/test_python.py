@@ -227,7 +227,12 @@ def test_pillow_is_told_what_is_wrong() -> None:
 # --- Examples
 
 
-@pytest.mark.parametrize("module", ["codec", "decoder", "pillow.plugin"])
+WITH_EXAMPLES = (
+    "codec decoder pillow.plugin exchange.packing previews.preview previews.reducing torch.drawing torch.files"
+)
+
+
+@pytest.mark.parametrize("module", [*WITH_EXAMPLES.split(), "torch.fitting"])
 def test_examples_in_docstrings(module: str) -> None:
     sgmethod.encode("photo.jpg").save("photo.sg")
     names = {"sgmethod": sgmethod, "np": np, "Image": Image}

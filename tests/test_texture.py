@@ -80,19 +80,6 @@ def test_it_can_be_left_out(textured: bytes) -> None:
     assert np.array_equal(without, decode(file_of(None, some_gaussians()), view=half))
 
 
-REGIONS = [(0, 0, 1, 1), (13, 7, 64, 33), (64, 16, 100, 50), (299, 199, 1, 1), (0, 50, 200, 9)]
-
-
-@pytest.mark.parametrize("scale", [1, 2, 3, 0.5])
-@pytest.mark.parametrize("region", REGIONS)
-def test_a_region_is_a_crop(textured: bytes, scale: float, region: tuple[int, int, int, int]) -> None:
-    x, y, w, h = (int(scale * v) for v in region)
-    if (x, y, w, h) != tuple(scale * v for v in region):
-        return  # between the pixels of the smaller picture
-    whole, part = decode(textured, view=View(scale)), decode(textured, view=View(scale, region))
-    assert np.array_equal(part, whole[y : y + h, x : x + w])
-
-
 def test_the_same_on_every_instruction_set_and_for_every_number_of_threads(set_threads: Callable[[int], None]) -> None:
     gaussians, seen = some_gaussians(), set()
     for shift, isa, count in product((-1, 0, 2), range(native.best_isa() + 1), (1, 3)):

@@ -54,16 +54,16 @@ def test_the_plain_view_changes_nothing(data: bytes) -> None:
     assert np.array_equal(decode(data, view=View(1.0, (0, 0, WIDTH, HEIGHT))), decode(data))
 
 
-REGIONS = [(0, 0, 1, 1), (13, 7, 64, 33), (64, 16, 100, 50), (199, 119, 1, 1), (0, 50, 200, 9)]
+REGIONS = [(0, 0, 1, 1), (13, 7, 52, 33), (65, 119, 1, 1), (0, 50, 66, 9)]
 
 
+@pytest.mark.parametrize("name", ["v2-busy", "v2-texture"])  # of 200 x 120 and 66 x 200 pixels
 @pytest.mark.parametrize(
-    ("scale", "region"),
-    [*itertools.product((1, 2, 3), REGIONS), *itertools.product((0.5, 0.25, 1.5), [(40, 20, 80, 60)])],
+    ("scale", "region"), [*itertools.product((1, 2, 3), REGIONS), *itertools.product((0.5, 1.5), [(8, 20, 56, 60)])]
 )
-def test_a_region_is_a_crop(data: bytes, scale: float, region: tuple[int, int, int, int]) -> None:
+def test_a_region_is_a_crop(name: str, scale: float, region: tuple[int, int, int, int]) -> None:
     """Where it begins and ends on whole pixels."""
-    whole, part = (decode(data, view=View(scale, where)) for where in (None, region))
+    whole, part = (decode(golden(2)[name], view=View(scale, where)) for where in (None, region))
     x, y, w, h = (int(scale * v) for v in region)
     assert np.array_equal(part, whole[y : y + h, x : x + w])
 

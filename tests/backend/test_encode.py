@@ -19,18 +19,14 @@ from sgmethod.backend.tensors import Tensors
 from sgmethod.bitstream import container
 from sgmethod.budget import Budget
 from sgmethod.decoder import decode
-from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.objective import Objective
-from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
-from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.encode import encode
-from sgmethod.rd.request import Request
 from sgmethod.settings.rd import RD, Effort
 from sgmethod.settings.shared import Tune
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS
 from tests.harness.pictures import png
+from tests.rd.short import requested
 
 SIZE, BYTES = (40, 32), 400
 SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, size_tries=1))
@@ -38,9 +34,7 @@ SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, siz
 
 def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
     """The file of profile rd."""
-    objective, clock = Objective.of(pixels, tune, SETTINGS.objective), Clock()
-    rate = rate_of(Budget("bytes", BYTES), SIZE, SETTINGS)
-    stream, steps = encode(Request(objective, rate, Deadline(clock), backend, SETTINGS, Recorder(clock)))
+    stream, steps = encode(requested(pixels, Budget("bytes", BYTES), tune, settings=SETTINGS, backend=backend))
     assert steps >= 30
     return container.serialise(stream)
 

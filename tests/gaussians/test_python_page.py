@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import re
 from typing import Any
 
@@ -62,12 +61,3 @@ def test_the_page_of_data_sets() -> None:
 @pytest.mark.parametrize("name", [*sgmethod.__all__, *(f"torch.{name}" for name in sgmethod.torch.__all__)])
 def test_every_name_is_on_the_page(name: str) -> None:
     assert f"`{name}`" in PAGE.split("## All names")[1]
-
-
-@pytest.mark.usefixtures("files")
-@pytest.mark.parametrize("module", ["exchange.packing", "torch.drawing", "torch.files", "torch.fitting"])
-def test_examples_in_docstrings(module: str) -> None:
-    sgmethod.encode("photo.png").save("photo.sg")
-    tried = doctest.testmod(__import__(f"sgmethod.{module}", fromlist=["x"]), extraglobs={"sgmethod": sgmethod})
-    assert tried.attempted > 0
-    assert tried.failed == 0

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import base64
-import doctest
 import io
 import json
 import os
 import re
-import warnings
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -182,13 +180,3 @@ def test_bytes_that_no_preview_has(asked: object) -> None:
         sgmethod.preview(PHOTO, asked)  # type: ignore[arg-type]
     with pytest.raises(ImageError, match="too large"):
         sgmethod.preview(saved(LARGE, "PNG"), limits=ImageLimits(max_pixels=1000))
-
-
-def test_examples_in_docstrings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    PHOTO.save("photo.jpg")
-    for module in ("preview", "reducing"):
-        with warnings.catch_warnings(record=True) as caught:
-            source = __import__(f"sgmethod.previews.{module}", fromlist=["x"])
-            ran = doctest.testmod(source, extraglobs={"sgmethod": sgmethod})
-        assert (ran.attempted > 0, ran.failed, caught) == (True, 0, [])
