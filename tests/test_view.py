@@ -57,9 +57,13 @@ def test_the_plain_view_changes_nothing(data: bytes) -> None:
 REGIONS = [(0, 0, 1, 1), (13, 7, 52, 33), (65, 119, 1, 1), (0, 50, 66, 9)]
 
 
-@pytest.mark.parametrize("name", ["v2-busy", "v2-texture"])  # of 200 x 120 and 66 x 200 pixels
 @pytest.mark.parametrize(
-    ("scale", "region"), [*itertools.product((1, 2, 3), REGIONS), *itertools.product((0.5, 1.5), [(8, 20, 56, 60)])]
+    ("name", "scale", "region"),
+    [
+        *itertools.product(("v2-busy", "v2-texture"), (1, 2, 3), REGIONS),  # of 200 x 120 and 66 x 200 pixels
+        *itertools.product(("v2-busy", "v2-texture"), (0.5, 1.5), [(8, 20, 56, 60)]),
+        ("v2-busy", 0.25, (40, 20, 80, 60)),
+    ],
 )
 def test_a_region_is_a_crop(name: str, scale: float, region: tuple[int, int, int, int]) -> None:
     """Where it begins and ends on whole pixels."""

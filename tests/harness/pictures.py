@@ -1,11 +1,20 @@
-"""Pictures that tests make up: one that encodes at once, one that takes long, and one that is no photograph."""
+"""The tests' photographs, and pictures made up: one that encodes at once, one that takes long, one of text."""
 
 from __future__ import annotations
 
 import io
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
+
+from tests.harness.data import PHOTOGRAPHS
+
+
+def photo(name: str = "kodim23-crop") -> NDArray[np.uint8]:
+    """A photograph [H, W, 3] of 128 x 96 pixels; kodim04-crop is as high as that is wide."""
+    with Image.open(PHOTOGRAPHS / f"{name}.png") as picture:
+        return np.array(picture.convert("RGB"))
 
 
 def png(width: int, height: int, seed: int = 0) -> bytes:

@@ -13,17 +13,16 @@ from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short, stage_of
 
-CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:72, 40:104])
+CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 NOISE = np.random.default_rng(0).integers(0, 256, (128, 160, 3), np.uint8)
 PIXEL_S = 1e-6
 
