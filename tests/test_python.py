@@ -24,12 +24,13 @@ from sgmethod.io.png import encode_png
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
-from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 from tests.io.test_image import exif_with
 from tests.rd.short import short
 
-PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
-PIXELS = np.asarray(PHOTO)
+PIXELS = photo()  # 128 x 96
+PHOTO = Image.fromarray(PIXELS)
 GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 
 

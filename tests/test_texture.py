@@ -19,13 +19,13 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.fitting.texture import estimate, grain
-from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.rd.rate_control import EXACT_DB, Coded
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 from tests.rd.short import requested
 
 Pixels = NDArray[np.uint8]
@@ -282,23 +282,20 @@ def test_few_dots_are_left_on_a_lawn() -> None:
     assert dots("visual") < 0.1 * dots("psnr")
 
 
-def photo() -> Pixels:
-    return read_image_8_bit((PHOTOGRAPHS / "kodim05-crop.png").read_bytes())
-
-
 def test_tuning_for_the_eye_writes_it_within_the_budget() -> None:
+    pixels = photo("kodim05-crop")
     for size in (300, 900):
-        encoded = sgmethod.encode(photo(), bytes=size, tune="visual")
+        encoded = sgmethod.encode(pixels, bytes=size, tune="visual")
         assert encoded.stats.bytes == len(encoded.data) <= size
         fields = sgmethod.info(encoded.data)
         assert 0 < fields.bits["texture"] <= 8 * TEXTURE.share * size
         smooth = decode(encoded.data, texture=False)
-        assert psnr(smooth, photo()) > psnr(decode(encoded.data), photo()) == encoded.stats.psnr
+        assert psnr(smooth, pixels) > psnr(decode(encoded.data), pixels) == encoded.stats.psnr
 
 
 def test_tuning_for_psnr_writes_none() -> None:
     for budget in (Budget("bytes", 900), Budget("psnr", 18)):
-        fields = sgmethod.info(sgmethod.encode(photo(), budget, tune="psnr").data)
+        fields = sgmethod.info(sgmethod.encode(photo("kodim05-crop"), budget, tune="psnr").data)
         assert (fields.bits["texture"], fields.to_dict()["texture"]) == (0, False)
 
 

@@ -24,8 +24,7 @@ from sgmethod.rd.encode import encode
 from sgmethod.settings.rd import RD, Effort
 from sgmethod.settings.shared import Tune
 from sgmethod.view import View
-from tests.harness.data import PHOTOGRAPHS
-from tests.harness.pictures import png
+from tests.harness.pictures import photo, png
 from tests.rd.short import requested
 
 SIZE, BYTES = (40, 32), 400
@@ -53,9 +52,9 @@ def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
 
 def test_files_are_as_good_as_those_of_the_kernels() -> None:
     """Slow: four encodes on tensors. On average: fits with other last bits end some hundredths of a dB apart."""
-    photo, gains = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")), []
+    gains = []
     for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
-        pixels = np.ascontiguousarray(photo[y : y + SIZE[1], x : x + SIZE[0]])
+        pixels = photo()[y : y + SIZE[1], x : x + SIZE[0]]
         files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), Tensors(torch.device("cpu")))]
         assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
         of_kernels, of_tensors = (psnr(decode(file), pixels) for file in files)

@@ -25,12 +25,12 @@ from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.io.files import write_atomically
-from sgmethod.io.image import read_image
 from sgmethod.io.png import encode_png
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.backend.cases import single
-from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 
 FloatArray = NDArray[np.float64]
 Size = tuple[int, int]
@@ -39,8 +39,7 @@ HASHES = golden_path("v2-hashes.json")
 
 def photograph(profile: str) -> bytes:
     """A small part of a photograph, upright, in some 60 Gaussians."""
-    pixels = read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[:56, :40]
-    return encode(np.ascontiguousarray(pixels), Budget("bytes", 600), profile).data
+    return encode(photo()[:56, :40], Budget("bytes", 600), profile).data
 
 
 def every_bitwidth() -> bytes:
@@ -75,10 +74,8 @@ def empty() -> bytes:
 
 def rd_photograph(budget: Budget, *, grey: bool = False) -> bytes:
     """A small part of a photograph in profile rd."""
-    pixels = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[20:60, 30:78])
-    if grey:
-        pixels = np.ascontiguousarray(np.repeat(pixels[:, :, 1:2], 3, 2))
-    return encode(pixels, budget, "rd", tune="psnr").data
+    pixels = photo()[20:60, 30:78]
+    return encode(pixels[..., 1] if grey else pixels, budget, "rd", tune="psnr").data
 
 
 def rd_scattered(size: Size, n: int, *, upright: bool = False, is_short: bool = False) -> bytes:

@@ -32,10 +32,11 @@ from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
-from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
+from tests.harness.data import ROOT, golden_path
+from tests.harness.pictures import photo
 from tests.rd.short import shortened
 
-PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
+PHOTO = Image.fromarray(photo())  # 128 x 96
 FIGURES = {"bytes", "bpp", "psnr", "ms_ssim", "ssimulacra2", "gaussians", "steps", "seconds", "width", "height"}
 
 

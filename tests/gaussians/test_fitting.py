@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
 import sgmethod
@@ -16,9 +15,9 @@ from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.metrics import psnr
 from sgmethod.rd.exact import ExactFit
 from sgmethod.torch import Fit, fit, render
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 
-PHOTO = torch.from_numpy(np.array(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))).permute(2, 0, 1)
+PHOTO = torch.from_numpy(photo()).permute(2, 0, 1)
 HEIGHT, WIDTH = 33, 47
 BATCH = torch.stack([PHOTO[:, y : y + HEIGHT, 3 * y : 3 * y + WIDTH] for y in (0, 15, 25)])
 

@@ -18,9 +18,9 @@ from torch.utils.data import DataLoader
 import sgmethod
 from sgmethod.errors import BudgetError, GaussiansError, SgError
 from sgmethod.torch import SgDataset, fit, fit_many, render
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 
-PHOTO = np.array(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))
+PHOTO = photo()
 
 
 @pytest.fixture(autouse=True)

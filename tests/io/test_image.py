@@ -18,12 +18,12 @@ from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image, read_image_8_bit
 from sgmethod.io.levels import to_8_bit
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.io.odd_files import chunk, png, tiff
 
 pillow_heif.register_heif_opener()
-PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").crop((20, 30, 68, 62))  # 48 x 32
-PIXELS = np.asarray(PHOTO)
+PIXELS = np.ascontiguousarray(photo("kodim05-crop")[30:62, 20:68])
+PHOTO = Image.fromarray(PIXELS)
 SEE_THROUGH = pytest.mark.filterwarnings("ignore:transparency is composited over white:sgmethod.ImageWarning")
 EXACT = 1e-6  # float32 rounding; the worst error seen is 9e-8
 

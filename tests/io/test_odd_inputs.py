@@ -18,7 +18,8 @@ from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io import chunks
 from sgmethod.io.image import read_header, read_image, read_image_8_bit
 from tests.harness import profiles
-from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 from tests.io.odd_files import chunk, png, tiff
 from tests.io.test_image import exif_with
 
@@ -106,7 +107,7 @@ SOLID = Image.new("RGBA", SIZE, (*RED, 255))
 GREY = Image.new("L", SIZE, 128)
 INK = Image.new("CMYK", SIZE, (255, 0, 0, 0))
 CYAN, PRESS_CYAN = (0, 255, 255), (0, 156, 223)
-PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").resize((96, 64))
+PHOTO = Image.fromarray(photo("kodim05-crop")).resize((96, 64))
 SMALL_FRAME = saved("GIF", OTHER).replace(struct.pack("<HH", *SIZE), struct.pack("<HH", 99, 77), 1)
 TALL = (SIZE[1], SIZE[0])
 

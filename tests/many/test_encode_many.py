@@ -19,10 +19,10 @@ from PIL import Image
 from sgmethod import Row, SgError, Tally, encode, encode_many
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.rd.short import short
 
-PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB").resize((64, 48))
+PHOTO = Image.fromarray(photo()).resize((64, 48))
 
 
 @pytest.fixture(autouse=True)

@@ -22,10 +22,11 @@ from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
-from tests.harness.data import PHOTOGRAPHS, ROOT
+from tests.harness.data import ROOT
+from tests.harness.pictures import photo
 from tests.rd.short import short
 
-PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
+PHOTO = Image.fromarray(photo())  # 128 x 96
 LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE
@@ -16,15 +15,11 @@ from sgmethod.settings.shared import STRUCTURE
 from sgmethod.start import structure
 from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
 from sgmethod.start.structure import Structure
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 
 FloatArray = NDArray[np.float32]
 KODAK = 768 * 512
-
-
-@cache
-def photo() -> FloatArray:
-    return np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"), np.float32) / 255
+PHOTO = photo() / np.float32(255)
 
 
 def grey(values: NDArray[np.float64]) -> FloatArray:
@@ -56,15 +51,15 @@ def test_a_ramp_of_slope_one_has_gradient_one() -> None:
 
 
 def test_regions_partition_the_picture() -> None:
-    found = analyse(photo(), 30)
-    assert found.labels.shape == photo().shape[:2]
+    found = analyse(PHOTO, 30)
+    assert found.labels.shape == PHOTO.shape[:2]
     assert np.array_equal(np.unique(found.labels), np.arange(len(found.area)))
     assert np.array_equal(np.bincount(found.labels.ravel()), found.area)
     assert 15 <= len(found.area) <= 45
 
 
 def test_complexity_is_the_variance_of_the_gradient_in_a_region() -> None:
-    found = analyse(photo(), 30)
+    found = analyse(PHOTO, 30)
     assert len(found.complexity) == len(found.area)
     for region, complexity in enumerate(found.complexity):
         expected = found.gradient[found.labels == region].astype(np.float64).var()
@@ -162,7 +157,7 @@ def orientation(found: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float
 
 
 PICTURES = {
-    "photograph": photo,
+    "photograph": lambda: PHOTO,
     "flat": lambda: np.full((30, 20, 3), 0.4, np.float32),
     "black": lambda: np.zeros((30, 20, 3), np.float32),
     "white": lambda: np.ones((30, 20, 3), np.float32),
@@ -195,13 +190,13 @@ def test_every_start_is_sound(name: str, baseline: bool) -> None:
 
 def test_colours_are_those_of_the_picture_below() -> None:
     for baseline in (False, True):
-        found = start(photo(), 200, baseline=baseline)
+        found = start(PHOTO, 200, baseline=baseline)
         columns, rows = np.floor(found.means).astype(int).T
-        assert np.array_equal(found.colors, photo()[rows, columns])
+        assert np.array_equal(found.colors, PHOTO[rows, columns])
 
 
 def test_the_start_is_denser_in_the_more_complex_half() -> None:
-    image = photo().copy()
+    image = PHOTO.copy()
     image[:, :64] = 0.5
     for n in (60, 300):
         assert (start(image, n).means[:, 0] > 63).mean() > 0.65  # 0.77 and 0.82 seen; an even start has 0.5
@@ -210,7 +205,7 @@ def test_the_start_is_denser_in_the_more_complex_half() -> None:
 
 def test_scales_cover_the_picture() -> None:
     """Discs of the starting scale have together about the picture's area."""
-    for image in (photo(), PICTURES["flat"]()):
+    for image in (PHOTO, PICTURES["flat"]()):
         for baseline in (False, True):
             l1, _, l3 = start(image, 60, baseline=baseline).factors.T.astype(np.float64)
             covered = np.pi * (l1 * l3).sum() / (image.shape[0] * image.shape[1])
