@@ -169,32 +169,11 @@ def test_the_smallest_size_named_is_possible(profile: str) -> None:
         encode(SMALL, Budget("bytes", least - 1), profile)
 
 
-def test_other_bad_arguments() -> None:
-    for limit in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(BudgetError, match="time limit"):
-            encode(SMALL, Budget("bpp", 1), "paper", time_limit_s=limit)
-    with pytest.raises(BudgetError, match="unknown profile"):
-        encode(SMALL, Budget("bpp", 1), "poster")
-    with pytest.raises(BudgetError, match="unknown tune"):
-        encode(SMALL, Budget("bpp", 1), tune="best")
-
-
 def test_what_an_encode_is_tuned_for() -> None:
     assert [tuning(None, profile, Budget("bpp", 1)) for profile in PROFILES] == [DEFAULT_TUNE, "psnr", "psnr"]
     assert tuning(None, "rd", Budget("psnr", 30)) == "psnr"
     for tune in TUNES:
         assert encode(SMALL, Budget("bpp", 4), tune=tune).stats.tune == tune
-    with pytest.raises(BudgetError, match="a budget in dB"):
-        encode(SMALL, Budget("psnr", 20), tune="visual")
-    with pytest.raises(BudgetError, match="profile paper"):
-        encode(SMALL, Budget("bpp", 4), "paper", tune="visual")
-
-
-def test_other_profiles_have_neither_looks_nor_effort() -> None:
-    with pytest.raises(BudgetError, match="has no looks scale"):
-        sgmethod.encode(SMALL, profile="paper", looks="web")
-    with pytest.raises(BudgetError, match="only profile rd has an effort"):
-        sgmethod.encode(SMALL, profile="paper", bytes=600, effort=6)
 
 
 # --- pictures

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -19,7 +18,7 @@ from PIL import Image, UnidentifiedImageError
 
 import sgmethod
 from service.api.requests import BITSTREAM_TYPE
-from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
+from sgmethod import Budget, BudgetError, SgFile, View
 from sgmethod.io.png import encode_png
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
@@ -81,32 +80,6 @@ def test_pictures_of_pillow_are_taken_as_they_are_seen() -> None:
     assert encoded(image) == encoded("p3.png") != encoded(PIXELS)
     PHOTO.save("turned.png", exif=exif_with(6))
     assert encoded(Image.open("turned.png")) == encoded("turned.png") == encoded(np.rot90(PIXELS, -1))
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "words"),
-    [
-        (lambda: sgmethod.encode(None), ImageError, "numpy array, not NoneType"),
-        (lambda: sgmethod.encode([[1]]), ImageError, "not list"),
-        (lambda: sgmethod.encode(Image.new("RGB", (0, 4))), ImageError, "empty"),
-        (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
-        (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
-        (lambda: sgmethod.encode(PIXELS, bpp=0.3, psnr=30), BudgetError, "give one budget, not 2: bpp, psnr"),
-        (lambda: sgmethod.encode(PIXELS, Budget("bpp", 1), bpp=0.3), BudgetError, "not 2"),
-        (lambda: sgmethod.decode(5), SgError, "a path or bytes, not int"),
-        (lambda: sgmethod.info(None), SgError, "not NoneType"),
-        (lambda: sgmethod.open(b"\xd3"), SgError, "too short"),
-        (lambda: sgmethod.open(GOLDEN).pixels(scale="big"), ViewError, "got 'big'"),
-        (lambda: sgmethod.open(GOLDEN).pixels(region=(0.5, 0, 3, 3)), ViewError, "four whole numbers"),
-        (lambda: sgmethod.open(GOLDEN).pixels(prefix=None), ViewError, "got None"),
-        (lambda: sgmethod.encode("missing.jpg"), FileNotFoundError, "missing.jpg"),
-        (lambda: sgmethod.decode("missing.sg"), FileNotFoundError, "missing.sg"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_sentence(call: Callable[[], object], error: type[Exception], words: str) -> None:
-    with pytest.raises(error) as caught:
-        call()
-    assert words in str(caught.value)
 
 
 def test_budgets() -> None:
