@@ -13,7 +13,7 @@ from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
+from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import OvershootingTarget
 from sgmethod.io.compositing import on_backgrounds
@@ -44,12 +44,6 @@ def disc(soft: bool) -> Pixels:
 
 def seen_through(soft: bool = False) -> Pixels:
     return np.dstack([PHOTO, disc(soft)])
-
-
-def stream_of(data: bytes) -> StreamV2:
-    stream = container.parse(data)
-    assert isinstance(stream, StreamV2)
-    return stream
 
 
 @pytest.mark.parametrize("soft", [False, True])
