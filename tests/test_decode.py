@@ -19,20 +19,12 @@ from sgmethod.decoder import draw, draw_whole
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
+from tests.backend.cases import scattered
 from tests.harness.data import golden
 from tests.native.harness.golden import GOLDEN, is_golden
 
 VERSION_1 = sorted(golden(1))
 ISAS = range(native.best_isa() + 1)
-
-
-def scattered(n: int, width: int, height: int) -> Gaussians:
-    """Gaussians of all sizes, shapes and signs in and around a picture."""
-    rng = np.random.default_rng(n)
-    means = rng.uniform(-0.2, 1.2, (n, 2)) * (width, height)
-    factors = np.exp(rng.uniform(-1.5, 3.5, (n, 3))) * (1, 0.5, 1) * rng.choice([-1, 1], (n, 3)) ** [0, 1, 0]
-    colors = rng.normal(0.1, 0.3, (n, 3))
-    return Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
 
 
 def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[float, float] = (0, 1)) -> bytes:
@@ -60,7 +52,7 @@ def test_golden_pixels(name: str) -> None:
 def test_pixels_are_the_same_everywhere(name: str, set_threads: Callable[[int], None]) -> None:
     """Bit by bit, for each instruction set this processor has and several numbers of threads."""
     if name == "scattered":
-        scene = Scene(scattered(700, 301, 203), 301, 203, (0, 0, 0), native.CUTOFF_V1)
+        scene = Scene(scattered(700, 0, (301, 203)), 301, 203, (0, 0, 0), native.CUTOFF_V1)
     else:
         scene = parse(GOLDEN[name]).scene()
     gaussians, width, height = scene.gaussians, scene.width, scene.height

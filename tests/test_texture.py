@@ -24,6 +24,7 @@ from sgmethod.native import native
 from sgmethod.rd.rate_control import EXACT_DB, Coded
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
+from tests.backend.cases import single
 from tests.harness.data import golden_path
 from tests.harness.pictures import photo
 from tests.rd.short import requested
@@ -38,17 +39,15 @@ STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTUR
 def some_gaussians(n: int = 300) -> Gaussians:
     rng = np.random.default_rng(7)
     factors = np.exp(rng.uniform(-0.5, 3, (n, 1)) + rng.normal(0, 0.3, (n, 3)))
-    means, colors = rng.uniform(0, 1, (n, 2)) * SIZE, rng.normal(0, 0.1, (n, 3))
-    return Gaussians(*(a.astype(np.float32) for a in (means, factors, colors)))
-
-
-NOTHING = Gaussians(*(np.zeros((0, n), np.float32) for n in (2, 3, 3)))
+    return single(rng.uniform(0, 1, (n, 2)) * SIZE, factors, rng.normal(0, 0.1, (n, 3)))
 
 
 def file_of(
     codes: Codes | None, gaussians: Gaussians | None = None, *, grey: bool = False, size: tuple[int, int] = SIZE
 ) -> bytes:
-    stream = StreamV2.of(gaussians or NOTHING, size, 0.02, (128, 128, 128) if grey else (140, 120, 110), grey)
+    stream = StreamV2.of(
+        gaussians or Gaussians.empty(0), size, 0.02, (128, 128, 128) if grey else (140, 120, 110), grey
+    )
     return container.serialise(replace(stream, texture=codes))
 
 
@@ -326,10 +325,8 @@ def test_files_are_compared_without_their_texture() -> None:
 @pytest.mark.parametrize("octave", [0, 1])
 def test_noise_keeps_to_its_octave(octave: int) -> None:
     """Of its energy, what is left after averaging over squares; and the encoder finds the strength again."""
-    codes = codes_of(9 * (octave == 0), 9 * (octave == 1), (512, 512))
-    grey = (128, 128, 128)
-    stream = replace(StreamV2.of(NOTHING, (512, 512), 0.02, grey, grey=True), texture=codes)
-    pixels = decode(container.serialise(stream))
+    size = (512, 512)
+    pixels = decode(file_of(codes_of(9 * (octave == 0), 9 * (octave == 1), size), grey=True, size=size))
     noise = (pixels[..., 0] - 128.0).astype(np.float32)
     found = estimate(pixels, np.full_like(pixels, 128), ALL_GIVEN)
     assert found is not None and (found[octave] == 9).all()

@@ -135,10 +135,7 @@ def some_file(n: int, size: Size, seed: int, quantum: float, *, grey: bool = Fal
 
 FILES: dict[str, tuple[str, bytes]] = {
     "empty": ("no Gaussians: the background alone", some_file(0, (16, 9), 1, 0.3, is_short=True)),
-    "pixel": (
-        "a single pixel; begin with the entropy decoder here",
-        some_file(1, (1, 1), 1, 0.3, is_short=True),
-    ),
+    "pixel": ("a single pixel; begin with the entropy decoder here", some_file(1, (1, 1), 1, 0.3, is_short=True)),
     "short": (
         "a short file: one state, narrower fields, a checksum of one byte",
         some_file(20, (24, 16), 2, 0.1, is_short=True),
@@ -155,10 +152,7 @@ FILES: dict[str, tuple[str, bytes]] = {
         "a fourth sample, from a payload of its own",
         some_file(14, (26, 20), 7, 0.1, is_short=True, more=with_alpha),
     ),
-    "dots": (
-        "classes below 0, and models that see some hundred symbols",
-        file_of(dots(), (40, 36), 0.4, grey=True),
-    ),
+    "dots": ("classes below 0, and models that see some hundred symbols", file_of(dots(), (40, 36), 0.4, grey=True)),
     "limits": ("integers and Gaussians at every limit; not to be drawn", file_of(at_limits(), (20, 14), 0.0)),
     "far": (
         "more columns than a cell's number holds, more raw bits than a distance takes; not to be drawn",

@@ -51,10 +51,7 @@ def test_a_value_outside_of_its_range_is_refused(header: Header, field: Field) -
 
 @pytest.mark.parametrize(
     ("section", "header", "offset"),
-    [
-        ("## Header of version 1", v1.HEADER, SIGNATURE_BYTES),
-        ("## Group list", v1.GROUP, 0),
-    ],
+    [("## Header of version 1", v1.HEADER, SIGNATURE_BYTES), ("## Group list", v1.GROUP, 0)],
 )
 def test_the_text_has_the_table(section: str, header: Header, offset: int) -> None:
     rows = table(section)
@@ -85,10 +82,7 @@ def test_bits_are_read_as_they_were_written(field: BitField, is_short: bool) -> 
 
 
 def test_the_text_has_the_tables_of_bits() -> None:
-    for line, header in (
-        ("## Header", v2.HEADER),
-        ("If there is alpha, its fields follow at once:", v2.ALPHA_HEADER),
-    ):
+    for line, header in (("## Header", v2.HEADER), ("If there is alpha, its fields follow at once:", v2.ALPHA_HEADER)):
         rows = [(row["field"], row["bits"], row["in a short file"]) for row in table(line)]
         for (name, bits, short), field in zip(rows, header, strict=True):
             more = " + n" if field.grows else ""

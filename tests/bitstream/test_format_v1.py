@@ -46,9 +46,7 @@ def test_what_both_versions_begin_with() -> None:
 def test_tables_and_limits() -> None:
     offset = v1.HEADER_BYTES
     for row, size in zip(
-        table("## Tables"),
-        (v1.POSITION_TABLE_BYTES, v1.FACTOR_TABLE_BYTES, v1.CODEBOOK_BYTES),
-        strict=True,
+        table("## Tables"), (v1.POSITION_TABLE_BYTES, v1.FACTOR_TABLE_BYTES, v1.CODEBOOK_BYTES), strict=True
     ):
         assert (int(row["offset"]), int(row["size"])) == (offset, size)
         offset += size

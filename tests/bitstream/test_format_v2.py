@@ -18,24 +18,17 @@ from sgmethod import BitstreamError, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.texture import Codes, cells, pack
-from sgmethod.bitstream.v2 import (
-    MIN_QUANTUM,
-    SMALLEST_ALPHA,
-    SMALLEST_FILE,
-    StreamV2,
-    alpha_bytes,
-    coded_background,
-)
+from sgmethod.bitstream.v2 import MIN_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes, coded_background
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
+from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
 from tests.bitstream.test_format_v1 import MAX_LEVELS, MAX_SHARE, TEXT, table
 from tests.harness.data import ROOT, damaged, golden, golden_path, with_checksum
 
 GOLDEN = golden(2)
-NOTHING = Gaussians(*(np.zeros((0, n), np.float32) for n in (2, 3, 3)))
 PARTS = (0.01, 0.1, 0.25, 0.5, 0.77, 0.99)
 DRAWN = sorted(GOLDEN.keys() - {"v2-busy"})  # which the plain decoder would draw for a minute
 VIEWED = sorted({*DRAWN} - {"v2-long"})  # of which one sample of 912 differs at 0.4: more than MAX_SHARE
@@ -151,7 +144,7 @@ def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
     factors = np.exp(rng.uniform(0, 4, (n, 1)) + rng.normal(0, 0.4, (n, 3))) * (1, rng.choice([-1, 1]), 1)
     for x in (MAX_COORDINATE // 2 - 10, 50_001):
         means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
-        gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
+        gaussians = single(means, factors, rng.normal(0, 0.1, (n, 3)))
         data = container.serialise(StreamV2.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
         view = View(2.0, (x, 11, 20, 12))
         assert_same_pixels(plain_decoder_v2.view(data, view.scale, view.region), decode(data, view=view))
@@ -173,7 +166,9 @@ def some_codes(size: tuple[int, int], seed: int) -> Codes:
 @pytest.mark.parametrize("size", [(1, 1), (64, 64), (65, 128), (300, 200), (1, 5000)])
 def test_texture_survives_packing(size: tuple[int, int]) -> None:
     for codes in (some_codes(size, 1), 0 * some_codes(size, 1), 0 * some_codes(size, 1) + 15):
-        data = container.serialise(replace(StreamV2.of(NOTHING, size, 0.05, (9, 9, 9), False), texture=codes))
+        data = container.serialise(
+            replace(StreamV2.of(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
+        )
         stream = container.parse(data)
         assert isinstance(stream, StreamV2)
         assert np.array_equal(stream.texture, codes)

@@ -22,17 +22,7 @@ from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.many import processes
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
-from tests.cli.test_cli import (
-    PHOTO,
-    Ran,
-    Run,
-    in_folder,
-    names,
-    on_terminal,
-    run,
-    start,
-    start_interruptible,
-)
+from tests.cli.test_cli import PHOTO, Ran, Run, in_folder, names, on_terminal, run, start, start_interruptible
 from tests.many.killing import begun_and_killed
 
 __all__ = ["in_folder", "run"]  # fixtures

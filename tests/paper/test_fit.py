@@ -28,6 +28,7 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
+from tests.backend.cases import single
 from tests.harness.pictures import photo
 from tests.rd.short import SlowClock
 
@@ -55,7 +56,7 @@ def small_case() -> tuple[FloatArray, Gaussians]:
     image = rng.integers(0, 256, (12, 17, 3)).astype(np.float32) / 255
     means = rng.random((10, 2)) * (17, 12)
     factors = np.stack([rng.uniform(1, 4, 10), rng.uniform(-2, 2, 10), rng.uniform(1, 4, 10)], 1)
-    return image, Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 1, (10, 3)))))
+    return image, single(means, factors, rng.normal(0, 1, (10, 3)))
 
 
 def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
