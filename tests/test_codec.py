@@ -316,7 +316,7 @@ def test_the_trace_runs_through_all_phases(profile: str) -> None:
 
 @pytest.fixture
 def clocks(monkeypatch: pytest.MonkeyPatch) -> list[SlowClock]:
-    """Those of encodes."""
+    """The clocks of encodes."""
     made: list[SlowClock] = []
 
     def make(stop: Stop | None = None) -> SlowClock:

@@ -50,7 +50,6 @@ def test_golden_pixels(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*VERSION_1, "scattered"])
 def test_pixels_are_the_same_everywhere(name: str, set_threads: Callable[[int], None]) -> None:
-    """Bit by bit, for each instruction set this processor has and several numbers of threads."""
     if name == "scattered":
         scene = Scene(scattered(700, 0, (301, 203)), 301, 203, (0, 0, 0), native.CUTOFF_V1)
     else:
@@ -70,7 +69,6 @@ def test_pixels_are_the_same_everywhere(name: str, set_threads: Callable[[int], 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int, set_threads: Callable[[int], None]) -> None:
-    """As one after the other, for whole payloads and parts of them, of every version."""
     set_threads(threads)
     for data in GOLDEN.values():
         stream = parse(data)

@@ -109,7 +109,6 @@ def test_what_is_shown_is_short_and_what_is_listed_is_all() -> None:
 
 
 def test_importing_takes_neither_numpy_nor_torch() -> None:
-    """They take most of the time of a start."""
     command = "import sys, sgmethod; print(*{'numpy', 'torch', 'importlib.metadata'} & sys.modules.keys())"
     ran = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert ran.stdout == "\n"

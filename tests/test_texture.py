@@ -127,7 +127,6 @@ def drawn_spread(spread: float) -> float:
 
 
 def test_noise_is_given_back_by_its_strength() -> None:
-    """Whether it is faint or strong."""
     for spread in (2.0, 3.0, 6.0, 20.0):
         assert drawn_spread(spread) == pytest.approx(spread, rel=0.2)
     faint = estimated(STRAIGHT + noise(0.8))  # sky without it has bands
@@ -280,7 +279,6 @@ def test_what_cannot_be_is_refused() -> None:
 
 
 def test_files_are_compared_without_their_texture() -> None:
-    """By an encode that has several to choose from."""
     data = golden_path("v2-texture.sg").read_bytes()
     stream, smooth = container.parse(data), decode(data, texture=False)
     assert isinstance(stream, StreamV2)

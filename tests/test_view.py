@@ -62,7 +62,7 @@ REGIONS = [(0, 0, 1, 1), (13, 7, 52, 33), (65, 119, 1, 1), (0, 50, 66, 9)]
     ],
 )
 def test_a_region_is_a_crop(name: str, scale: float, region: tuple[int, int, int, int]) -> None:
-    """Where it begins and ends on whole pixels."""
+    """Regions begin and end on whole pixels."""
     whole, part = (decode(golden(2)[name], view=View(scale, where)) for where in (None, region))
     x, y, w, h = (int(scale * v) for v in region)
     assert np.array_equal(part, whole[y : y + h, x : x + w])

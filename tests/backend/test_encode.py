@@ -40,7 +40,6 @@ def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
 
 @pytest.mark.parametrize("tune", ["psnr", pytest.param("visual", marks=pytest.mark.thorough)])
 def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
-    """Slow: a whole encode on the reference."""
     pixels = np.asarray(Image.open(io.BytesIO(png(*SIZE))))
     files = [encoded(pixels, tune, backend) for backend in (Kernels(), Reference())]
     assert all(0.95 * BYTES < len(file) <= BYTES for file in files)

@@ -64,7 +64,6 @@ def test_the_text_has_the_tables_of_bits() -> None:
 
 
 def test_javascript_has_the_tables() -> None:
-    """Those of version 2, the only one that it reads."""
     for name, header in {"HEADER": v2.HEADER, "ALPHA_HEADER": v2.ALPHA_HEADER}.items():
         part = SCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
         rows = re.findall(r"\[(\d+), (\d+), (true|false)\], // (\w+)", part)

@@ -129,7 +129,6 @@ def test_the_plain_decoder_draws_the_same_picture(name: str) -> None:
 @pytest.mark.parametrize("name", VIEWED)
 @pytest.mark.parametrize("scale", [0.4, 1.0, 2.3])
 def test_the_plain_decoder_draws_the_same_views(name: str, scale: float) -> None:
-    """Views of all, and of a region that begins at odd places."""
     s = stream_of(name)
     region = s.width // 3, s.height // 2, (s.width + 2) // 3, (s.height + 3) // 4
     for view in (View(scale), View(scale, region)):
@@ -138,7 +137,7 @@ def test_the_plain_decoder_draws_the_same_views(name: str, scale: float) -> None
 
 
 def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
-    """Where places are counted modulo MAX_COORDINATE, and just before and across that."""
+    """Places are counted modulo MAX_COORDINATE; some are just before that, and across it."""
     rng = np.random.default_rng(5)
     n, size = 60, (60_000, 50)
     factors = np.exp(rng.uniform(0, 4, (n, 1)) + rng.normal(0, 0.4, (n, 3))) * (1, rng.choice([-1, 1]), 1)
@@ -205,7 +204,6 @@ def plain_gaussians(data: bytes, part: float) -> list[Gaussian]:
 
 
 def test_headers_of_known_sizes() -> None:
-    """Bytes without any Gaussian."""
     for size, is_short, grey, least in [
         ((64, 64), True, False, 9),
         ((64, 64), False, False, 14),

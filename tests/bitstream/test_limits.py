@@ -27,7 +27,6 @@ MOST_R_STEPS = plain.MOST_R // 2
     ],
 )
 def test_limits_of_the_integers(within: tuple[int, int, int], beyond: tuple[int, int, int]) -> None:
-    """A Gaussian with given y, v and r."""
     y, v, r = within
     data = One(y=y, v=v, r=r).file
     found = rows(container.parse(data).gaussians())

@@ -461,14 +461,12 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
-    """Slow: each is an encode or draws a picture."""
     run_in_order(run, commands_of("docs/command_line.md"))
     assert info("photo.sg").version == 2  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
-    """Slow: as many encodes again."""
     Path("photos").mkdir(exist_ok=True)
     for name in ("photos/a.jpg", "a.png", "b.png"):
         PHOTO.save(name)
@@ -488,7 +486,6 @@ def test_python_of_the_readme() -> None:
 
 
 def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says so with an error of its own."""
     monkeypatch.setattr(paper, "run", lambda *_: torch.empty(1 << 55, dtype=torch.uint8))
     assert_refused(run("encode", "photo.png", "out.sg", "--profile", "paper"), "out of memory")
 

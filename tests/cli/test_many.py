@@ -95,7 +95,6 @@ def test_resuming_needs_a_folder_and_a_manifest(run: Run) -> None:
 
 
 def test_how_many_of_how_many_on_a_terminal() -> None:
-    """A line that is gone before another is printed, and at the end."""
     for name in ("a.sg", "b.sg"):
         Path(name).write_bytes(Path(GOLDEN).read_bytes())
     status, _, seen = on_terminal("decode", "a.sg", "b.sg", "--output-dir", "out", streams="stdout stderr")
@@ -225,7 +224,7 @@ def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("text", ["", "1", "256"])
 def test_a_number_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """For numpy's linear algebra too, of which info has none."""
+    """NumPy's linear algebra gets it too; info has none."""
     monkeypatch.setenv("SG_THREADS", text)
     for command, linear in ((["encode", "--help"], text or None), (["info", GOLDEN], "1")):
         monkeypatch.setenv("OPENBLAS_NUM_THREADS", "")

@@ -84,7 +84,7 @@ def test_squares_of_amplitudes_are_what_is_seen() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_what_is_no_number_has_a_share_all_the_same() -> None:
-    """As after a start that was spoiled: what is dropped is decided by it."""
+    """A start that was spoiled has such Gaussians, and the share decides which are dropped."""
     means = [[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]]
     factors = [[width, 0.0, 3.0] for width in (3.0, 3.0, 3.0, math.nan, math.inf)]
     found = SeenShare(visibility(40, 30)).of(single(means, factors, np.ones((5, 3))))

@@ -97,7 +97,6 @@ def test_a_budget_is_kept_and_used() -> None:
 
 
 def test_a_picture_refines() -> None:
-    """More of its PSNR for the same bytes."""
     file = sgmethod.open(sgmethod.encode(PIXELS, bpp=2, effort=1, tune="psnr").data)
     plain, refined = (
         sgmethod.pack(file.gaussians(), *file.size, bpp=1, background=file.background, image=image)

@@ -31,7 +31,6 @@ def same(one: Fit, other: Fit) -> bool:
 
 
 def test_a_batch() -> None:
-    """Exactly N, the largest first, and the error is that of the drawing."""
     found = fit(BATCH, 40, steps=30)
     assert [list(values.shape) for values in found] == [[3, 40, 2], [3, 40, 3], [3, 40, 3], [3, 3], [3]]
     assert all(values.dtype == torch.float32 for values in found)
@@ -70,7 +69,7 @@ def test_kernels_of_another_thread_take_turns_as_before(set_threads: Callable[[i
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 9), (7, 3), (64, 33)])
 @pytest.mark.parametrize("share", [0.02, 0.4, 1.0])
 def test_any_size_and_number(height: int, width: int, share: float) -> None:
-    """Also one Gaussian for each pixel, and more than growth finds."""
+    """This includes a Gaussian for each pixel, and more than growth finds."""
     n = max(round(share * height * width), 1)
     found = fit(PHOTO[None, :, :height, :width], n, steps=8)
     assert found.means.shape == (1, n, 2)

@@ -35,7 +35,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("files")
 def test_the_examples() -> None:
-    """Slow: nine examples, of which one fits by gradients and one trains."""
     torch.manual_seed(0)
     number, names = ran("python.md")
     assert number == 9
@@ -52,7 +51,6 @@ def test_the_examples() -> None:
 
 @pytest.mark.usefixtures("files")
 def test_the_page_of_data_sets() -> None:
-    """Slow: it fits 200 pictures, and trains."""
     number, names = ran("datasets.md")
     assert number == 3
     assert names["right"] > 0.9

@@ -74,7 +74,7 @@ def gama(value: int) -> bytes:
 
 
 def chrm(*points: float) -> bytes:
-    """Of white, red, green and blue."""
+    """The chromaticities of white, red, green and blue."""
     return chunk(b"cHRM", struct.pack(">8I", *(round(value * 100000) for value in points)))
 
 
@@ -267,7 +267,6 @@ def test_odd_inputs(name: str) -> None:
 
 
 def test_conversions_are_little_cms_own() -> None:
-    """On random colours: the worst difference seen is 1 level of 8 bits."""
     pixels = np.random.default_rng(5).integers(0, 256, (64, 64, 3), dtype=np.uint8)
     picture = Image.fromarray(pixels)
     linear_table = profiles.table(*np.linspace(0, 1, 1024) ** 2.2)
@@ -309,7 +308,6 @@ def test_code_points_of_a_file_cut_anywhere() -> None:
 
 
 def test_16_bits_are_kept_through_the_conversion() -> None:
-    """Two neighbours in 16 bits stay two."""
     levels = [chunked(iccp(P3), depth=16, sample=(20000 + step, 20000, 20000)) for step in (0, 4)]
     first, second = (read_image(data)[0, 0] for data in levels)
     assert 0 < (second - first)[0] < 0.2 / 255

@@ -34,7 +34,7 @@ LONG = b"x" * (3 << 20)
 
 
 def read(data: bytes) -> np.ndarray:
-    """As it is kept, of the size that the header says."""
+    """The pixels as they are kept, of the size that the header says."""
     pixels = read_image_8_bit(data, keep_alpha=True)
     header = read_header(data)
     assert pixels.shape[:2] == (header.height, header.width)

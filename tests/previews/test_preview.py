@@ -158,7 +158,7 @@ def test_html(made: Preview) -> None:
 
 
 def test_element(made: Preview) -> None:
-    """As sgmethod/javascript/src/sg-img.js takes it: with an <img> within, which readers without scripts get, and
+    """It is what sgmethod/javascript/src/sg-img.js takes: with an <img> within, which readers without scripts get, and
     with the rules of docs/previews.md as styles."""
     rules = re.findall(r"^(sg-img.*) { (.*); }$", (ROOT / "docs" / "previews.md").read_text(), re.M)
     styles = {selector: rule.replace(": ", ":").replace("; ", ";") for selector, rule in rules}

@@ -46,7 +46,6 @@ class SlowClock(Clock):
         self.now, self.look_s = 0.0, look_s
 
     def seconds(self) -> float:
-        """As Clock.seconds."""
         self.now += self.look_s
         return self.now
 

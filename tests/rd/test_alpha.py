@@ -122,7 +122,7 @@ def test_time_and_stop_end_it_early(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("soft", [pytest.param(False, marks=pytest.mark.thorough), True])
 def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where there are more bytes than time, and alpha may have what colours leave."""
+    """This holds also where there are more bytes than time, and alpha may have what colours leave."""
     monkeypatch.setattr(codec, "Clock", SlowClock)
     for size in (1500, 20_000):
         budget, pixels = Budget("bytes", size), seen_through(soft)
@@ -138,7 +138,6 @@ class Upright(Kernels):
     steps = step_by_step
 
     def step(self, gaussians: Gaussians, *others: Any) -> None:
-        """As Kernels.step."""
         super().step(gaussians, *others)
         gaussians.factors[:, 1] = 0
 

@@ -34,12 +34,10 @@ class Counting(Kernels):
     steps = step_by_step
 
     def gradients(self, gaussians: Gaussians, frame: Frame, *rest: Any) -> tuple[float, Gaussians]:
-        """As Kernels.gradients."""
         self.fitted += frame.width * frame.height
         return super().gradients(gaussians, frame, *rest)
 
     def refine(self, gaussians: Gaussians, coding: Any, target: Any, limits: RefineLimits, *rest: Any) -> bytes:
-        """As Kernels.refine."""
         self.refined = max(self.refined, target[0].size)
         self.refinings += 1
         return super().refine(gaussians, coding, target, limits, *rest)

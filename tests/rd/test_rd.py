@@ -91,7 +91,7 @@ def test_a_fit_stays_where_the_file_can_put_it() -> None:
 
 
 def test_more_bytes_than_anyone_needs_are_not_filled_with_gaussians() -> None:
-    """As many as pixels at the start: 16.5 dB."""
+    """With as many as pixels at the start, it was 16.5 dB."""
     assert encode(noise(32, 40), Budget("bytes", 10**12)).stats.psnr > 25
 
 
@@ -144,7 +144,6 @@ def test_gaussians_are_at_most_as_many_as_asked(n: int) -> None:
 
 @pytest.mark.parametrize("budget", [Budget("bytes", 4000), Budget("quality", 80), Budget("psnr", 45)])
 def test_a_flat_image_costs_tens_of_bytes(budget: Budget) -> None:
-    """And is not fitted, where its colour is one of 8 bits."""
     between = np.full((90, 120, 3), (0.2, 0.5, 0.8), np.float32)  # 0.5 lies between two levels
     encoded = encode(between, budget)
     assert_sound(encoded, between)

@@ -110,7 +110,6 @@ def test_tiny_pictures_use_what_they_are_given(size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("tune", ["psnr", "visual"])
 def test_a_quality_of_nothing_is_the_background(tune: str) -> None:
-    """With the grain that stands for noise."""
     file = encode(STIFF["noise"], quality=1, tune=tune)
     assert file.stats.gaussians == 0
 

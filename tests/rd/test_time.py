@@ -57,7 +57,6 @@ class WorkClock(Clock):
     now = 0.0
 
     def seconds(self) -> float:
-        """As Clock.seconds."""
         return self.now
 
 
@@ -72,7 +71,6 @@ class Timed(Kernels):
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        """As Kernels.gradients."""
         self._clock.now += self._any_s + PIXEL_S * frame.height * frame.width
         return super().gradients(gaussians, frame, target, visibility)
 
@@ -120,7 +118,7 @@ def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time() -> None:
 
 
 def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
-    """Where preparing it took long, as for a large picture: a third of that time."""
+    """If preparing it took long, as for a large picture, it gets a third of that time."""
     steps = []
     for prepared_s in (0.0, 6.0):
         clock = SlowClock()
