@@ -156,14 +156,6 @@ def test_no_error_at_all_is_a_finite_number_of_decibels() -> None:
     assert 100 < kept.points[0].psnr < math.inf
 
 
-def test_a_report_that_raises_ends_the_run() -> None:
-    def abandon(_: TracePoint) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        Schedule("fit", 500, 0.03).run(unlimited(), recorder(1.0, abandon), falling())
-
-
 # --- whole fits
 
 
