@@ -21,7 +21,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import single
-from tests.harness.data import golden, golden_path
+from tests.harness.data import golden
 
 WIDTH, HEIGHT = 200, 120
 
@@ -154,12 +154,6 @@ def test_a_prefix_comes_nearer(data: bytes) -> None:
     assert decode(data, view=View(0.5, (0, 0, 40, 40), 0.3)).shape == (20, 20, 3)
     background = np.full_like(whole, (120, 110, 100))
     assert np.array_equal(decode(data, view=View(prefix=1e-6)), background)
-
-
-def test_background_is_everywhere() -> None:
-    empty = golden_path("v2-empty.sg").read_bytes()
-    for asked in (View(), View(0.1), View(5), View(1, (1, 1, 2, 2)), View(prefix=0.4)):
-        assert np.unique(decode(empty, view=asked).reshape(-1, 3), axis=0).tolist() == [[123, 90, 57]]
 
 
 @pytest.mark.parametrize(

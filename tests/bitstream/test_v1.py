@@ -111,17 +111,6 @@ def test_every_byte_of_a_small_file() -> None:
     assert serialise(written) == b"\xd3\xc1" + data + struct.pack(">I", zlib.crc32(b"\xd3\xc1" + data))
 
 
-def test_budget_of_records() -> None:
-    """A file of max_bytes holds as many bits of records as record_budget_bits says, and not one more."""
-    for groups in ([(6, 30)], [(6, 10), (7, 11), (9, 1)]):
-        written = stream(12, groups)
-        size = len(serialise(written))
-        bits = sum(n * (2 * 12 + 3 * bitwidth + 6) for bitwidth, n in groups)
-        assert v1.record_budget_bits(size, len(groups)) >= bits
-        assert v1.record_budget_bits(size - 1, len(groups)) < bits
-    assert v1.record_budget_bits(10, 1) < 0
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [("width", 0), ("height", 0), ("width", 65_536), *product(("position_bits", "bitwidth"), (0, 17))],

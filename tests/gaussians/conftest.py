@@ -1,4 +1,4 @@
-"""The examples' files; one thread of torch, as for the backend's small arrays."""
+"""The examples' files."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from tests.backend.conftest import one_thread
 from tests.harness.data import golden_path
 from tests.harness.pictures import photo
-
-__all__ = ["one_thread"]  # a fixture
 
 
 @pytest.fixture

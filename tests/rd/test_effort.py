@@ -127,13 +127,6 @@ def test_little_effort_takes_few_steps_and_keeps_the_budget() -> None:
     assert decode(found[0].data).shape == CROP.shape
 
 
-def test_the_eye_is_served_by_effort_too() -> None:
-    usual, more = (encoded("bytes", 600, effort, "visual") for effort in (5, 6))
-    assert more.stats.tune == "visual"
-    assert len(more.data) <= 600
-    assert more.data != usual.data
-
-
 def test_a_time_limit_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(codec, "Clock", SlowClock)
     limited = encode(CROP, Budget("bytes", 600), tune="psnr", effort=9, time_limit_s=40.0)
@@ -142,13 +135,6 @@ def test_a_time_limit_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     assert limited.stats.seconds < 40.2
     assert len(limited.data) <= 600
     assert limited.stats.psnr > encoded("bytes", 600, 5).stats.psnr
-
-
-def test_the_trace_counts_all_steps() -> None:
-    points = [point for point in encoded("bytes", 600, 6).trace if point.phase == "joint"]
-    assert {point.steps for point in points} == {points[-1].steps}
-    assert [point.step for point in points] == sorted(point.step for point in points)
-    assert points[-1].step == points[-1].steps == encoded("bytes", 600, 6).stats.steps
 
 
 def test_the_trace_of_a_psnr_that_is_reached_ends_with_all_steps() -> None:
