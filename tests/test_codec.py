@@ -22,7 +22,7 @@ from sgmethod import Budget, BudgetError, Encoded, ImageError, Stats, TracePoint
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_TUNE, PROFILES, TUNES, tuning
 from sgmethod.trace import Stop
-from tests.harness.pictures import photo
+from tests.harness.pictures import ODD, noise, photo
 from tests.rd.short import SlowClock, shortened
 
 FloatArray = NDArray[np.float32]
@@ -39,10 +39,6 @@ SMALL = PHOTO[20:52, 40:88]
 def encode(image: Any, budget: Budget | None = None, profile: str = "rd", **named: Any) -> Encoded:
     """In a fraction of a second."""
     return sgmethod.encode(image, budget, profile, **{"settings": SETTINGS.get(profile)} | named)
-
-
-def noise(height: int, width: int) -> FloatArray:
-    return np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
 
 
 def source(pixels: FloatArray) -> NDArray[np.uint8]:
@@ -178,24 +174,11 @@ def test_what_an_encode_is_tuned_for() -> None:
 
 # --- pictures
 
-ODD = {
-    "one pixel": lambda: np.full((1, 1, 3), 0.3, np.float32),
-    "one white pixel": lambda: np.ones((1, 1, 3), np.float32),
-    "two pixels": lambda: np.float32([[[0, 0.5, 1]], [[1, 0.5, 0]]]),
-    "row of 4096": lambda: noise(1, 4096),
-    "column of 4096": lambda: np.tile(np.float32(0.5), (4096, 1, 3)),
-    "black": lambda: np.zeros((40, 30, 3), np.float32),
-    "grey": lambda: np.full((40, 30, 3), 0.5, np.float32),
-    "white": lambda: np.ones((40, 30, 3), np.float32),
-    "noise": lambda: noise(40, 30),
-    "checkerboard": lambda: np.repeat(np.indices((40, 30)).sum(0) % 2, 3).reshape(40, 30, 3).astype(np.float32),
-}
-
 
 @pytest.mark.parametrize("profile", PROFILES_TESTED)
 @pytest.mark.parametrize("name", ODD)
 def test_odd_pictures(name: str, profile: str) -> None:
-    pixels = ODD[name]()
+    pixels = ODD[name].copy()
     pixels.setflags(write=False)  # which the picture is left as
     encoded = encode(pixels, Budget("bytes", 600), profile)
     assert_true_figures(encoded, pixels)

@@ -18,7 +18,7 @@ from sgmethod.bitstream.v2 import SMALLEST_FILE, StreamV2
 from sgmethod.native import native
 from sgmethod.rd.rate_control import quality_quantum
 from sgmethod.settings.rd import RD, RdSettings
-from tests.harness.pictures import photo
+from tests.harness.pictures import ODD, grey, noise, photo
 from tests.rd.short import short
 
 FloatArray = NDArray[np.float32]
@@ -29,10 +29,6 @@ SHORTEST = short(40)
 
 def encode(pixels: FloatArray, budget: Budget, settings: RdSettings = SHORT, **named: Any) -> Encoded:
     return sgmethod.encode(pixels, budget, settings=settings, **named)
-
-
-def noise(height: int, width: int) -> FloatArray:
-    return np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
 
 
 def quadrants(side: int) -> FloatArray:
@@ -156,26 +152,24 @@ def test_a_flat_image_costs_tens_of_bytes(budget: Budget) -> None:
 
 
 def test_a_grey_picture_has_no_chroma() -> None:
-    grey = np.ascontiguousarray(np.repeat(CROP[:, :, 1:2], 3, 2))
-    encoded = encode(grey, Budget("bytes", 500))
-    assert_sound(encoded, grey)
+    pixels = grey(CROP[:, :, 1])
+    encoded = encode(pixels, Budget("bytes", 500))
+    assert_sound(encoded, pixels)
     assert stream(encoded).grey
     assert np.ptp(decode(encoded.data).astype(int), axis=2).max() == 0
-    nearly = grey.copy()
-    nearly[10:20, 10:20, 0] = np.clip(nearly[10:20, 10:20, 0] + 0.02, 0, 1)
-    for pixels in (CROP, nearly):
-        assert not stream(encode(pixels, Budget("bytes", 500), SHORTEST)).grey
+    pixels[10:20, 10:20, 0] = np.clip(pixels[10:20, 10:20, 0] + 0.02, 0, 1)  # nearly grey
+    for coloured in (CROP, pixels):
+        assert not stream(encode(coloured, Budget("bytes", 500), SHORTEST)).grey
 
 
 def line(side: int) -> FloatArray:
     """One pixel wide, at 45 degrees: needles, the longer the better."""
-    return np.repeat(np.eye(side, dtype=np.float32)[:, :, None], 3, 2)
+    return grey(np.eye(side))
 
 
 def grating(side: int) -> FloatArray:
     """Stripes two pixels wide, at 45 degrees."""
-    y, x = np.indices((side, side))
-    return np.repeat(((x + y) // 2 % 2).astype(np.float32)[:, :, None], 3, 2)
+    return grey(np.indices((side, side)).sum(0) // 2 % 2)
 
 
 @pytest.mark.parametrize("picture", [lambda: line(32), lambda: line(96), lambda: grating(40)])
@@ -187,18 +181,6 @@ def test_no_encode_clips(picture: Callable[[], FloatArray], budget: Budget) -> N
     assert native.rd_clipped_values() == before
 
 
-ODD: dict[str, Callable[[], FloatArray]] = {
-    "noise": lambda: noise(24, 30),
-    "1x1": lambda: np.full((1, 1, 3), (0.9, 0.1, 0.4), np.float32),
-    "2x1": lambda: np.array([[[0, 0, 0], [1, 1, 1]]], np.float32),
-    "1x300": lambda: noise(300, 1),
-    "300x1": lambda: noise(1, 300),
-    "black": lambda: np.zeros((9, 8, 3), np.float32),
-    "white": lambda: np.ones((9, 8, 3), np.float32),
-    "one bright pixel": lambda: np.pad(np.ones((1, 1, 3), np.float32), ((20, 20), (20, 20), (0, 0))),
-}
-
-
 @pytest.mark.parametrize("name", ODD)
 @pytest.mark.parametrize(
     "budget",
@@ -206,7 +188,7 @@ ODD: dict[str, Callable[[], FloatArray]] = {
     ids=lambda budget: budget.kind,
 )
 def test_odd_pictures(name: str, budget: Budget) -> None:
-    pixels = ODD[name]()
+    pixels = ODD[name]
     encoded = encode(pixels, budget, SHORTEST)
     assert_sound(encoded, pixels)
     limit = budget.max_bytes(pixels.shape[1], pixels.shape[0])
