@@ -127,9 +127,9 @@ def with_alpha(stream: StreamV2, quantum: float = 0.1) -> StreamV2:
     return replace(stream, alpha=StreamV2.of(gaussians, size, quantum, level, grey=True, is_short=stream.is_short))
 
 
-def some_file(n: int, size: Size, seed: int, quantum: float, *, grey: bool = False, **more: Any) -> bytes:
-    """The file of some Gaussians."""
-    upright = more.pop("upright", False)
+def some_file(
+    n: int, size: Size, seed: int, quantum: float, *, grey: bool = False, upright: bool = False, **more: Any
+) -> bytes:
     return file_of(some_gaussians(n, size, seed, grey=grey, upright=upright), size, quantum, grey=grey, **more)
 
 
