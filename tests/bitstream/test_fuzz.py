@@ -43,6 +43,7 @@ HALVES = [bytes.fromhex(text) for text in ("0000", "0001", "7bff", "fbff", "7c00
 Mutator = Callable[[bytes, float, int], bytes]
 places = st.floats(0, 1, exclude_max=True)
 numbers = st.integers(0, 2**32 - 1)
+WHOLE = st.just(View())
 
 
 def put(data: bytes, at: int, value: bytes) -> bytes:
@@ -179,12 +180,12 @@ def outcome(data: bytes, view: View) -> str:
     return found
 
 
-def explore(seeds: list[bytes], mutators: list[Mutator], views: st.SearchStrategy[View] | None = None) -> Counter[str]:
+def explore(seeds: list[bytes], mutators: list[Mutator], views: st.SearchStrategy[View] = WHOLE) -> Counter[str]:
     """What becomes of files after one to three mutations."""
     seen: Counter[str] = Counter()
     steps = st.lists(st.tuples(st.sampled_from(mutators), places, numbers), min_size=1, max_size=3)
 
-    @given(st.sampled_from(seeds), steps, views or st.just(View()))
+    @given(st.sampled_from(seeds), steps, views)
     def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], view: View) -> None:
         for mutator, place, number in steps:
             data = mutator(data, place, number)
