@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from sgmethod.native import native
 
-ALWAYS: dict[str, Any] = {
-    "deadline": None,
-    "derandomize": True,
-    "database": None,
-    "suppress_health_check": list(HealthCheck),
-}
-settings.register_profile("quick", max_examples=100, **ALWAYS)
-settings.register_profile("thorough", max_examples=4000, **ALWAYS)
+# Torch's, when it is imported: most arrays here are so small that a second thread only costs time.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+settings.register_profile(
+    "quick", max_examples=100, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
+)
+settings.register_profile("thorough", settings.get_profile("quick"), max_examples=4000)
 settings.load_profile("quick")
 
 

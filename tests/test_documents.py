@@ -45,7 +45,7 @@ def test_links_lead_somewhere() -> None:
 
 
 def test_paths_in_documents_exist() -> None:
-    """But for results, which name what there was when they were measured."""
+    """Results are left out: they name what there was when they were measured."""
     paths = [path for path in documents() if "results" not in path.parts]
     pattern = re.compile(rf"`((?:{'|'.join(FOLDERS)})/[\w./-]*)`")
     named = [(path.name, name) for path in paths for name in pattern.findall(prose(path))]
@@ -54,7 +54,7 @@ def test_paths_in_documents_exist() -> None:
 
 
 def test_curl_in_the_readmes_fails_when_the_service_does() -> None:
-    """Or an error would lie in photo.sg; and it waits for less than the 60 s after which proxies give up."""
+    """Otherwise an error would lie in photo.sg. Waits are shorter than the 60 s after which proxies give up."""
     for document in ("README.md", "service/README.md"):
         commands = re.findall(r"^curl .*", (ROOT / document).read_text(), re.MULTILINE)
         assert len(commands) > 1

@@ -18,7 +18,7 @@ VISIBILITIES = ("none", "eye", "alpha")
 
 
 def scattered(n: int, seed: int, size: tuple[int, int] = SIZE) -> Gaussians:
-    """Of sizes from a pixel to a whole picture, some around it."""
+    """Gaussians from a pixel to a whole picture in size, some around it."""
     rng = np.random.default_rng(seed)
     factors = np.exp(rng.uniform(-1, 3.5, (n, 1)) + rng.normal(0, 0.5, (n, 3)))
     factors[:, 1] *= rng.choice([-1, 0, 1], n)
@@ -31,7 +31,7 @@ def single(*values: object) -> Gaussians:
 
 
 def over(frame: Frame, seed: int) -> Gaussians:
-    """Some over a frame."""
+    """Gaussians over a frame."""
     return scattered(25, seed, (frame.width * frame.spacing, frame.height * frame.spacing))
 
 
@@ -44,7 +44,7 @@ def image(seed: int) -> FloatArray:
 
 
 def target(seed: int) -> Target:
-    """The same as a target."""
+    """That picture as a target."""
     return np.asarray(np.round(image(seed) * TARGET_WHITE), np.int16)
 
 

@@ -29,7 +29,6 @@ every_visibility = pytest.mark.parametrize("kind", VISIBILITIES)
 @every_seed
 @every_frame
 def test_residual(frame: Frame, seed: int, backend: Backend) -> None:
-    """Of the whole, and of rows of it."""
     gaussians, wanted = over(frame, seed), target(seed)
     for first, end in ((0, frame.height), (0, 9), (13, 30)):
         rows = wanted[:, first:end]

@@ -19,18 +19,13 @@ from sgmethod.backend.tensors import Tensors
 from sgmethod.bitstream import container
 from sgmethod.budget import Budget
 from sgmethod.decoder import decode
-from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.objective import Objective
-from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
-from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.encode import encode
-from sgmethod.rd.request import Request
 from sgmethod.settings.rd import RD, Effort
 from sgmethod.settings.shared import Tune
 from sgmethod.view import View
-from tests.harness.data import PHOTOGRAPHS
-from tests.harness.pictures import png
+from tests.harness.pictures import photo, png
+from tests.rd.short import requested
 
 SIZE, BYTES = (40, 32), 400
 SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, size_tries=1))
@@ -38,16 +33,13 @@ SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, siz
 
 def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
     """The file of profile rd."""
-    objective, clock = Objective.of(pixels, tune, SETTINGS.objective), Clock()
-    rate = rate_of(Budget("bytes", BYTES), SIZE, SETTINGS)
-    stream, steps = encode(Request(objective, rate, Deadline(clock), backend, SETTINGS, Recorder(clock)))
+    stream, steps = encode(requested(pixels, Budget("bytes", BYTES), tune, settings=SETTINGS, backend=backend))
     assert steps >= 30
     return container.serialise(stream)
 
 
 @pytest.mark.parametrize("tune", ["psnr", pytest.param("visual", marks=pytest.mark.thorough)])
 def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
-    """Slow: a whole encode on the reference."""
     pixels = np.asarray(Image.open(io.BytesIO(png(*SIZE))))
     files = [encoded(pixels, tune, backend) for backend in (Kernels(), Reference())]
     assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
@@ -59,9 +51,9 @@ def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
 
 def test_files_are_as_good_as_those_of_the_kernels() -> None:
     """Slow: four encodes on tensors. On average: fits with other last bits end some hundredths of a dB apart."""
-    photo, gains = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")), []
+    gains = []
     for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
-        pixels = np.ascontiguousarray(photo[y : y + SIZE[1], x : x + SIZE[0]])
+        pixels = photo()[y : y + SIZE[1], x : x + SIZE[0]]
         files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), Tensors(torch.device("cpu")))]
         assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
         of_kernels, of_tensors = (psnr(decode(file), pixels) for file in files)

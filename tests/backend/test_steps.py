@@ -26,7 +26,7 @@ each_backend = pytest.mark.parametrize("backend", BACKENDS, ids=["kernels", "ref
 
 
 def various(n: int, seed: int) -> Gaussians:
-    """Of sizes from 0.4 to 40 pixels and colours from nothing to 1."""
+    """Gaussians of 0.4 to 40 pixels, with colours from nothing to 1."""
     rng = np.random.default_rng(seed)
     l1, l3 = 0.4 * 100 ** rng.random((2, n))
     colors = rng.standard_normal((n, 3)) * rng.random((n, 1)) ** 3
@@ -59,7 +59,6 @@ def test_step(settings: OptimiserSettings) -> None:
 @pytest.mark.parametrize("kind", VISIBILITIES)
 @pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
 def test_steps_together_are_those_one_by_one(frame: Frame, kind: str) -> None:
-    """Bit by bit."""
     size = frame.width * frame.spacing, frame.height * frame.spacing
     before = scattered(700, 5, size)
     descent = Descent(frame, target(3), visibility(kind, 3), 0.1, 1e-6, *size, RD.fit.optimiser)
@@ -117,7 +116,6 @@ def test_keep_in_range() -> None:
 
 @each_backend
 def test_what_is_in_range_stays(backend: Backend) -> None:
-    """Also at its ends."""
     edge = [MAX_SCALE, -MAX_SLANT * MAX_SCALE, MAX_SCALE]
     colors = [[MAX_AMPLITUDE, -MAX_AMPLITUDE, 0], [0.1, 0.2, 0.3]]
     gaussians = single([[250, 150], [-4, 304]], [edge, [2.6, 0, 2.6]], colors)
@@ -128,7 +126,6 @@ def test_what_is_in_range_stays(backend: Backend) -> None:
 @pytest.mark.parametrize("quantum", [2**-8, 0.3125, 4.0])
 @pytest.mark.parametrize(("grey", "upright"), [(False, False), (True, False), (False, True)])
 def test_rounded(grey: bool, upright: bool, quantum: float) -> None:
-    """Bit by bit the same; and what a file of all of them says."""
     gaussians = scattered(60, 1)
     gaussians.factors[:, 1] *= not upright
     coding = Coding(40, 35, quantum, grey, upright)
@@ -141,5 +138,5 @@ def test_rounded(grey: bool, upright: bool, quantum: float) -> None:
 
 
 def as_set(gaussians: Gaussians) -> set[bytes]:
-    """Of those with a colour, all numbers."""
+    """All numbers of those with a colour."""
     return {row.tobytes() for row in np.concatenate(gaussians.arrays, 1)[gaussians.colors.any(1)]}

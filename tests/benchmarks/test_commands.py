@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shlex
 import subprocess
 import sys
@@ -11,10 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-import torch
 from PIL import Image
 
-from tests.benchmarks.commands import run
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
 pytestmark = pytest.mark.thorough
@@ -44,11 +41,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "method",
         ["paper", "ingp", "neurbf", "2dgs", "3dgs", "rd"],
     ),
-    "robustness stiff": (
-        "--pictures pixel-1x1,row-300x1 --seeds 1 --only bpp",
-        "value",
-        [0.1, 0.3, 1, 2, 4, 8],
-    ),
+    "robustness stiff": ("--pictures pixel-1x1,row-300x1 --seeds 1 --only bpp", "value", [0.1, 0.3, 1, 2, 4, 8]),
     "robustness extremes": (
         "--sets fits --cases 'photograph, profile rd, every second mean not a number at the start'",
         "verdict",
@@ -57,6 +50,12 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
     "gpu": ("--quick --images {small}", "what", ["errors", "decode", "decode bytes", "steps"]),
     "service attacks": ("--seconds 2 --only slow", "tracebacks", [0]),
 }
+
+
+def run(module: str, out: Path, *arguments: str, check: bool = True) -> None:
+    """Run a command of benchmarks, or a part of one."""
+    command = [sys.executable, "-m", *f"benchmarks.{module}".split(), *arguments, "--out", str(out)]
+    subprocess.run(command, cwd=ROOT, capture_output=True, check=check, timeout=300)
 
 
 @pytest.fixture(scope="module")
@@ -80,18 +79,12 @@ def test_a_command_measures(command: str, tmp_path: Path, small: Path) -> None:
     assert all(row["psnr"] > 8 for row in rows if row.get("psnr"))
 
 
-def rd(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run benchmarks.rd on the small photographs, of 96 x 128 pixels."""
-    command = [sys.executable, "-m", "benchmarks.rd", "--images", str(PHOTOGRAPHS), *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
-
-
 def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:
     for name in ("imagecodecs", "jpeglib", "pillow_heif"):
         pytest.importorskip(name)
     out = tmp_path / "rd.json"
-    ran = rd("--most", "1", "--profiles", "", "--bpp", "1,4", "--rivals", "--out", str(out))
-    assert ran.returncode == 0, ran.stderr
+    arguments = ("--images", str(PHOTOGRAPHS), "--most", "1", "--profiles", "", "--bpp", "1,4", "--rivals")
+    run("rd", out, *arguments)
     rows = {(row["codec"], row["max_bpp"]): row for row in json.loads(out.read_text())["rows"]}
     names = ["jpeg", "mozjpeg", "jpeg2000", "webp", "jpegxl", "heic", "avif tune=psnr", "avif tune=iq", "avif grain"]
     assert list(rows) == [(name, bpp) for name in names for bpp in (1, 4)]
@@ -99,63 +92,3 @@ def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:
         assert row["bytes"] <= bpp * 96 * 128 / 8 or name == "jpeg"  # whose headers alone are 600 bytes
     assert all(18 < rows[name, 1]["psnr"] < rows[name, 4]["psnr"] for name in names)
     assert len({rows[name, 4]["psnr"] for name in names}) == len(names)  # no two are the same by another name
-
-
-# A codec with files of quality² bytes, and what its search finds from everywhere: quality, bytes, and what was tried.
-SQUARE = (
-    "import json, sys\n"
-    "import numpy as np\n"
-    "from benchmarks.rd.rivals import Rival\n"
-    "class Square(Rival):\n"
-    "    qualities = range(1, 11)\n"
-    "    def encode(self, pixels, quality):\n"
-    "        tried.append(quality)\n"
-    "        return bytes(int(quality) ** 2)\n"
-    "found = []\n"
-    "for near in (None, *Square.qualities):\n"
-    "    tried = []\n"
-    "    file = Square().best(np.zeros((1, 8, 3), np.uint8), int(sys.argv[1]), near)\n"
-    "    found.append([near, file.quality, len(file.data), tried])\n"
-    "print(json.dumps(found))\n"
-)
-
-
-@pytest.mark.parametrize("max_bytes", [0, 1, 40, 99, 100, 500])
-def test_the_search_finds_the_best_file_wherever_it_begins(max_bytes: int) -> None:
-    command = [sys.executable, "-c", SQUARE, str(max_bytes)]
-    ran = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
-    best = max(1, min(10, math.isqrt(max_bytes)))
-    for near, quality, size, tried in json.loads(ran.stdout):
-        assert (quality, size) == (best, best**2)
-        assert len(tried) == len({*tried})  # no file is made twice
-        assert near is None or abs(near - best) > 1 or len(tried) <= 3
-
-
-def test_nothing_is_done_twice(tmp_path: Path) -> None:
-    options = ["--most", "1", "--effort", "1", "--quality", "20,30", "--out", str(tmp_path / "rd.json")]
-    assert "codec rd" in rd(*options).stdout
-    assert "codec rd" not in rd(*options).stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("--profiles rd,none", "none: no such profile"),
-        ("--quality 50 --rivals", "--quality is for profile rd alone"),
-        ("--bpp 0", "--bpp and --most take numbers above 0"),
-        ("--weights nowhere", "nowhere is no folder"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused_in_a_line(arguments: str, said: str) -> None:
-    ran = rd(*arguments.split())
-    assert ran.returncode == 2
-    assert said in ran.stderr
-    assert "Traceback" not in ran.stderr
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="this is about machines without a GPU")
-def test_without_a_gpu_nothing_is_measured_on_one(tmp_path: Path) -> None:
-    ran = run("gpu", tmp_path / "rows.json", "--images", str(PHOTOGRAPHS), check=False)
-    assert ran.returncode == 2
-    assert ran.stderr == "there is no GPU here that this build of PyTorch can use\n"
-    assert not (tmp_path / "rows.json").exists()

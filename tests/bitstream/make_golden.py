@@ -25,20 +25,21 @@ from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.io.files import write_atomically
-from sgmethod.io.image import read_image
 from sgmethod.io.png import encode_png
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.backend.cases import single
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 
 FloatArray = NDArray[np.float64]
+Size = tuple[int, int]
 HASHES = golden_path("v2-hashes.json")
 
 
 def photograph(profile: str) -> bytes:
     """A small part of a photograph, upright, in some 60 Gaussians."""
-    pixels = read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[:56, :40]
-    return encode(np.ascontiguousarray(pixels), Budget("bytes", 600), profile).data
+    return encode(photo()[:56, :40], Budget("bytes", 600), profile).data
 
 
 def every_bitwidth() -> bytes:
@@ -47,8 +48,7 @@ def every_bitwidth() -> bytes:
     rng = np.random.default_rng(1)
     groups = []
     for bitwidth in range(1, 17):
-        positions = rng.integers(0, 2**9, (4, 2))
-        factors = rng.integers(0, 2**bitwidth, (4, 3))
+        positions, factors = rng.integers(0, 2**9, (4, 2)), rng.integers(0, 2**bitwidth, (4, 3))
         positions[:2], factors[:2] = [[0, 2**9 - 1], [2**9 - 1, 0]], [[2**bitwidth - 1] * 3, [0] * 3]
         colors = rng.integers(0, 8, (4, 2))
         groups.append(Group(bitwidth, positions.astype(np.uint16), factors.astype(np.uint16), colors.astype(np.uint8)))
@@ -72,21 +72,13 @@ def empty() -> bytes:
     return serialise(StreamV1("paper", 7, 5, 12, *nothing, ()))
 
 
-def rd_photograph(grey: bool) -> bytes:
+def rd_photograph(budget: Budget, *, grey: bool = False) -> bytes:
     """A small part of a photograph in profile rd."""
-    pixels = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[20:60, 30:78])
-    if grey:
-        pixels = np.ascontiguousarray(np.repeat(pixels[:, :, 1:2], 3, 2))
-    return encode(pixels, Budget("bytes", 300), "rd", tune="psnr").data
+    pixels = photo()[20:60, 30:78]
+    return encode(pixels[..., 1] if grey else pixels, budget, "rd", tune="psnr").data
 
 
-def rd_long() -> bytes:
-    """The same in a file that is not short."""
-    pixels = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[20:60, 30:78])
-    return encode(pixels, Budget("quality", 40), "rd", tune="psnr").data
-
-
-def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False, is_short: bool = False) -> bytes:
+def rd_scattered(size: Size, n: int, *, upright: bool = False, is_short: bool = False) -> bytes:
     """What no photograph has: every class of size, needles, colours beyond white, Gaussians far outside, some in one
     place."""
     rng = np.random.default_rng(n)
@@ -97,23 +89,19 @@ def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False, is_sho
     factors = np.exp(np.linspace(-2, 10, n)[:, None] + np.stack([aspect, rng.normal(0, 1.5, n), -aspect], 1))
     factors[:, 1] *= 0 if upright else rng.choice([-1, 1], n)
     colors = rng.normal(0.1, 0.5, (n, 3)) / np.sqrt(factors[:, :1])
-    return rd_coded(means, factors, colors, size, 0.05, is_short=is_short)
+    return rd_coded(single(means, factors, colors), size, 0.05, is_short=is_short)
 
 
 def rd_levels() -> bytes:
-    """Ellipses in all directions, of minor axes from a pixel to wider than the picture."""
-    rng = np.random.default_rng(2)
-    n, size = 48, (83, 70)
-    minor, aspect, angle = np.geomspace(0.7, 150, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
-    return rd_coded(rng.uniform(-0.1, 1.1, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n) / 4, size, 0.02)
+    """Ellipses from a pixel to wider than the picture, some around it."""
+    size = (83, 70)
+    return rd_coded(ellipses(48, size, 2, (0.7, 150), 5, margin=0.1), size, 0.02)
 
 
 def rd_busy() -> bytes:
     """Far more Gaussians than the other files have, of all sizes that photographs have."""
-    rng = np.random.default_rng(9)
-    n, size = 700, (200, 120)
-    minor, aspect, angle = np.geomspace(0.5, 12, n), rng.uniform(1, 6, n), rng.uniform(0, np.pi, n)
-    return rd_coded(rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n) / 4, size, 0.05)
+    size = (200, 120)
+    return rd_coded(ellipses(700, size, 9, (0.5, 12), 6), size, 0.05)
 
 
 def rd_needles() -> bytes:
@@ -123,23 +111,17 @@ def rd_needles() -> bytes:
     minor, aspect = np.linspace(0.35, 0.6, n), np.geomspace(60, 800, n)
     angle = np.pi / 4 * rng.choice([-1, 1, 0.9, -1.1], n)
     angle[-1] = np.pi / 4
-    return rd_coded(rng.uniform(0.2, 0.8, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n), size, 0.0)
+    needles = single(rng.uniform(0.2, 0.8, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n))
+    return rd_coded(needles, size, 0.0)
 
 
-def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False, is_short: bool = False) -> bytes:
+def rd_texture(size: Size, n: int, *, grey: bool = False, is_short: bool = False) -> bytes:
     """Texture of every strength, over some Gaussians or none."""
-    rng = np.random.default_rng(6)
     codes = np.arange(native.TEXTURE_OCTAVES * np.prod(cells(*size))).reshape(-1, *cells(*size)) % 16
     if n == 0:
         codes[1:] = 0
-    minor, aspect, angle = np.geomspace(0.8, 40, n), rng.uniform(1, 4, n), rng.uniform(0, np.pi, n)
-    colors = colors_of(n) / 4
-    if grey:
-        colors[:] = colors[:, :1]
-    values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
-    gaussians = Gaussians(*(value.astype(np.float32) for value in values))
     background = coded_background((120, 120, 120), is_short)
-    stream = StreamV2.of(gaussians, size, 0.02, background, grey, is_short=is_short)
+    stream = StreamV2.of(ellipses(n, size, 6, (0.8, 40), 4), size, 0.02, background, grey, is_short=is_short)
     return serialise(replace(stream, texture=codes.astype(np.uint8)))
 
 
@@ -151,11 +133,19 @@ def rd_alpha(data: bytes, n: int) -> bytes:
     rng = np.random.default_rng(8)
     minor, aspect, angle = np.geomspace(0.8, 20, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
     colors = np.repeat(rng.normal(0.5, 1, (n, 1)), 3, axis=1)
-    values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
-    gaussians = Gaussians(*(value.astype(np.float32) for value in values))
+    gaussians = single(rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors)
     background = coded_background((100, 100, 100), picture.is_short)
     alpha = StreamV2.of(gaussians, size, 0.04, background, grey=True, is_short=picture.is_short)
     return serialise(replace(picture, alpha=replace(alpha, upright=False)))
+
+
+def ellipses(
+    n: int, size: Size, seed: int, minor_px: tuple[float, float], most_aspect: float, margin: float = 0.0
+) -> Gaussians:
+    """Ellipses in all directions, with minor axes in a range. margin: how far around the picture, in parts of it."""
+    rng = np.random.default_rng(seed)
+    factors = slanted(np.geomspace(*minor_px, n), rng.uniform(1, most_aspect, n), rng.uniform(0, np.pi, n))
+    return single(rng.uniform(-margin, 1 + margin, (n, 2)) * size, factors, colors_of(n) / 4)
 
 
 def colors_of(n: int) -> FloatArray:
@@ -171,16 +161,7 @@ def slanted(minor: FloatArray, aspect: FloatArray, angle: FloatArray) -> FloatAr
     return np.stack([l1, xy / l1, minor**2 * aspect / l1], 1)
 
 
-def rd_coded(
-    means: FloatArray,
-    factors: FloatArray,
-    colors: FloatArray,
-    size: tuple[int, int],
-    quantum: float,
-    *,
-    is_short: bool = False,
-) -> bytes:
-    gaussians = Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
+def rd_coded(gaussians: Gaussians, size: Size, quantum: float, *, is_short: bool = False) -> bytes:
     background = coded_background((120, 90, 60), is_short)
     return serialise(StreamV2.of(gaussians, size, quantum, background, grey=False, is_short=is_short))
 
@@ -190,9 +171,9 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v1-baseline": lambda: photograph("baseline"),
     "v1-every-bitwidth": every_bitwidth,
     "v1-empty": empty,
-    "v2-color": lambda: rd_photograph(grey=False),
-    "v2-grey": lambda: rd_photograph(grey=True),
-    "v2-long": rd_long,
+    "v2-color": lambda: rd_photograph(Budget("bytes", 300)),
+    "v2-grey": lambda: rd_photograph(Budget("bytes", 300), grey=True),
+    "v2-long": lambda: rd_photograph(Budget("quality", 40)),
     "v2-every-class": lambda: rd_scattered((41, 27), 150),
     "v2-upright": lambda: rd_scattered((30, 44), 60, upright=True),
     "v2-levels": rd_levels,
@@ -215,12 +196,9 @@ def main(names: list[str]) -> None:
         if name.startswith("v1"):
             write_atomically(golden_path(f"{name}.png"), encode_png(decode(data)))
         else:
-            hashes[name] = {"bytes": sha256(data), "pixels": sha256(decode(data).tobytes())}
+            parts = {"bytes": data, "pixels": decode(data).tobytes()}
+            hashes[name] = {part: hashlib.sha256(content).hexdigest() for part, content in parts.items()}
     write_atomically(HASHES, (json.dumps(hashes, indent=2) + "\n").encode())
-
-
-def sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 if __name__ == "__main__":

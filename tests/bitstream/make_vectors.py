@@ -7,7 +7,6 @@ of payloads, and files to refuse. The order of a stage's numbers stands at the h
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,8 +18,9 @@ from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
+from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2 as plain
-from tests.bitstream.make_golden import FloatArray, colors_of, slanted
+from tests.bitstream.make_golden import Size, colors_of, slanted
 from tests.bitstream.make_refused import MANY, refused, refused_early
 from tests.harness.data import ROOT
 
@@ -33,7 +33,6 @@ ORDER = {
     "parts": ["bytes of the payload, at most all", "how many of the first Gaussians they hold; null: refuse"],
     "notes": "column and row: as in the file, with the margin; gaussians: binary32, to be met exactly",
 }
-Size = tuple[int, int]
 
 
 def some_gaussians(n: int, size: Size, seed: int, *, grey: bool = False, upright: bool = False) -> Gaussians:
@@ -43,11 +42,6 @@ def some_gaussians(n: int, size: Size, seed: int, *, grey: bool = False, upright
     factors = slanted(minor, aspect, np.zeros(n) if upright else rng.uniform(0, np.pi, n))
     colors = colors_of(n) / 3
     return single(rng.uniform(0, 1, (n, 2)) * size, factors, colors[:, :1].repeat(3, 1) if grey else colors)
-
-
-def single(*values: FloatArray) -> Gaussians:
-    """Gaussians in single precision."""
-    return Gaussians(*(value.astype(np.float32) for value in values))
 
 
 def needles(n: int, size: Size) -> Gaussians:
@@ -133,59 +127,44 @@ def with_alpha(stream: StreamV2, quantum: float = 0.1) -> StreamV2:
     return replace(stream, alpha=StreamV2.of(gaussians, size, quantum, level, grey=True, is_short=stream.is_short))
 
 
-FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
-    "empty": (
-        "no Gaussians: the background alone",
-        lambda: file_of(some_gaussians(0, (16, 9), 1), (16, 9), 0.3, is_short=True),
-    ),
-    "pixel": (
-        "a single pixel; begin with the entropy decoder here",
-        lambda: file_of(some_gaussians(1, (1, 1), 1), (1, 1), 0.3, is_short=True),
-    ),
+def some_file(
+    n: int, size: Size, seed: int, quantum: float, *, grey: bool = False, upright: bool = False, **more: Any
+) -> bytes:
+    return file_of(some_gaussians(n, size, seed, grey=grey, upright=upright), size, quantum, grey=grey, **more)
+
+
+FILES: dict[str, tuple[str, bytes]] = {
+    "empty": ("no Gaussians: the background alone", some_file(0, (16, 9), 1, 0.3, is_short=True)),
+    "pixel": ("a single pixel; begin with the entropy decoder here", some_file(1, (1, 1), 1, 0.3, is_short=True)),
     "short": (
         "a short file: one state, narrower fields, a checksum of one byte",
-        lambda: file_of(some_gaussians(20, (24, 16), 2), (24, 16), 0.1, is_short=True),
+        some_file(20, (24, 16), 2, 0.1, is_short=True),
     ),
-    "long": ("two states", lambda: file_of(some_gaussians(30, (32, 24), 3), (32, 24), 0.05)),
-    "grey": (
-        "no chroma in header and payload",
-        lambda: file_of(some_gaussians(12, (20, 16), 4, grey=True), (20, 16), 0.1, grey=True),
-    ),
-    "upright": (
-        "no shear in the payload",
-        lambda: file_of(some_gaussians(16, (17, 23), 5, upright=True), (17, 23), 0.1, is_short=True),
-    ),
-    "needles": (
-        "the finest steps, long numbers, extreme shapes",
-        lambda: file_of(needles(10, (40, 32)), (40, 32), 0.0),
-    ),
+    "long": ("two states", some_file(30, (32, 24), 3, 0.05)),
+    "grey": ("no chroma in header and payload", some_file(12, (20, 16), 4, 0.1, grey=True)),
+    "upright": ("no shear in the payload", some_file(16, (17, 23), 5, 0.1, upright=True, is_short=True)),
+    "needles": ("the finest steps, long numbers, extreme shapes", file_of(needles(10, (40, 32)), (40, 32), 0.0)),
     "texture": (
         "two columns of patches, so that strengths change across the picture",
-        lambda: file_of(some_gaussians(8, (72, 20), 6), (72, 20), 0.1, more=with_texture),
+        some_file(8, (72, 20), 6, 0.1, more=with_texture),
     ),
     "alpha": (
         "a fourth sample, from a payload of its own",
-        lambda: file_of(some_gaussians(14, (26, 20), 7), (26, 20), 0.1, is_short=True, more=with_alpha),
+        some_file(14, (26, 20), 7, 0.1, is_short=True, more=with_alpha),
     ),
-    "dots": (
-        "classes below 0, and models that see some hundred symbols",
-        lambda: file_of(dots(), (40, 36), 0.4, grey=True),
-    ),
-    "limits": (
-        "integers and Gaussians at every limit; not to be drawn",
-        lambda: file_of(at_limits(), (20, 14), 0.0),
-    ),
+    "dots": ("classes below 0, and models that see some hundred symbols", file_of(dots(), (40, 36), 0.4, grey=True)),
+    "limits": ("integers and Gaussians at every limit; not to be drawn", file_of(at_limits(), (20, 14), 0.0)),
     "far": (
         "more columns than a cell's number holds, more raw bits than a distance takes; not to be drawn",
-        lambda: file_of(far_apart(), FAR, 0.2, is_short=True),
+        file_of(far_apart(), FAR, 0.2, is_short=True),
     ),
     "patches": (
         "two rows and two columns of texture's patches",
-        lambda: file_of(some_gaussians(0, (68, 66), 9), (68, 66), 0.1, is_short=True, more=with_texture),
+        some_file(0, (68, 66), 9, 0.1, is_short=True, more=with_texture),
     ),
     "long alpha": (
         "alpha with a finer quantum than the picture's, in a file that is not short",
-        lambda: file_of(some_gaussians(9, (18, 14), 10), (18, 14), 0.3, more=lambda s: with_alpha(s, 0.017)),
+        some_file(9, (18, 14), 10, 0.3, more=lambda s: with_alpha(s, 0.017)),
     ),
 }
 UNDRAWN = {"limits", "far"}
@@ -197,8 +176,7 @@ VIEWS: dict[str, list[tuple[float, plain.Region]]] = {
 
 def vector(name: str) -> dict[str, Any]:
     """Every stage of a file."""
-    shows, make = FILES[name]
-    data = make()
+    shows, data = FILES[name]
     file = plain.read(data)
     found: dict[str, Any] = {"name": name, "shows": shows, "bytes": data.hex(), "header": header_of(file)}
     if file.codes:
@@ -268,7 +246,7 @@ def text() -> str:
     """All vectors as JSON, a list of plain values in a line."""
     many = replace(MANY.stream, payload=MANY.payload.ljust(MANY.count // 8, b"\0"))
     early, enough = refused_early()
-    partly = [*(FILES[name][1]() for name in ("short", "long", "grey")), serialise(many)]
+    partly = [*(FILES[name][1] for name in ("short", "long", "grey")), serialise(many)]
     vectors: dict[str, Any] = {
         "version": 2,
         "order": ORDER,

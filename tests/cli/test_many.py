@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import pty
 import re
 import subprocess
 import time
@@ -17,7 +16,7 @@ from PIL import Image
 
 from sgmethod import Budget, codec, decode
 from sgmethod.cli import naming
-from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, rest_of, run, start
+from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, on_terminal, run, start
 
 __all__ = ["in_folder", "run"]  # fixtures
 
@@ -35,9 +34,8 @@ def test_many_files_are_decoded(run: Run) -> None:
     Path("bad.sg").write_bytes(b"hello")
     Path("out").mkdir()
     Path("out/two.png").write_bytes(b"before")
-    ran = run(
-        "decode", "bad.sg", "one.sg", "two.sg", "gone.sg", "--output-dir", "out", "--no-clobber", "--scale", "0.5"
-    )
+    options = ["--output-dir", "out", "--no-clobber", "--scale", "0.5"]
+    ran = run("decode", "bad.sg", "one.sg", "two.sg", "gone.sg", *options)
     assert ran.status == 1
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
@@ -97,16 +95,11 @@ def test_resuming_needs_a_folder_and_a_manifest(run: Run) -> None:
 
 
 def test_how_many_of_how_many_on_a_terminal() -> None:
-    """A line that is gone before another is printed, and at the end."""
     for name in ("a.sg", "b.sg"):
         Path(name).write_bytes(Path(GOLDEN).read_bytes())
-    ours, theirs = pty.openpty()
-    process = start("decode", "a.sg", "b.sg", "--output-dir", "out", stdout=theirs, stderr=theirs)
-    os.close(theirs)
-    seen = rest_of(ours).decode()
-    assert process.wait() == 0
-    clear = "\r\x1b[K"
-    first, second, third, end = seen.replace("\r\n", "\n").split(clear)[:4]
+    status, _, seen = on_terminal("decode", "a.sg", "b.sg", "--output-dir", "out", streams="stdout stderr")
+    assert status == 0
+    first, second, third, end = seen.decode().replace("\r\n", "\n").split("\r\x1b[K")[:4]
     assert first == "\r0 of 2\x1b[K"
     assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, [\d.]+ pictures/s, \d+ s left\x1b\[K", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
@@ -231,7 +224,7 @@ def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("text", ["", "1", "256"])
 def test_a_number_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """For numpy's linear algebra too, of which info has none."""
+    """NumPy's linear algebra gets it too; info has none."""
     monkeypatch.setenv("SG_THREADS", text)
     for command, linear in ((["encode", "--help"], text or None), (["info", GOLDEN], "1")):
         monkeypatch.setenv("OPENBLAS_NUM_THREADS", "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
@@ -52,12 +51,6 @@ def test_detail_is_not_exaggerated_beyond_its_limit() -> None:
     # Of the coarse error, at most all is asked for once more.
     most = max(RD.objective.moving.most_detail) + 1
     assert original.std() < now.std() < most * original.std()
-
-
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (5, 3)])
-def test_pictures_of_few_pixels(size: tuple[int, int]) -> None:
-    original = target_of(np.full((*size, 3), 200, np.uint8))
-    assert np.abs(followed(original, original, 2) - original).max() <= 1
 
 
 def test_grain_that_is_hidden_is_not_exaggerated() -> None:

@@ -9,14 +9,12 @@ import pytest
 from skimage import data
 
 from sgmethod import decode, encode
-from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame, Visibility
-from sgmethod.fitting.level import Level, target_of
+from sgmethod.backend.protocol import Visibility
 from sgmethod.fitting.visibility import SeenShare, amplitudes, error, of_detail
 from sgmethod.native import native
-from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import RD
-from tests.native.test_refine import SIZE, picture, refined, scene
+from tests.backend.cases import single
 
 CUTOFF = native.CUTOFF_V2
 DETAIL = RD.objective.visibility
@@ -71,26 +69,6 @@ def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: 
         raster.squared_error(colors, target, *found, levels[:, :0])
 
 
-def test_gradients_are_those_of_finite_differences() -> None:
-    """The worst seen is off by 0.3 % of the largest of its kind."""
-    rng = np.random.default_rng(5)
-    pixels = rng.integers(0, 256, (40, 56, 3), np.uint8)
-    level = Level(Kernels(), Frame(56, 40), target_of(pixels), visibility(56, 40))
-    means, factors, colors = some(6, (56, 40))
-    gaussians = Gaussians(means, np.clip(factors, 2, 12), colors)
-    _, gradients = level.gradients(gaussians)
-    for values, by in zip(gaussians.arrays, gradients.arrays, strict=True):
-        for index in np.ndindex(*values.shape):
-            step, before = 1e-2, float(values[index])
-            errors = []
-            for sign in (1, -1):
-                values[index] = before + sign * step
-                errors.append(level.gradients(gaussians)[0])
-            values[index] = before
-            slope, tolerance = (errors[0] - errors[1]) / (2 * step), 0.01 * float(np.abs(by).max())
-            assert slope == pytest.approx(float(by[index]), abs=tolerance)
-
-
 def test_squares_of_amplitudes_are_what_is_seen() -> None:
     planes = np.random.default_rng(6).normal(0, 1, (3, 20, 30)).astype(np.float32)
     visible = visibility(30, 20)
@@ -106,11 +84,10 @@ def test_squares_of_amplitudes_are_what_is_seen() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_what_is_no_number_has_a_share_all_the_same() -> None:
-    """As after a start that was spoiled: what is dropped is decided by it."""
+    """A start that was spoiled has such Gaussians, and the share decides which are dropped."""
     means = [[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]]
     factors = [[width, 0.0, 3.0] for width in (3.0, 3.0, 3.0, math.nan, math.inf)]
-    gaussians = Gaussians(*(np.array(a, np.float32) for a in (means, factors, np.ones((5, 3)))))
-    found = SeenShare(visibility(40, 30)).of(gaussians)
+    found = SeenShare(visibility(40, 30)).of(single(means, factors, np.ones((5, 3))))
     assert np.isfinite(found).all()
     assert (found > 0).tolist() == [True, True, True, False, True]
 
@@ -123,25 +100,6 @@ def test_detail_hides_errors() -> None:
     assert visible[:, :40].min() > 2 * visible[:, 80:].max()
     assert (of_detail(pixels[:1, :1], DETAIL).values == native.VISIBLE).all()
     assert Visibility(visible[:95, :127]).halved().values.shape == (48, 64)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_each_sweep_of_refining_lowers_what_is_seen(seed: int) -> None:
-    values, target = scene(seed)
-    parameters, visible = native.RdParameters(*SIZE, 0.4), visibility(*SIZE, seed)
-    errors = []
-    for sweeps in (0, 1, 6):
-        payload = refined(parameters, values, target, sweeps=sweeps, visibility=visible.values)
-        left = picture(_decoded(parameters, payload)) - target / np.float32(native.TARGET_WHITE)
-        errors.append(seen(left, visible))
-    assert errors[2] < errors[1] < errors[0]
-    plain = refined(parameters, values, target, sweeps=6)
-    left = picture(_decoded(parameters, plain)) - target / np.float32(native.TARGET_WHITE)
-    assert errors[2] < seen(left, visible)
-
-
-def _decoded(parameters: native.RdParameters, payload: bytes) -> Gaussians:
-    return Gaussians(*native.rd_decode(parameters, payload))
 
 
 PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 140:300])

@@ -1,4 +1,4 @@
-"""The examples' files; one thread of torch, as for the backend's small arrays."""
+"""The examples' files."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from tests.backend.conftest import one_thread
-from tests.harness.data import PHOTOGRAPHS, golden_path
-
-__all__ = ["one_thread"]  # a fixture
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 
 
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with photo.png, of 128 x 96 pixels, and picture.sg, of 48 x 40, which is the working directory."""
     monkeypatch.chdir(tmp_path)
-    Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB").save("photo.png")
+    Image.fromarray(photo()).save("photo.png")
     (tmp_path / "picture.sg").write_bytes(golden_path("v2-color.sg").read_bytes())
     return tmp_path

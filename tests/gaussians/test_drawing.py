@@ -71,7 +71,6 @@ def test_gradcheck(pyramid: bool, scale: float) -> None:
 
 @pytest.mark.thorough
 def test_it_is_an_operator_of_torch() -> None:
-    """Slow: torch traces and compiles the operator in every way that it knows."""
     values = stacked(6, 2)
     torch.library.opcheck(_draw, (*values, *SIZE, True))
     by_image = torch.rand(2, 3, *SIZE[::-1])
@@ -79,7 +78,6 @@ def test_it_is_an_operator_of_torch() -> None:
 
 
 def test_it_compiles_whole() -> None:
-    """Slow: torch compiles it, and for a second scale again, with any scale."""
 
     def loss(scale: float, *values: Tensor) -> Tensor:
         return render(*values, SIZE, 0.5, scale).square().mean()
@@ -116,7 +114,6 @@ def test_any_layout_in_memory(dtype: torch.dtype) -> None:
 
 @pytest.mark.parametrize("scale", [0.37, 1.0, 2.5])
 def test_it_draws_what_a_file_shows(scale: float) -> None:
-    """At every size, to the rounding to 8 bits."""
     gaussians, background = scattered(25, 3), (0.2, 0.4, 0.6)
     data = sgmethod.pack(gaussians, *SIZE, quantum=0.02, background=background)
     file = sgmethod.open(data)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 import sgmethod
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
@@ -19,11 +18,12 @@ from sgmethod.native import native
 from sgmethod.native.reference import render
 from sgmethod.view import NO_CUTOFF, recut
 from tests.backend.cases import scattered, single
-from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.harness.data import golden_path
+from tests.harness.pictures import photo
 
 SIZE = (64, 48)
 SOME = scattered(20, 1, SIZE)
-PIXELS = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))
+PIXELS = photo()
 
 
 def as_set(gaussians: Gaussians) -> set[bytes]:
@@ -97,7 +97,6 @@ def test_a_budget_is_kept_and_used() -> None:
 
 
 def test_a_picture_refines() -> None:
-    """More of its PSNR for the same bytes."""
     file = sgmethod.open(sgmethod.encode(PIXELS, bpp=2, effort=1, tune="psnr").data)
     plain, refined = (
         sgmethod.pack(file.gaussians(), *file.size, bpp=1, background=file.background, image=image)

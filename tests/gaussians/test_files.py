@@ -32,14 +32,12 @@ def test_decoding_into_a_tensor() -> None:
 
 @pytest.mark.parametrize("is_open", [False, True])
 def test_drawing_on_a_device(is_open: bool) -> None:
-    """Like decoding, within a level."""
     drawn = draw(sgmethod.open("picture.sg") if is_open else "picture.sg", "cpu")
     assert drawn.dtype == torch.uint8
     assert (drawn.int() - decode("picture.sg").int()).abs().max() <= 1
 
 
 def test_a_data_set_of_pixels() -> None:
-    """Of any size and shape; the middle of the picture is in the middle."""
     for size in ((30, 20), (20, 30), (100, 50), (48, 40)):
         width, height = size
         (batch,) = DataLoader(SgDataset(["picture.sg"] * 2, size=size), batch_size=2)
@@ -49,7 +47,6 @@ def test_a_data_set_of_pixels() -> None:
 
 
 def test_a_data_set_of_gaussians() -> None:
-    """Padded, they draw the file."""
     file = sgmethod.open("picture.sg")
     n = file.info.gaussians
     (batch,) = DataLoader(SgDataset(["picture.sg"] * 2, most_gaussians=n + 9), batch_size=2)

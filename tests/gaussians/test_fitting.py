@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
 import sgmethod
@@ -16,9 +15,9 @@ from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.metrics import psnr
 from sgmethod.rd.exact import ExactFit
 from sgmethod.torch import Fit, fit, render
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 
-PHOTO = torch.from_numpy(np.array(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))).permute(2, 0, 1)
+PHOTO = torch.from_numpy(photo()).permute(2, 0, 1)
 HEIGHT, WIDTH = 33, 47
 BATCH = torch.stack([PHOTO[:, y : y + HEIGHT, 3 * y : 3 * y + WIDTH] for y in (0, 15, 25)])
 
@@ -32,7 +31,6 @@ def same(one: Fit, other: Fit) -> bool:
 
 
 def test_a_batch() -> None:
-    """Exactly N, the largest first, and the error is that of the drawing."""
     found = fit(BATCH, 40, steps=30)
     assert [list(values.shape) for values in found] == [[3, 40, 2], [3, 40, 3], [3, 40, 3], [3, 3], [3]]
     assert all(values.dtype == torch.float32 for values in found)
@@ -71,7 +69,7 @@ def test_kernels_of_another_thread_take_turns_as_before(set_threads: Callable[[i
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 9), (7, 3), (64, 33)])
 @pytest.mark.parametrize("share", [0.02, 0.4, 1.0])
 def test_any_size_and_number(height: int, width: int, share: float) -> None:
-    """Also one Gaussian for each pixel, and more than growth finds."""
+    """This includes a Gaussian for each pixel, and more than growth finds."""
     n = max(round(share * height * width), 1)
     found = fit(PHOTO[None, :, :height, :width], n, steps=8)
     assert found.means.shape == (1, n, 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import re
 from typing import Any
 
@@ -36,7 +35,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("files")
 def test_the_examples() -> None:
-    """Slow: nine examples, of which one fits by gradients and one trains."""
     torch.manual_seed(0)
     number, names = ran("python.md")
     assert number == 9
@@ -53,7 +51,6 @@ def test_the_examples() -> None:
 
 @pytest.mark.usefixtures("files")
 def test_the_page_of_data_sets() -> None:
-    """Slow: it fits 200 pictures, and trains."""
     number, names = ran("datasets.md")
     assert number == 3
     assert names["right"] > 0.9
@@ -62,12 +59,3 @@ def test_the_page_of_data_sets() -> None:
 @pytest.mark.parametrize("name", [*sgmethod.__all__, *(f"torch.{name}" for name in sgmethod.torch.__all__)])
 def test_every_name_is_on_the_page(name: str) -> None:
     assert f"`{name}`" in PAGE.split("## All names")[1]
-
-
-@pytest.mark.usefixtures("files")
-@pytest.mark.parametrize("module", ["exchange.packing", "torch.drawing", "torch.files", "torch.fitting"])
-def test_examples_in_docstrings(module: str) -> None:
-    sgmethod.encode("photo.png").save("photo.sg")
-    tried = doctest.testmod(__import__(f"sgmethod.{module}", fromlist=["x"]), extraglobs={"sgmethod": sgmethod})
-    assert tried.attempted > 0
-    assert tried.failed == 0

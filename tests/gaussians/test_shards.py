@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import signal
-import subprocess
-import sys
 import tarfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,9 +18,9 @@ from torch.utils.data import DataLoader
 import sgmethod
 from sgmethod.errors import BudgetError, GaussiansError, SgError
 from sgmethod.torch import SgDataset, fit, fit_many, render
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 
-PHOTO = np.array(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))
+PHOTO = photo()
 
 
 @pytest.fixture(autouse=True)
@@ -138,41 +133,6 @@ def test_a_shard_that_fails_is_tried_again() -> None:
     assert rows()[-1]["error"] == "gaussians must be a whole number from 1 to 9, got 12"
     assert many([(crop(0), "a wall")]) == (0, 0, 1)
     assert rows()[-1]["error"] == "a label must be a whole number or a dict for JSON, not 'a wall'"
-
-
-KILLED = """
-import sys, numpy as np
-from sgmethod.torch import fit_many
-class Slow(list):
-    def __getitem__(self, index):
-        print(index, flush=True)
-        return np.random.default_rng(index).integers(0, 256, (16, 16, 3), np.uint8)
-fit_many(Slow(range(8)), "out", 12, shard=2, steps=int(sys.argv[1]), resume=True)
-"""
-
-
-def test_a_run_that_was_killed_goes_on() -> None:
-    """With the bytes that it would have made."""
-
-    def run(steps: int) -> subprocess.Popen[str]:
-        command = [sys.executable, "-c", KILLED, str(steps)]
-        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"SG_THREADS": "1"})
-
-    process = run(30)
-    assert process.communicate(timeout=100)[0].split() == [*"01234567"]
-    whole = shards()
-    for name in whole:
-        (Path("out") / name).unlink()
-    Path("out/manifest.jsonl").unlink()
-    process, until = run(30), time.monotonic() + 100
-    while not Path("out/000001.tar").exists() and time.monotonic() < until:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
-    kept = len([row for row in rows() if row["error"] is None]) if rows() else 0
-    assert 1 <= kept <= 4
-    assert run(30).communicate(timeout=100)[0].split() == [str(index) for index in range(2 * kept, 8)]
-    assert shards() == whole
 
 
 def test_other_files_are_no_shards() -> None:

@@ -12,12 +12,20 @@ import pillow_heif
 from PIL import Image
 
 Tags = Mapping[int, "int | tuple[int, ...]"]
-LONG = 4  # TIFF 6.0, section 2
+SHORT, LONG = 3, 4  # TIFF 6.0, section 2
 
 
-def png(rows: bytes, size: tuple[int, int], before: Sequence[bytes] = (), after: Sequence[bytes] = ()) -> bytes:
-    """A PNG of 8-bit RGB; whole chunks before and after the pixels."""
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", *size, 8, 2, 0, 0, 0))
+def png(
+    rows: bytes,
+    size: tuple[int, int],
+    before: Sequence[bytes] = (),
+    after: Sequence[bytes] = (),
+    *,
+    depth: int = 8,
+    colour: int = 2,
+) -> bytes:
+    """A PNG of unfiltered rows, in RGB unless the type of colour is another; whole chunks before and after them."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", *size, depth, colour, 0, 0, 0))
     return b"".join(
         (b"\x89PNG\r\n\x1a\n", header, *before, chunk(b"IDAT", zlib.compress(rows)), *after, chunk(b"IEND"))
     )
@@ -28,7 +36,7 @@ def chunk(name: bytes, body: bytes = b"") -> bytes:
 
 
 def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: bool = False) -> bytes:
-    """A TIFF, or a BigTIFF, of uncompressed pages [H, W, C], each one strip, with further tags."""
+    """A TIFF, or a BigTIFF, of uncompressed pages [H, W, C], each one strip, with further tags or other values."""
     count, offset = ("Q", "Q") if big else ("H", "I")
     number = struct.pack(order + "HHH", 43, 8, 0) if big else struct.pack(order + "H", 42)
     mark = {"<": b"II", ">": b"MM"}[order] + number
@@ -36,22 +44,19 @@ def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: boo
     for samples, more in pages:
         height, width, channels = samples.shape
         body = samples.astype(samples.dtype.newbyteorder(order)).tobytes()
-        tags: dict[int, int | tuple[int, ...]] = {
-            256: width,
-            257: height,
-            258: (8 * samples.dtype.itemsize,) * channels,
-        }
+        bits = (8 * samples.dtype.itemsize,) * channels
+        tags: dict[int, int | tuple[int, ...]] = {256: width, 257: height, 258: bits}
         tags |= {259: 1, 262: 1 if channels < 3 else 2, 273: len(file), 277: channels, 278: height, 279: len(body)}
         tags |= more
         file += body
         entries = b""
         for tag, value in sorted(tags.items()):
             values = value if isinstance(value, tuple) else (value,)
-            packed = struct.pack(f"{order}{len(values)}{'I' if tag in (254, 273, 279) else 'H'}", *values)
+            kind, code = (LONG, "I") if tag in (254, 273, 279) or max(values) > 0xFFFF else (SHORT, "H")
+            packed = struct.pack(f"{order}{len(values)}{code}", *values)
             if len(packed) > struct.calcsize(offset):
                 packed, at = struct.pack(order + offset, len(file)), packed
                 file += at
-            kind = LONG if tag in (254, 273, 279) else 3
             entries += struct.pack(f"{order}HH{offset}", tag, kind, len(values))
             entries += packed.ljust(struct.calcsize(offset), b"\0")
         file[link : link + struct.calcsize(offset)] = struct.pack(order + offset, len(file))

@@ -48,7 +48,7 @@ def test_write_atomically(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", [0o600, 0o644, 0o400, 0o660])
 def test_a_file_that_is_replaced_keeps_its_mode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int) -> None:
-    """And nobody else may read the new one before it has the name."""
+    """Nobody else may read the new one before it has the name."""
     target, real, seen = tmp_path / "out.sg", os.open, []
 
     def spy(path: str, flags: int, *more: int, **named: int) -> int:

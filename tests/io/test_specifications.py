@@ -16,7 +16,6 @@ import pytest
 from PIL import Image
 
 from sgmethod.errors import ImageError, ImageWarning
-from sgmethod.io import chunks
 from sgmethod.io.colour import MAX_PROFILE_BYTES
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
@@ -35,7 +34,7 @@ LONG = b"x" * (3 << 20)
 
 
 def read(data: bytes) -> np.ndarray:
-    """As it is kept, of the size that the header says."""
+    """The pixels as they are kept, of the size that the header says."""
     pixels = read_image_8_bit(data, keep_alpha=True)
     header = read_header(data)
     assert pixels.shape[:2] == (header.height, header.width)
@@ -79,11 +78,9 @@ def test_a_profile_of_a_png_is_of_many_bytes() -> None:
 
 
 def test_16_bits_are_read_beside_long_text() -> None:
-    body = b"".join(b"\0" + row.astype(">u2").tobytes() for row in DEEP)
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", W, H, 16, 2, 0, 0, 0))
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in DEEP)
     text = chunk(b"zTXt", b"Comment\0\0" + zlib.compress(LONG))
-    data = b"".join([chunks.PNG_MAGIC, header, text, chunk(b"IDAT", zlib.compress(body)), chunk(b"IEND")])
-    assert np.array_equal(read(data), RGB)
+    assert np.array_equal(read(png(rows, (W, H), [text], depth=16)), RGB)
 
 
 # --- BMP

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from ctypes import c_byte
 from pathlib import Path
-from typing import Any
-
-import sgmethod
 
 
 def doubled(item: int) -> int:
@@ -31,19 +27,3 @@ def killed_once(folder: Path, item: int) -> int:
         (folder / "killed").touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * item
-
-
-def process_of(_item: int) -> int:
-    """The process that works on the item."""
-    return os.getpid()
-
-
-def asleep(seconds: int) -> None:
-    """For a while."""
-    time.sleep(seconds)
-
-
-def encode_killed_once(folder: Path, picture: bytes, **options: Any) -> sgmethod.Encoded:
-    """As sgmethod.encode(); at the first call the process is killed."""
-    killed_once(folder, 3)
-    return sgmethod.encode(picture, **options)

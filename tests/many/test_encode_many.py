@@ -19,10 +19,10 @@ from PIL import Image
 from sgmethod import Row, SgError, Tally, encode, encode_many
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.rd.short import short
 
-PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB").resize((64, 48))
+PHOTO = Image.fromarray(photo()).resize((64, 48))
 
 
 @pytest.fixture(autouse=True)
@@ -98,7 +98,6 @@ def test_failures_are_tried_again() -> None:
 
 
 def test_pictures_in_memory() -> None:
-    """Of every kind that encode() takes, from a generator."""
     array = np.asarray(PHOTO)
 
     def items() -> Iterator[tuple[str, Any]]:
@@ -148,7 +147,7 @@ def test_what_ends_the_run() -> None:
 
 @pytest.mark.parametrize(("cut", "nuls"), [(1, 0), (-1, 0), (0, 4096), (100, 9)])
 def test_a_line_that_was_cut_off(cut: int, nuls: int) -> None:
-    """By a kill in the middle of a write, or by a power cut: its picture is encoded again, the others are not."""
+    """After a kill in the middle of a write, or a power cut, its picture is encoded again, the others are not."""
     many()
     path = Path("out/manifest.jsonl")
     before, lines = rows(), path.read_bytes().splitlines(keepends=True)

@@ -33,7 +33,7 @@ def test_an_item_is_tried_again(tmp_path: Path) -> None:
 
 
 def test_items_are_taken_as_they_are_needed() -> None:
-    """And the processes end with the loop."""
+    """The processes end with the loop."""
     taken = []
 
     def items() -> Iterator[int]:
@@ -50,7 +50,7 @@ def test_items_are_taken_as_they_are_needed() -> None:
 
 
 def test_processes_that_end_before_they_begin(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those of a script that is no file, or without a guard."""
+    """A script that is no file, or has no guard, has such processes."""
     monkeypatch.setattr(processes, "_begin", os.abort)
     with pytest.raises(SgError, match="must be a file"):
         list(in_processes(doubled, [1, 2], 2))

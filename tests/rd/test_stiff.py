@@ -13,12 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from sgmethod import Budget, Encoded, encode
-from sgmethod.backend.kernels import Kernels
 from sgmethod.budget import BudgetKind
 from sgmethod.native import native
-from sgmethod.rd import encode as pipeline
-from sgmethod.settings.rd import RD
-from tests.rd.short import begun, requested
 
 pytestmark = pytest.mark.thorough
 
@@ -102,35 +98,6 @@ def test_other_budgets_are_kept(name: str) -> None:
     assert native.rd_clipped_values() == clipped
 
 
-class Counting(Kernels):
-    """Counts refinings."""
-
-    def __init__(self) -> None:
-        self.refined = 0
-
-    def refine(self, *arguments: Any) -> bytes:
-        """As Kernels.refine."""
-        self.refined += 1
-        return super().refine(*arguments)
-
-
-@each_picture
-@pytest.mark.parametrize("budget", [Budget("bytes", 300), Budget("psnr", 40), Budget("quality", 60)])
-def test_an_encode_makes_few_files(name: str, budget: Budget) -> None:
-    backend = Counting()
-    pipeline.encode(requested(STIFF[name], budget, backend=backend))
-    assert 1 <= backend.refined <= RD.rate.aim_tries + 1
-
-
-@each_picture
-@pytest.mark.parametrize("budget", [Budget("bpp", 8), Budget("psnr", 60)])
-def test_a_larger_picture_is_given_as_few_steps(name: str, budget: Budget) -> None:
-    height, width = STIFF[name].shape[:2]
-    large = np.tile(STIFF[name], (-(-256 // height), -(-256 // width), 1))[:256, :256]
-    plan, _ = begun(requested(large, budget))
-    assert sum(plan.lengths) <= MOST_STEPS
-
-
 @pytest.mark.parametrize("size", [(1, 2), (3, 3), (1, 17), (5, 7), (64, 1)])
 def test_tiny_pictures_use_what_they_are_given(size: tuple[int, int]) -> None:
     """A pixel needs as many bytes as a Gaussian has, not as many as samples."""
@@ -143,7 +110,6 @@ def test_tiny_pictures_use_what_they_are_given(size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("tune", ["psnr", "visual"])
 def test_a_quality_of_nothing_is_the_background(tune: str) -> None:
-    """With the grain that stands for noise."""
     file = encode(STIFF["noise"], quality=1, tune=tune)
     assert file.stats.gaussians == 0
 

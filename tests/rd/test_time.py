@@ -13,17 +13,16 @@ from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short, stage_of
 
-CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:72, 40:104])
+CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 NOISE = np.random.default_rng(0).integers(0, 256, (128, 160, 3), np.uint8)
 PIXEL_S = 1e-6
 
@@ -58,7 +57,6 @@ class WorkClock(Clock):
     now = 0.0
 
     def seconds(self) -> float:
-        """As Clock.seconds."""
         return self.now
 
 
@@ -73,7 +71,6 @@ class Timed(Kernels):
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        """As Kernels.gradients."""
         self._clock.now += self._any_s + PIXEL_S * frame.height * frame.width
         return super().gradients(gaussians, frame, target, visibility)
 
@@ -121,7 +118,7 @@ def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time() -> None:
 
 
 def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
-    """Where preparing it took long, as for a large picture: a third of that time."""
+    """If preparing it took long, as for a large picture, it gets a third of that time."""
     steps = []
     for prepared_s in (0.0, 6.0):
         clock = SlowClock()

@@ -86,7 +86,6 @@ def test_plain(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "kind"), [*zip(FRAMES, (*VISIBILITIES, "eye", "alpha"), strict=True)])
 def test_backend(name: str, kind: str) -> None:
-    """The backend for devices takes the same kernels."""
     frame, reference, backend = FRAMES[name], Reference(), Tensors(CPU, has_tiles(CPU))
     asked = over(frame, 1), frame, target(1), visibility(kind, 1)
     assert type(backend._drawn(asked[0], frame)[0]) is Tiles
@@ -102,7 +101,7 @@ def test_backend(name: str, kind: str) -> None:
 
 
 def test_a_batch_is_its_pictures() -> None:
-    """And what cannot be drawn draws nothing, gets no gradient and disturbs no other."""
+    """What cannot be drawn draws nothing, gets no gradient and disturbs no other."""
     every = [scattered(9, seed) for seed in range(3)]
     every[1].factors[:4, ::2] = np.float32([[0, 1], [-1, 1], [np.nan, 1], [1e-30, 1]])
     every[1].means[4:6] = np.float32([[np.inf, 0], [0, np.nan]])

@@ -44,7 +44,7 @@ def run(command: Sequence[object], *, environment: Mapping[str, str] | None = No
 
 
 def interpreters() -> dict[Version, str]:
-    """Those at hand, of the versions that the project names; this one at least."""
+    """Interpreters at hand, of the versions that the project names; this one at least."""
     found: dict[Version, str] = {sys.version_info[:2]: sys.executable}
     for classifier in PROJECT["project"]["classifiers"]:
         if match := re.fullmatch(r"Programming Language :: Python :: 3\.(\d+)", classifier):
@@ -96,7 +96,8 @@ def built(programs: Path, source: Path, name: str) -> Path:
     """A wheel of the packed source. Raises AssertionError if it holds anything but the package."""
     shutil.rmtree(FOLDER / name, ignore_errors=True)
     unpacked = source.with_name(source.name.removesuffix(".tar.gz"))
-    settings = [f"--config-setting={key}={value}" for key, value in config_settings().items()]
+    given = PROJECT["tool"]["cibuildwheel"]["config-settings"]
+    settings = [f"--config-setting={key}={value}" for key, value in given.items()]
     command = [programs / "python", "-m", "build", "--wheel", "--no-isolation", *settings]
     # With ccache, what lies elsewhere but is the same was compiled before.
     path = {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}", "CCACHE_BASEDIR": str(unpacked)}
@@ -112,17 +113,6 @@ def built(programs: Path, source: Path, name: str) -> Path:
     if "-abi3-" in wheel.name:
         run([programs / "abi3audit", "--strict", wheel])
     return wheel
-
-
-def config_settings() -> dict[str, str]:
-    """Those that cibuildwheel gives."""
-    settings: dict[str, str] = PROJECT["tool"]["cibuildwheel"]["config-settings"]
-    return settings
-
-
-def would_be_made(programs: Path, platform: str) -> list[str]:
-    """The wheels that cibuildwheel reads of the configuration, by its names for them."""
-    return run([programs / "cibuildwheel", "--print-build-identifiers", "--platform", platform, ROOT]).split()
 
 
 def tried(programs: Path, wheel: Path, interpreter: str) -> str:
@@ -155,7 +145,8 @@ def main() -> None:
         shutil.copy(wheel, DIST)
     print(f"all in dist/; the wheels were built with {'no' if offline() else 'the'} network in reach")
     for platform in ("linux", "macos", "windows"):
-        print(f"cibuildwheel would make wheels for {platform} in {len(would_be_made(programs, platform))} builds")
+        asked = run([programs / "cibuildwheel", "--print-build-identifiers", "--platform", platform, ROOT])
+        print(f"cibuildwheel would make wheels for {platform} in {len(asked.split())} builds")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
 // Where the models of a stream begin: cumulative probabilities below symbols 1 to 15, in 1/256 (docs/format.md).
+// Counted in files of eight photographs of scikit-image (astronaut, chelsea, coffee, motorcycle, rocket,
+// hubble_deep_field, retina and ihc), each at 0.04, 0.12, 0.3 and 0.6 bpp, and in 400 bytes.
 #pragma once
 
 #include <cstdint>
