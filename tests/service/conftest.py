@@ -16,13 +16,15 @@ from service.__main__ import main
 from service.jobs.table import JobTable
 from tests.harness import browser as browser_module
 from tests.harness import nginx, postgres_server
-from tests.harness.browser import Browser, Chromium, Firefox, find_driver, find_firefox
+from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
 from tests.harness.data import PICTURE
 from tests.harness.job_table import LONG_S, OpenTable, open_table
 from tests.harness.nginx import Nginx
+from tests.harness.page import Page
 from tests.harness.postgres_server import PostgresServer, find_binaries
+from tests.harness.processes import Outcome
 from tests.harness.s3_server import S3Server
-from tests.harness.service import SMALL_QUEUE, STAND_IN, Outcome, RunCommand, Service, StartService
+from tests.harness.service import SMALL_QUEUE, STAND_IN, RunCommand, Service, StartService
 
 
 def _missing(required: str, hint: str) -> NoReturn:
@@ -235,9 +237,9 @@ def page(browser: Chromium) -> Iterator[Chromium]:
 
 
 @pytest.fixture(params=["browser", pytest.param("firefox", marks=pytest.mark.thorough)])
-def each_browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+def each_browser(request: pytest.FixtureRequest) -> Iterator[Page]:
     """The same for tests that run in both."""
-    browser: Browser = request.getfixturevalue(request.param)
+    browser: Page = request.getfixturevalue(request.param)
     browser.complaints()
     yield browser
     browser.open("about:blank")

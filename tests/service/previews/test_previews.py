@@ -12,11 +12,12 @@ import pytest
 
 import sgmethod
 from sgmethod.bitstream.text import to_text
-from tests.harness.browser import Browser, Chromium
+from tests.harness.browser import Chromium
 from tests.harness.data import JAVASCRIPT, golden
+from tests.harness.page import Page
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import assert_as_python, complaints, open_blank
+from tests.service.page.steps import assert_as_python
 
 SIZE = 96  # of the longer side, pixels
 SHORT = [golden(2)[name] for name in ("v2-color", "v2-grey", "v2-empty")]
@@ -72,8 +73,8 @@ def test_in_node(files: list[bytes]) -> None:
 
 
 @pytest.mark.thorough
-def test_in_a_browser(each_browser: Browser, web: Service, files: list[bytes]) -> None:
-    open_blank(each_browser, web)
+def test_in_a_browser(each_browser: Page, web: Service, files: list[bytes]) -> None:
+    each_browser.open_blank(web)
     texts = json.dumps([*map(to_text, files), *BAD])
     found = each_browser.run(f"""
         return import("/static/sgmethod/preview.js").then(({{ decodePreview }}) => {{
@@ -85,7 +86,7 @@ def test_in_a_browser(each_browser: Browser, web: Service, files: list[bytes]) -
     assert_decoded(found, files)
 
 
-def show(page: Browser, html: str) -> None:
+def show(page: Page, html: str) -> None:
     """Elements at the top of a page with the strict policy of the service's."""
     page.run(f"""
         document.body.insertAdjacentHTML("afterbegin", {json.dumps(html)});
@@ -104,8 +105,8 @@ STATE = """
 
 
 @pytest.mark.thorough
-def test_the_preview_stands_until_the_picture_is_there(each_browser: Browser, web: Service) -> None:
-    open_blank(each_browser, web)
+def test_the_preview_stands_until_the_picture_is_there(each_browser: Page, web: Service) -> None:
+    each_browser.open_blank(web)
     below = "<br>" * 500  # so far that the picture is not loaded yet
     show(each_browser, f'{below}<sg-img id="one" src="static/samples/cat.webp" alt="A cat" preview="{GOOD}"></sg-img>')
     wait_until(lambda: each_browser.run(STATE)["drawn"] == 256)
@@ -121,14 +122,14 @@ def test_the_preview_stands_until_the_picture_is_there(each_browser: Browser, we
 @pytest.mark.thorough
 def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service) -> None:
     """It stays as it is; and one that fails to load leaves the preview, but not on paper."""
-    open_blank(page, web)
+    page.open_blank(web)
     image = '<img srcset="static/samples/none.webp 400w" sizes="50vw" alt="Cups" width="48" height="40">'
     show(page, f'<sg-img id="one" preview="{GOOD}"> {image} </sg-img>')
     wait_until(lambda: page.run(STATE)["drawn"] == 256)
     state = page.run(STATE)
     assert (state["alt"], state["sizes"]) == ("Cups", "50vw")
     assert state["ratio"] == pytest.approx(48 / 40, rel=0.01)
-    wait_until(lambda: any("404" in said for said in complaints(page)))
+    wait_until(lambda: any("404" in said for said in page.complaints()))
     assert page.run("return document.querySelector('#one img').outerHTML") == image
     seen = "return getComputedStyle(one.shadowRoot.querySelector('canvas')).display"
     page.tell("Emulation.setEmulatedMedia", media="print")
@@ -139,13 +140,13 @@ def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service)
 
 @pytest.mark.thorough
 def test_a_bad_text_is_a_warning(page: Chromium, web: Service) -> None:
-    open_blank(page, web)
-    complaints(page)
+    page.open_blank(web)
+    page.complaints()
     show(page, '<sg-img id="one" src="static/samples/coffee.webp" alt="A cup" preview="nothing"></sg-img>')
     wait_until(lambda: page.run(STATE)["loaded"])
     state = page.run(STATE)
     assert state["drawn"] == 0
-    (warning,) = complaints(page)
+    (warning,) = page.complaints()
     assert "sg-img has no preview" in warning
 
 
@@ -257,8 +258,8 @@ OWNED = {
 }
 
 
-def test_it_is_as_an_img_and_leaves_what_is_not_its_own(each_browser: Browser, web: Service) -> None:
-    open_blank(each_browser, web)
+def test_it_is_as_an_img_and_leaves_what_is_not_its_own(each_browser: Page, web: Service) -> None:
+    each_browser.open_blank(web)
     early = f'Object.assign(document.createElement("sg-img"), {{ preview: "{GOOD}", src: "/static/samples/cat.webp" }})'
     each_browser.run(f"window.EARLY = {early}; document.body.append(window.EARLY);")
     show(each_browser, "")

@@ -20,7 +20,6 @@ from tests.harness.browser import Chromium
 from tests.harness.data import PHOTOGRAPHS, ROOT, golden
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import open_blank
 from tests.service.previews.test_previews import show
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
@@ -46,7 +45,7 @@ def blocks(heading: str) -> list[str]:
 @pytest.mark.thorough
 def test_plain_html(page: Chromium, web: Service) -> None:
     text = to_text(golden(2)["v2-color"])
-    open_blank(page, web)
+    page.open_blank(web)
     within, rules, alone = blocks("Plain HTML")
     within, alone = (re.sub(r"photo(-2x)?\.avif", "static/samples/cat.webp", html) for html in (within, alone))
     page.run(f"""

@@ -12,7 +12,7 @@ from tests.harness.browser import Chromium
 from tests.harness.data import STATIC
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import assert_open_to_all, complaints, open_page
+from tests.service.page.steps import assert_open_to_all
 
 pytestmark = pytest.mark.thorough
 
@@ -26,7 +26,7 @@ DRAWN = """
 
 def test_the_wall_on_a_phone(page: Chromium, web: Service) -> None:
     page.tell("Emulation.setDeviceMetricsOverride", **PHONE)
-    open_page(page, web)
+    page.open_page(web)
     loaded = page.run("return performance.getEntriesByType('resource').map((one) => one.name)")
     assert [name for name in loaded if "/wall/" in name or "/preview/" in name] == []
     page.run("document.getElementById('show-wall').click()")
@@ -38,7 +38,7 @@ def test_the_wall_on_a_phone(page: Chromium, web: Service) -> None:
     assert_open_to_all(page, "'#wall-card'", 1)
     page.run("document.getElementById('load-wall').scrollIntoView(); document.getElementById('load-wall').click()")
     wait_until(lambda: page.run(DRAWN) < len(WALL["pictures"]))
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_all_have_the_same_bytes() -> None:

@@ -28,7 +28,6 @@ from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.s3_server import KeptS3Server
 from tests.harness.service import STAND_IN, Service, StartService
-from tests.service.page.steps import complaints, give
 
 pytestmark = pytest.mark.thorough
 
@@ -190,12 +189,12 @@ def test_the_page_works(behind: str, browser: Chromium) -> None:
     browser.open(f"{behind}/")
     wait_until(lambda: browser.is_seen("#right-label") and browser.is_seen("#left-label"))
     browser.run("document.getElementById('more').open = true; document.getElementById('time-limit').value = '0.1'")
-    give(browser, "drop", SMALL, "one.png")
+    browser.give("drop", SMALL, "one.png")
     wait_until(lambda: len(browser.run("return location.hash")) == len("#") + 32)
     command = "return document.getElementById('curl').textContent"
     wait_until(lambda: browser.run(command).endswith("one.sg"))
     assert f"'{behind}/encode?wait=50'" in browser.run(command)
-    assert complaints(browser) == []
+    assert browser.complaints() == []
     browser.open(f"{behind}/docs")
     wait_until(lambda: browser.run("return document.querySelectorAll('#operations details').length"))
     assert browser.run(f"return document.body.textContent.includes('{behind}/encode?wait=50')")
