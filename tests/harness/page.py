@@ -149,11 +149,11 @@ class Page(ABC):
         """)
         return np.array(row).reshape(-1, 4)[:, :3]
 
-    def decoded(self, data: bytes, options: str = "{}") -> NDArray[np.int64]:
+    def decoded(self, data: bytes) -> NDArray[np.int64]:
         """RGBA by the decoder of the page."""
         width, height, levels = self.run(f"""
             return import("/static/sgmethod/decoder.js").then(({{ decode }}) => {{
-                const {{ width, height, data }} = decode({bytes_of(data)}, {options});
+                const {{ width, height, data }} = decode({bytes_of(data)});
                 return [width, height, [...data].map((level) => String.fromCharCode(level)).join("")];
             }});
         """)

@@ -89,13 +89,19 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     root.setLevel(logging.WARNING)
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
-def database_url(request: pytest.FixtureRequest) -> str:
-    """SG_DATABASE_URL of an empty job table: each test that takes it runs once on either database."""
+@pytest.fixture(scope="session", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
+def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
+    """Gives SG_DATABASE_URL of empty job tables: what takes it runs once on either database."""
     if request.param == "sqlite":
-        return "sqlite"
+        return lambda: "sqlite"
     server: PostgresServer = request.getfixturevalue("postgres")
-    return server.new_database()
+    return server.new_database
+
+
+@pytest.fixture
+def database_url(new_table: Callable[[], str]) -> str:
+    """One that is the test's own."""
+    return new_table()
 
 
 @pytest.fixture
@@ -197,9 +203,9 @@ def quick(start_for_all: StartService) -> Service:
 
 
 @pytest.fixture(scope="session")
-def small_queue(start_for_all: StartService) -> Service:
+def small_queue(start_for_all: StartService, new_table: Callable[[], str]) -> Service:
     """A web process without any worker, whose queue is soon full."""
-    return start_for_all("web", queue_length=SMALL_QUEUE)
+    return start_for_all("web", queue_length=SMALL_QUEUE, database_url=new_table())
 
 
 @pytest.fixture

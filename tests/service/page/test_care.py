@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import time
 from pathlib import Path
 
@@ -11,10 +10,9 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from service.jobs.job import SourceImage
 from tests.harness.browser import Chromium
 from tests.harness.page import bytes_of
-from tests.harness.pictures import SMALL
+from tests.harness.pictures import SMALL, saved
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, assert_open_to_all
@@ -26,9 +24,7 @@ def see_through() -> bytes:
     """A picture that is clear on the left."""
     picture = Image.new("RGBA", (64, 48), (10, 90, 200, 255))
     picture.paste((0, 0, 0, 0), (0, 0, 32, 48))
-    file = io.BytesIO()
-    picture.save(file, "PNG")
-    return file.getvalue()
+    return saved(picture)
 
 
 def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service) -> None:
@@ -144,16 +140,14 @@ def test_what_the_browser_cannot_read_is_sent_only_if_it_ought_to_know(page: Chr
     page.click("#again")
     page.says("in the queue")
     page.click("#cancel")
-    file = io.BytesIO()
-    Image.new("RGB", (64, 48), "green").save(file, "TIFF")
-    page.queued(file.getvalue(), "green.tif")
+    page.queued(saved(Image.new("RGB", (64, 48), "green"), "TIFF"), "green.tif")
     assert "cannot show the original" in page.text("#note")
     page.click("#cancel")
 
 
 def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     page.open_page(empty)
-    running, done = (empty.submitted(SourceImage("PNG", 64, 48, 10)) for _ in range(2))
+    running, done = (empty.submitted() for _ in range(2))
     empty.publish(done, COFFEE)
     assert empty.job(running)["state"] == "running"
     page.give("drop", SMALL, "one.png")

@@ -51,8 +51,11 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.give("drop", COFFEE, "coffee.sg")
     page.says(COFFEE_SAYS, "#figures")
     assert_as_python(page.decoded(COFFEE), COFFEE)
+    assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
     page.click("#rows li:first-child .pick")
     page.says("my disc.png", "#rows")
+    page.give("drop", COFFEE[:-1], "cut.sg")
+    page.says("the file is damaged")
     assert page.complaints() == []
     service.clear()
 
@@ -197,21 +200,6 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.run("localStorage.clear()")
         page.close_tab()
         page.switch_to(first)
-
-
-def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
-    page.open_page(web)
-    page.give("drop", COFFEE, "my coffee.sg")
-    page.says(COFFEE_SAYS, "#figures")
-    assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
-    page.give("drop", OTHER, "other.sg")
-    page.says("Drawn by the service", "#note")
-    page.says("40 × 56 pixels", "#figures")
-    page.click("#rows li:first-child .pick")
-    page.says(COFFEE_SAYS, "#figures")
-    page.give("drop", COFFEE[:-1], "cut.sg")
-    page.says("the file is damaged")
-    assert page.complaints() == []
 
 
 @pytest.mark.thorough

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from tests.harness.page import bytes_of
 from tests.harness.pictures import page_of_text
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH, assert_as_python
+from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
 
@@ -194,23 +193,6 @@ def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
     found = re.fullmatch(r"(\d+\.\d) ms a frame, (\d+) a second", text)
     assert found
     assert float(found[1]) * int(found[2]) == pytest.approx(1000, rel=0.5)
-
-
-def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
-    page.open_blank(web)
-    views: list[tuple[bytes, str, dict[str, Any]]] = [
-        *((data, "{}", {}) for data in (*golden(2).values(), COFFEE)),
-        (COFFEE, "{ scale: 0.3 }", {"scale": 0.3}),
-        (COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", {"scale": 3, "region": (100, 50, 60, 40)}),
-        (COFFEE, "{ prefix: 0.2 }", {"prefix": 0.2}),
-        (TEXTURED, "{ scale: 0.4 }", {"scale": 0.4}),
-        (TEXTURED, "{ scale: 2, region: [5, 60, 50, 90] }", {"scale": 2, "region": (5, 60, 50, 90)}),
-    ]
-    for data, options, view in views:
-        assert_as_python(page.decoded(data, options), data, **view)
-    for hostile in (OTHER, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
-        with pytest.raises(AssertionError, match=r"not known here|is damaged|no \.sg file"):
-            page.decoded(hostile)
 
 
 def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) -> NDArray[np.int64]:
