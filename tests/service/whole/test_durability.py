@@ -220,9 +220,11 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
     """An encode beyond the time-out is ended and not tried again."""
     service = start_service(max_time_limit_s=2, extra=STAND_IN)
     job_id = service.accepted(SLOW, bpp=1, time_limit_s=2)
-    os.kill(running_encoder(job_id), signal.SIGSTOP)
+    encoder = running_encoder(job_id)
+    os.kill(encoder, signal.SIGSTOP)
     job = service.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
+    wait_until(lambda: encoder not in processes())
     assert_settled(service)
 
 
