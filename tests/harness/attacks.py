@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 
@@ -11,7 +10,7 @@ from PIL import Image
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import Group, StreamV1
-from tests.harness.pictures import SMALL
+from tests.harness.pictures import SMALL, pixels_of, saved
 
 
 def tiff_of_many_strips(strips: int) -> bytes:
@@ -45,9 +44,7 @@ def png_of_many_chunks(chunks: int) -> bytes:
 
 def jpeg_of_many_markers(markers: int) -> bytes:
     """A small JPEG with many application markers."""
-    file = io.BytesIO()
-    Image.open(io.BytesIO(SMALL)).save(file, "JPEG")
-    jpeg = file.getvalue()
+    jpeg = saved(Image.fromarray(pixels_of(SMALL)), "JPEG")
     return jpeg[:2] + (b"\xff\xe5\x00\x10" + bytes(14)) * markers + jpeg[2:]
 
 

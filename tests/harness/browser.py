@@ -6,24 +6,22 @@ does is to hand the commands on to Firefox, over a socket that Firefox itself op
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 import socket
 import subprocess
 import tempfile
-from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
 import httpx
 
+from tests.harness.page import Page
 from tests.harness.processes import PATIENCE_S, wait_until
 
 HINT = "Chromium is not installed, so the page was not tested: sudo apt install chromium chromium-driver"
 FIREFOX_HINT = "Firefox is not installed, so the page was not tested in it: sudo apt install firefox-esr"
 REQUIRED = "SGMETHOD_TEST_BROWSER"  # set to "required", a missing browser fails the tests
-ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the protocol's name for a reference to one
 TIMEOUTS = {"script": int(1000 * PATIENCE_S)}  # milliseconds; browsers by themselves give a script 30 s
 OPTIONS = (
     "--headless=new",
@@ -52,7 +50,6 @@ COMMANDS = {
     "text": ("GET", "element/{id}/text", "WebDriver:GetElementText"),
     "is_seen": ("GET", "element/{id}/displayed", "WebDriver:IsElementDisplayed"),
     "run": ("POST", "execute/sync", "WebDriver:ExecuteScript"),
-    "screenshot": ("GET", "screenshot", "WebDriver:TakeScreenshot"),
 }
 
 
@@ -67,55 +64,7 @@ def find_firefox() -> str | None:
     return shutil.which("firefox-esr")
 
 
-class Browser(ABC):
-    """One window."""
-
-    @abstractmethod
-    def _do(self, command: str, **given: Any) -> Any:
-        """What one of COMMANDS comes to. Raises AssertionError if the browser refuses."""
-
-    @abstractmethod
-    def complaints(self) -> list[str]:
-        """What the console has said since the last call: errors of scripts, policies that were broken."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """End the browser."""
-
-    def open(self, url: str) -> None:
-        """Load a page."""
-        self._do("open", url=url)
-
-    def _element(self, selector: str) -> str:
-        found: str = self._do("find", using="css selector", value=selector)[ELEMENT]
-        return found
-
-    def type(self, selector: str, text: str) -> None:
-        """Type into a field; into one for files, the path of a file."""
-        self._do("type", id=self._element(selector), text=text)
-
-    def click(self, selector: str) -> None:
-        """Click, as a person can: what is hidden or covered raises AssertionError."""
-        self._do("click", id=self._element(selector))
-
-    def text(self, selector: str) -> str:
-        """The text of an element as it is seen, empty where it is hidden."""
-        return str(self._do("text", id=self._element(selector)))
-
-    def is_seen(self, selector: str) -> bool:
-        """Whether an element is displayed."""
-        return bool(self._do("is_seen", id=self._element(selector)))
-
-    def run(self, script: str) -> Any:
-        """What a script returns."""
-        return self._do("run", script=script, args=[])
-
-    def screenshot(self, path: Path) -> None:
-        """Write a PNG of the window."""
-        path.write_bytes(base64.b64decode(self._do("screenshot")))
-
-
-class Chromium(Browser):
+class Chromium(Page):
     """Chromium. size: width and height of the window, in pixels."""
 
     def __init__(self, driver: str, size: tuple[int, int] = (1000, 1000)) -> None:
@@ -167,7 +116,7 @@ class Chromium(Browser):
         """Dark or light, as a person's system asks for it."""
         self.tell("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
 
-    def complaints(self) -> list[str]:
+    def _console(self) -> list[str]:
         return [entry["message"] for entry in self._ask("POST", "se/log", type="browser")]
 
     def close(self) -> None:
@@ -181,7 +130,7 @@ class Chromium(Browser):
             self._process.stdout.close()
 
 
-class Firefox(Browser):
+class Firefox(Page):
     """Firefox, with a profile of its own."""
 
     def __init__(self, program: str) -> None:
@@ -224,7 +173,7 @@ class Firefox(Browser):
         answer = self._ask(COMMANDS[command][2], given)
         return answer["value"] if isinstance(answer, dict) and "value" in answer else answer
 
-    def complaints(self) -> list[str]:
+    def _console(self) -> list[str]:
         lines = self._log.read_text(errors="replace").splitlines()
         new, self._heard = lines[self._heard :], len(lines)
         return [line for line in new if "http://" in line and line.startswith(("JavaScript error:", "console.error:"))]

@@ -22,7 +22,7 @@ from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
 
-REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
+REQUEST = EncodeRequest("bpp", 1.0, "rd", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
 RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": None})
 CRASH, REFUSED = JobError("crashed", "it crashed"), JobError("refused", "no")
@@ -32,9 +32,9 @@ RULES = JobRules(LONG_S, 3)
 OpenTable = Callable[..., JobTable]
 
 
-def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
+def new(key: str | None = None, fingerprint: str = "f", image: SourceImage = IMAGE, **more: Any) -> NewJob:
     """A job to submit."""
-    return NewJob(new_job_id(), REQUEST, IMAGE, fingerprint, key, **more)
+    return NewJob(new_job_id(), REQUEST, image, fingerprint, key, **more)
 
 
 def submitted(table: JobTable, **more: Any) -> str:
@@ -59,6 +59,18 @@ def job_of(table: JobTable, job_id: str, owner: str | None = None) -> Job:
 def state(table: JobTable, job_id: str) -> str:
     """A job's state."""
     return job_of(table, job_id).state
+
+
+def change(table: JobTable, statement: str, *values: Any) -> None:
+    """Write what no request writes, such as times long ago."""
+    with table._transaction() as db:
+        db.execute(statement, values)
+
+
+def grow_older(table: JobTable, seconds: float) -> None:
+    """Let so much time have passed since all that was written of jobs."""
+    columns = ("created_at", "finished_at", "lease_until")
+    change(table, f"UPDATE jobs SET {', '.join(f'{name} = {name} - ?' for name in columns)}", *[seconds] * 3)
 
 
 def open_table(database_url: str, folder: Path, lease_s: float, **options: Any) -> JobTable:

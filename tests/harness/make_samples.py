@@ -5,38 +5,29 @@ For each an .sg file, and an AVIF that is as large. Not needed unless another ve
 
 from __future__ import annotations
 
-import io
-from functools import partial
-
 from PIL import Image
 
 import sgmethod
 from service.sandbox.pictures import as_large
 from tests.harness.data import STATIC
+from tests.harness.pictures import saved
 
 FOLDER = STATIC / "samples"
 BPP = {"astronaut": 0.3, "cat": 0.35, "coffee": 0.3}
 AVIF_SPEED = 4
 
 
-def avif(picture: Image.Image, quality: int) -> bytes:
-    """The file of that quality."""
-    file = io.BytesIO()
-    picture.save(file, "AVIF", quality=quality, speed=AVIF_SPEED)
-    return file.getvalue()
-
-
-def main() -> None:
-    """The command."""
-    for name, bpp in BPP.items():
-        with Image.open(FOLDER / f"{name}.webp") as file:
-            picture = file.convert("RGB")
-        encoded = sgmethod.encode(picture, bpp=bpp)
-        encoded.save(FOLDER / f"{name}.sg")
-        rival = as_large(partial(avif, picture), encoded.stats.bytes)
-        (FOLDER / f"{name}.avif").write_bytes(rival)
-        print(f"{name}: {encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB; AVIF {len(rival):,} bytes")
+def make(name: str, bpp: float) -> None:
+    """Write both files of a sample."""
+    with Image.open(FOLDER / f"{name}.webp") as file:
+        picture = file.convert("RGB")
+    encoded = sgmethod.encode(picture, bpp=bpp)
+    encoded.save(FOLDER / f"{name}.sg")
+    rival = as_large(lambda quality: saved(picture, "AVIF", quality=quality, speed=AVIF_SPEED), encoded.stats.bytes)
+    (FOLDER / f"{name}.avif").write_bytes(rival)
+    print(f"{name}: {encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB; AVIF {len(rival):,} bytes")
 
 
 if __name__ == "__main__":
-    main()
+    for name, bpp in BPP.items():
+        make(name, bpp)

@@ -8,10 +8,10 @@ are drawn by their own decoders.
 from __future__ import annotations
 
 import base64
-import io
 import json
 import subprocess
 import tempfile
+from bisect import bisect_right
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from PIL import Image
 
 from sgmethod.previews.preview import preview
 from tests.harness.data import STATIC
+from tests.harness.pictures import pixels_of, saved
 
 PHOTOGRAPHS = {
     "samples/astronaut.webp": "An astronaut",
@@ -64,18 +65,10 @@ def webp(picture: Image.Image, most: int) -> str | None:
     source = np.asarray(picture, np.float64)
     for shrink in SHRINKS:
         small = picture.resize((picture.width // shrink, picture.height // shrink), Image.Resampling.BOX)
-        low, high = 0, 100
-        found = None
-        while low <= high:
-            middle = (low + high) // 2
-            file = io.BytesIO()
-            small.save(file, "WEBP", quality=middle, method=6)
-            if file.tell() <= most:
-                found, low = file.getvalue(), middle + 1
-            else:
-                high = middle - 1
-        if found:
-            drawn = Image.open(io.BytesIO(found)).convert("RGB").resize(picture.size, Image.Resampling.BICUBIC)
+        files = [saved(small, "WEBP", quality=quality, method=6) for quality in range(101)]
+        if fitting := bisect_right(files, most, key=len):
+            found = files[fitting - 1]
+            drawn = Image.fromarray(pixels_of(found)).resize(picture.size, Image.Resampling.BICUBIC)
             error = float(((np.asarray(drawn, np.float64) - source) ** 2).mean())
             if best is None or error < best[0]:
                 best = error, found
@@ -86,13 +79,12 @@ def drawn(found: tuple[int, int, int, str]) -> dict[str, object]:
     """A hash: its characters, and what its decoder makes of it, as a lossless WebP."""
     characters, width, height, rgba = found
     pixels = np.frombuffer(base64.b64decode(rgba), np.uint8).reshape(height, width, 4)
-    file = io.BytesIO()
-    Image.fromarray(pixels[..., :3]).save(file, "WEBP", lossless=True, method=6)
-    return {"characters": characters, "webp": base64.b64encode(file.getvalue()).decode()}
+    file = saved(Image.fromarray(pixels[..., :3]), "WEBP", lossless=True, method=6)
+    return {"characters": characters, "webp": base64.b64encode(file).decode()}
 
 
 def hashes(picture: Image.Image, characters: list[int], folder: Path) -> dict[str, object]:
-    """Of both kinds."""
+    """The ThumbHash, and a BlurHash for each number of characters."""
     small = picture.resize((HASH_WIDTH, HASH_WIDTH * picture.height // picture.width), Image.Resampling.BOX)
     rgba = base64.b64encode(small.convert("RGBA").tobytes()).decode()
     size = DRAWN_WIDTH, DRAWN_WIDTH * picture.height // picture.width

@@ -1,18 +1,20 @@
-"""Processes of this machine: which there are, and waiting for what they do."""
+"""Processes of this machine: which there are, waiting for what they do, and calls that fail at first."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
+import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from service.sandbox.confinement import NAME_LENGTH
 from service.sandbox.frames import END_EARLY
+from tests.harness.data import ROOT
 
 T = TypeVar("T")
 Kind = Literal["web", "worker", "sandbox", "encoder"]
@@ -37,6 +39,37 @@ def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
             return value
         time.sleep(POLL_S)
     raise AssertionError("nothing happened in time")
+
+
+def failing(works: Callable[..., T], *errors: Exception) -> Callable[..., T]:
+    """The function, which raises these errors first, one a call."""
+    left = iter(errors)
+
+    def call(*arguments: Any, **named: Any) -> T:
+        for error in left:
+            raise error
+        return works(*arguments, **named)
+
+    return call
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended, and what it said."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+def run(*command: object, folder: Path = ROOT, given: str = "", **environment: object) -> Outcome:
+    """Run a program to its end. given: its standard input; environment: variables beside those of this process."""
+    words = [str(word) for word in command]
+    known = os.environ | {name: str(value) for name, value in environment.items()}
+    done = subprocess.run(
+        words, cwd=folder, env=known, input=given, capture_output=True, text=True, timeout=600, check=False
+    )
+    return Outcome(done.returncode, done.stdout, done.stderr)
 
 
 @dataclass(frozen=True)
@@ -67,17 +100,17 @@ def processes() -> dict[int, Process]:
     return found
 
 
-def state_of(number: int) -> str:
-    """The state of a process, as "T" for one that is stopped. Raises OSError if there is none."""
-    return Path("/proc", str(number), "stat").read_text().rpartition(")")[2].split()[0]
-
-
 def encoder_of(job_id: str) -> int | None:
     """The process that encodes a job, if there is one."""
     for number, process in processes().items():
         if process.name == job_id[:NAME_LENGTH]:
             return number
     return None
+
+
+def running_encoder(job_id: str) -> int:
+    """Wait for the process that encodes a job; its number."""
+    return wait_until(lambda: encoder_of(job_id)) or 0
 
 
 def worker_of(log: Path, job_id: str) -> int | None:

@@ -9,22 +9,23 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import httpx
 
 import sgmethod
-from service.jobs.job import Claim, EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.job import Claim, EncodeResult, JobError, SourceImage
 from service.jobs.table import JobTable
+from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
 from tests.harness.data import ROOT
+from tests.harness.job_table import IMAGE, LONG_S, submitted
 from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import PATIENCE_S, Kind, Process, processes, wait_until
+from tests.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 
 SMALL_QUEUE = 5
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
@@ -129,12 +130,8 @@ class Service(ServiceProcess):
         assert answer.status_code == 202, answer.text
         return str(answer.json()["id"])
 
-    def accepted_slow(self) -> str:
-        """The id of a new job that takes far longer than any test waits."""
-        return self.accepted(SLOW, bpp=1, time_limit_s=100)
-
-    def accepted_long(self, seconds: float) -> str:
-        """The id of a new job that takes about this many seconds."""
+    def accepted_slow(self, seconds: float = 100) -> str:
+        """The id of a new job that takes about so many seconds; far longer than any test waits, unless told."""
         return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
 
     def job(self, job_id: str) -> dict[str, Any]:
@@ -173,13 +170,10 @@ class Service(ServiceProcess):
         self.publish(job_id, bitstream)
         return job_id
 
-    def submitted(self, image: SourceImage, owner: str | None = None) -> str:
+    def submitted(self, image: SourceImage = IMAGE, owner: str | None = None) -> str:
         """The id of a new job of which there is no more than its row in the table: nothing was posted."""
-        table = self._open_table()
-        new = NewJob(new_job_id(), EncodeRequest("bpp", 1.0, "rd", 60.0), image, "f", owner=owner)
-        job, _ = table.submit(new)
-        table.close()
-        return job.id
+        with self.table() as table:
+            return submitted(table, image=image, owner=owner)
 
     def publish(self, job_id: str, bitstream: bytes, **figures: Any) -> None:
         """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running. figures:
@@ -189,28 +183,29 @@ class Service(ServiceProcess):
             info = sgmethod.info(bitstream)
             figures = {"width": info.width, "height": info.height, "gaussians": 9, **figures}
         stats = {"bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, **figures}
-        table = self._open_table()
-        claim = self._claimed(table, job_id)
-        key = bitstream_key(job_id, claim.attempt)
-        open_storage(self._settings()).put(key, bitstream)
-        assert table.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
-        table.close()
+        with self.table() as table:
+            claim = self._claimed(table, job_id)
+            key = bitstream_key(job_id, claim.attempt)
+            open_storage(self._settings()).put(key, bitstream)
+            assert table.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
 
     def refuse(self, job_id: str) -> None:
         """Do as a worker whose codec refuses the job."""
-        table = self._open_table()
-        assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"))
-        table.close()
+        with self.table() as table:
+            assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"))
+
+    @contextlib.contextmanager
+    def table(self) -> Iterator[JobTable]:
+        """Its job table."""
+        with contextlib.closing(open_job_table(self._settings())) as table:
+            yield table
 
     def _settings(self) -> Settings:
         kept_s = float(self.environment["SG_SOURCE_RETENTION_S"])
         url = self.environment.get("SG_DATABASE_URL", "")
         return Settings(
-            data_dir=self.data_dir, database_url=url, lease_s=60, source_retention_s=kept_s, queue_length=100_000
+            data_dir=self.data_dir, database_url=url, lease_s=LONG_S, source_retention_s=kept_s, queue_length=100_000
         )
-
-    def _open_table(self) -> JobTable:
-        return open_job_table(self._settings())
 
     @staticmethod
     def _claimed(table: JobTable, job_id: str) -> Claim:
@@ -238,16 +233,17 @@ class Service(ServiceProcess):
 StartService = Callable[..., Service]
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a command ended, and what it said."""
-
-    status: int
-    stdout: str
-    stderr: str
-
-
 RunCommand = Callable[..., Outcome]
+
+
+def keys_of(*owners: str) -> str:
+    """What api_keys says so that each owner's name is the key."""
+    return ",".join(f"{name}:{digest(name)}" for name in owners)
+
+
+def bearer(key: str) -> dict[str, str]:
+    """The header that shows a key."""
+    return {"Authorization": f"Bearer {key}"}
 
 
 def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:

@@ -16,13 +16,15 @@ from service.__main__ import main
 from service.jobs.table import JobTable
 from tests.harness import browser as browser_module
 from tests.harness import nginx, postgres_server
-from tests.harness.browser import Browser, Chromium, Firefox, find_driver, find_firefox
+from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
 from tests.harness.data import PICTURE
 from tests.harness.job_table import LONG_S, OpenTable, open_table
 from tests.harness.nginx import Nginx
+from tests.harness.page import Page
 from tests.harness.postgres_server import PostgresServer, find_binaries
+from tests.harness.processes import Outcome
 from tests.harness.s3_server import S3Server
-from tests.harness.service import SMALL_QUEUE, STAND_IN, Outcome, RunCommand, Service, StartService
+from tests.harness.service import SMALL_QUEUE, STAND_IN, RunCommand, Service, StartService
 
 
 def _missing(required: str, hint: str) -> NoReturn:
@@ -87,13 +89,19 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     root.setLevel(logging.WARNING)
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
-def database_url(request: pytest.FixtureRequest) -> str:
-    """SG_DATABASE_URL of an empty job table: each test that takes it runs once on either database."""
+@pytest.fixture(scope="session", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
+def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
+    """Gives SG_DATABASE_URL of empty job tables: what takes it runs once on either database."""
     if request.param == "sqlite":
-        return "sqlite"
+        return lambda: "sqlite"
     server: PostgresServer = request.getfixturevalue("postgres")
-    return server.new_database()
+    return server.new_database
+
+
+@pytest.fixture
+def database_url(new_table: Callable[[], str]) -> str:
+    """One that is the test's own."""
+    return new_table()
 
 
 @pytest.fixture
@@ -195,9 +203,9 @@ def quick(start_for_all: StartService) -> Service:
 
 
 @pytest.fixture(scope="session")
-def small_queue(start_for_all: StartService) -> Service:
+def small_queue(start_for_all: StartService, new_table: Callable[[], str]) -> Service:
     """A web process without any worker, whose queue is soon full."""
-    return start_for_all("web", queue_length=SMALL_QUEUE)
+    return start_for_all("web", queue_length=SMALL_QUEUE, database_url=new_table())
 
 
 @pytest.fixture
@@ -235,9 +243,9 @@ def page(browser: Chromium) -> Iterator[Chromium]:
 
 
 @pytest.fixture(params=["browser", pytest.param("firefox", marks=pytest.mark.thorough)])
-def each_browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+def each_browser(request: pytest.FixtureRequest) -> Iterator[Page]:
     """The same for tests that run in both."""
-    browser: Browser = request.getfixturevalue(request.param)
+    browser: Page = request.getfixturevalue(request.param)
     browser.complaints()
     yield browser
     browser.open("about:blank")

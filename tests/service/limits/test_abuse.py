@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
 import select
 import signal
 import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import httpx
 import pytest
 
-from service.keys import digest
 from service.sandbox.confinement import NAME_LENGTH
 from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
 from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
 from tests.harness.processes import processes, wait_until
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import Service, StartService, assert_problem, bearer, keys_of
 
 pytestmark = pytest.mark.thorough
 
@@ -29,8 +30,7 @@ START_CPU_S = 0.3  # more than one takes to start
 @pytest.fixture(scope="module")
 def web(start_for_module: StartService) -> Service:
     """A web process with two keys, whose decodes may take as long as they like."""
-    keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann"))
-    return start_for_module("web", queue_length=10_000, api_keys=keys, decode_time_s=NEVER_S)
+    return start_for_module("web", queue_length=10_000, api_keys=keys_of("eve", "ann"), decode_time_s=NEVER_S)
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +42,14 @@ def crowded() -> bytes:
 @pytest.fixture
 def eve(web: Service) -> Iterator[httpx.Client]:
     """The attacker."""
-    with httpx.Client(base_url=web.url, headers={"Authorization": "Bearer eve"}, timeout=100) as client:
+    with httpx.Client(base_url=web.url, headers=bearer("eve"), timeout=100) as client:
         yield client
 
 
 @pytest.fixture
 def ann(web: Service) -> Iterator[httpx.Client]:
     """Somebody else."""
-    with httpx.Client(base_url=web.url, headers={"Authorization": "Bearer ann"}, timeout=100) as client:
+    with httpx.Client(base_url=web.url, headers=bearer("ann"), timeout=100) as client:
         yield client
 
 
@@ -64,40 +64,32 @@ def forks_of(service: Service, name: str) -> set[int]:
 
 def state_and_cpu_s_of(number: int) -> tuple[str, float]:
     """The state of a process, as "R" for one that computes, and the seconds of a core that it has taken."""
-    with open(f"/proc/{number}/stat") as stat:  # noqa: PTH123
-        fields = stat.read().rpartition(")")[2].split()
+    fields = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()
     return fields[0], (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def cpu_s_of(service: Service) -> float:
-    """Seconds of a core that the web process itself has taken."""
-    return state_and_cpu_s_of(service.process.pid)[1]
-
-
-def peak_bytes_of(service: Service) -> int:
-    with open(f"/proc/{service.process.pid}/status") as status:  # noqa: PTH123
-        return 1024 * next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+def cpu_s_and_peak_bytes_of(service: Service) -> tuple[float, int]:
+    """What the web process itself has taken: seconds of a core, and memory at most."""
+    number = service.process.pid
+    peak = re.search(r"VmHWM:\s*(\d+)", Path(f"/proc/{number}/status").read_text())
+    return state_and_cpu_s_of(number)[1], 1024 * int(peak[1])
 
 
 @pytest.mark.parametrize(
-    "make",
-    [
-        lambda: tiff_of_many_strips(800_000),
-        lambda: png_of_many_chunks(1_000_000),
-        lambda: jpeg_of_many_markers(1_000_000),
-    ],
-    ids=["tiff", "png", "jpeg"],
+    ("make", "parts"),
+    [(tiff_of_many_strips, 800_000), (png_of_many_chunks, 1_000_000), (jpeg_of_many_markers, 1_000_000)],
 )
 def test_a_header_that_takes_long_is_given_up(
-    web: Service, eve: httpx.Client, ann: httpx.Client, make: Callable[[], bytes]
+    web: Service, eve: httpx.Client, ann: httpx.Client, make: Callable[[int], bytes], parts: int
 ) -> None:
     """It took the web process 0.8 to 2.7 s, and up to 280 MB; others waited up to 7 s."""
-    image = make()
+    image = make(parts)
     posted(ann, SMALL)
-    cpu_s, peak = cpu_s_of(web), peak_bytes_of(web)
+    cpu_s, peak = cpu_s_and_peak_bytes_of(web)
     assert_problem(posted(eve, image), 422, "exceeds the time limit")
-    assert cpu_s_of(web) - cpu_s < 0.5  # to take in 20 MB
-    assert peak_bytes_of(web) - peak < 2 * len(image) + 20e6
+    after_s, later = cpu_s_and_peak_bytes_of(web)
+    assert after_s - cpu_s < 0.5  # to take in 20 MB
+    assert later - peak < 2 * len(image) + 20e6
     assert posted(ann, SMALL).status_code == 202
 
 
@@ -176,16 +168,16 @@ def busy_fork(web: Service, goes_on: Callable[[], bool]) -> int | None:
     return busy[0] if isinstance(busy, list) else None
 
 
-def test_a_decode_has_a_limit_of_time(start_service: StartService, crowded: bytes) -> None:
-    web = start_service("web", decode_time_s=0.5)
-    assert_problem(web.client.post("/decode", content=crowded), 422, "exceeds the time limit")
-    assert web.client.post("/decode", content=PICTURE).status_code == 200
-
-
-def test_a_decode_has_a_limit_of_memory(start_service: StartService) -> None:
-    web = start_service("web", job_memory_bytes=2**28)
-    large = crowded_bitstream(1)  # 147 MB of pixels
-    assert_problem(web.client.post("/decode", content=large), 422, "exceeds the memory limit")
+@pytest.mark.parametrize(
+    ("setting", "gaussians", "limit"),
+    [({"decode_time_s": 0.5}, 400_000, "time"), ({"job_memory_bytes": 2**28}, 1, "memory")],  # 147 MB of pixels
+)
+def test_a_decode_has_limits(
+    start_service: StartService, setting: dict[str, float], gaussians: int, limit: str
+) -> None:
+    web = start_service("web", **setting)
+    refused = web.client.post("/decode", content=crowded_bitstream(gaussians))
+    assert_problem(refused, 422, f"exceeds the {limit} limit")
     assert web.client.post("/decode", content=PICTURE).status_code == 200
 
 

@@ -51,21 +51,16 @@ def connected(proxy: Nginx) -> ssl.SSLSocket:
     return ssl.create_default_context().wrap_socket(raw, server_hostname="127.0.0.1")
 
 
-def closes(connection: ssl.SSLSocket) -> bytes:
-    """What comes until the other side closes the connection, even with a reset."""
-    answer = b""
-    with contextlib.suppress(OSError):
-        while data := connection.recv(65536):
-            answer += data
-    return answer
-
-
 def said(behind: tuple[Service, Nginx], request: bytes) -> int:
     """The status of what is answered to these bytes; 0 for none, or one that went under in a reset."""
+    answer = b""
     with connected(behind[1]) as connection:
         with contextlib.suppress(OSError):
             connection.sendall(request)
-        words = closes(connection).split(maxsplit=2)
+        with contextlib.suppress(OSError):
+            while data := connection.recv(65536):
+                answer += data
+    words = answer.split(maxsplit=2)
     return int(words[1]) if len(words) > 1 else 0
 
 

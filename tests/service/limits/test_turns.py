@@ -8,7 +8,7 @@ import pytest
 
 from service.api.callers import UNKNOWN, address_of
 from service.api.problems import ProblemError
-from service.api.turns import Streams, Turns
+from service.api.turns import Turns
 
 
 class Clients:
@@ -151,13 +151,3 @@ def test_who_goes_at_the_moment_of_being_served() -> None:
 )
 def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | None, client: str) -> None:
     assert address_of(peer) == client
-
-
-def test_streams_are_counted() -> None:
-    streams = Streams(2)
-    with streams.one(), streams.one():
-        assert streams.full
-        with pytest.raises(ProblemError) as refusal, streams.one():
-            pass
-        assert (refusal.value.status, refusal.value.headers["Retry-After"]) == (503, "5")
-    assert (streams.open, streams.full) == (0, False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import time
 from pathlib import Path
 
@@ -11,29 +10,12 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from service.jobs.job import SourceImage
 from tests.harness.browser import Chromium
-from tests.harness.pictures import SMALL
+from tests.harness.page import bytes_of
+from tests.harness.pictures import SMALL, saved
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import (
-    COFFEE,
-    COFFEE_SAYS,
-    assert_open_to_all,
-    bytes_of,
-    cancel,
-    choose,
-    complaints,
-    give,
-    hold_back,
-    imported,
-    open_page,
-    press,
-    queued,
-    says,
-    settled,
-    value_of,
-)
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, assert_open_to_all
 
 pytestmark = pytest.mark.thorough
 
@@ -42,14 +24,12 @@ def see_through() -> bytes:
     """A picture that is clear on the left."""
     picture = Image.new("RGBA", (64, 48), (10, 90, 200, 255))
     picture.paste((0, 0, 0, 0), (0, 0, 32, 48))
-    file = io.BytesIO()
-    picture.save(file, "PNG")
-    return file.getvalue()
+    return saved(picture)
 
 
 def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service) -> None:
     """As a folder that is dropped with others."""
-    open_page(page, web)
+    page.open_page(web)
     page.run(f"""
         const slice = Blob.prototype.slice;
         Blob.prototype.slice = function (...given) {{
@@ -62,60 +42,60 @@ def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service)
         given.items.add(new File([{bytes_of(SMALL)}], "one.png"));
         dispatchEvent(new DragEvent("drop", {{ cancelable: true, bubbles: true, dataTransfer: given }}));
     """)
-    says(page, "folder cannot be read. text.pdf is a PDF", "#trouble")
-    says(page, "in the queue")
-    cancel(page)
+    page.says("folder cannot be read. text.pdf is a PDF", "#trouble")
+    page.says("in the queue")
+    page.cancel()
 
 
 def test_each_aim_has_its_own_value(page: Chromium, web: Service) -> None:
     def aim(kind: str) -> str:
-        choose(page, "aim", kind)
-        return value_of(page, "aim-value")
+        page.choose("aim", kind)
+        return page.value_of("aim-value")
 
-    open_page(page, web)
+    page.open_page(web)
     try:
         assert aim("bytes") == "20000"
-        choose(page, "aim-value", "15000")
+        page.choose("aim-value", "15000")
         assert aim("psnr") == "32"
-        open_page(page, web)
-        assert value_of(page, "aim-value") == "32"
+        page.open_page(web)
+        assert page.value_of("aim-value") == "32"
         assert aim("bytes") == "15000"
     finally:
         page.run("localStorage.clear()")
 
 
 def test_a_width_typed_before_the_original_is_there(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    hold_back(page, ".webp")
+    page.open_page(web)
+    page.hold_back(".webp")
     page.click("#sample-coffee")
-    says(page, COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#figures")
     assert not page.is_seen("#left-label")
     page.run("document.getElementById('width').value = 321")
     page.run("goOn()")
     wait_until(lambda: page.is_seen("#left-label"))
-    assert value_of(page, "width") == "321"
+    assert page.value_of("width") == "321"
 
 
 def test_blinking_by_keyboard(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    says(page, "Original", "#left-label")
+    page.open_page(web)
+    page.says("Original", "#left-label")
     seen = "return getComputedStyle(document.getElementById('right-label')).visibility"
     for key in (" ", "Enter"):
-        press(page, "blink", key)
+        page.press("blink", key)
         assert page.run(seen) == "hidden"
-        press(page, "blink", key, "keyup")
+        page.press("blink", key, "keyup")
         assert page.run(seen) == "visible"
-    press(page, "blink", " ")
+    page.press("blink", " ")
     page.run("dispatchEvent(new Event('blur'))")  # the window's, by the keys that change it
     assert page.run(seen) == "visible"
 
 
 def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Service) -> None:
     """What it stands in is made anew whenever a job is looked at."""
-    open_page(page, web)
+    page.open_page(web)
     for name in ("one.png", "two.png"):
-        queued(page, SMALL, name)
-    says(page, "two.png", "#rows")
+        page.queued(SMALL, name)
+    page.says("two.png", "#rows")
     x, y = page.run("""
         const button = document.querySelector("#rows li:last-child .pick");
         button.scrollIntoView({ block: "center" });
@@ -129,57 +109,54 @@ def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Ser
     wait_until(lambda: page.run(asked) >= before + 4)
     page.tell("Input.dispatchMouseEvent", type="mouseReleased", **where)
     wait_until(lambda: page.run("return document.querySelector('#rows li:last-child .pick').ariaPressed") == "true")
-    for job in web.client.get("/jobs").json()["jobs"]:
-        web.client.delete(f"/jobs/{job['id']}")
+    web.clear()
 
 
 def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", COFFEE, "my coffee.sg")
-    says(page, COFFEE_SAYS, "#figures")
+    page.open_page(web)
+    page.give("drop", COFFEE, "my coffee.sg")
+    page.says(COFFEE_SAYS, "#figures")
     address = page.run("return location.href")
     time.sleep(0.5)  # the browser keeps it
     page.open("about:blank")
     page.open(address)
-    says(page, COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#figures")
     assert page.run("return location.href") == address
     for unknown, words in (("file-unknown", "no longer has this file"), ("5f1c0e9a", "No picture has this address")):
         page.open("about:blank")
         page.open(f"{web.url}/#{unknown}")
-        says(page, words, "#work")
+        page.says(words, "#work")
         assert not page.is_seen("#stage")
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_what_the_browser_cannot_read_is_sent_only_if_it_ought_to_know(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    page.open_page(web)
     sent = "return performance.getEntriesByName(location.origin + '/encode').length"
-    give(page, "drop", SMALL[:-300], "cut.png")
-    says(page, "This PNG is damaged, or too large for this browser.")
+    page.give("drop", SMALL[:-300], "cut.png")
+    page.says("This PNG is damaged, or too large for this browser.")
     assert page.run(sent) == 0
     assert page.text("#again") == "Send it anyway"
     page.click("#again")
-    says(page, "in the queue")
+    page.says("in the queue")
     page.click("#cancel")
-    file = io.BytesIO()
-    Image.new("RGB", (64, 48), "green").save(file, "TIFF")
-    queued(page, file.getvalue(), "green.tif")
+    page.queued(saved(Image.new("RGB", (64, 48), "green"), "TIFF"), "green.tif")
     assert "cannot show the original" in page.text("#note")
     page.click("#cancel")
 
 
 def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
-    open_page(page, empty)
-    running, done = (empty.submitted(SourceImage("PNG", 64, 48, 10)) for _ in range(2))
+    page.open_page(empty)
+    running, done = (empty.submitted() for _ in range(2))
     empty.publish(done, COFFEE)
     assert empty.job(running)["state"] == "running"
-    give(page, "drop", SMALL, "one.png")
-    says(page, "Waiting: next in the queue, starts in about 1 s")
+    page.give("drop", SMALL, "one.png")
+    page.says("Waiting: next in the queue, starts in about 1 s")
     took = [{"started_at": "2026-01-31T12:00:00Z", "finished_at": f"2026-01-31T12:00:{end}Z"} for end in (10, 30)]
     state = {"state": "queued", "position": 3}
     known = f"[[{took}, [1, 2]], [[], [1]], [{took}, []]]"
     said = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
-    words = imported(page, "watching.js", said)
+    words = page.imported("watching.js", said)
     waiting = "Waiting: in the queue, 2 before it"
     assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
     page.click("#cancel")
@@ -189,9 +166,9 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     """What ends an encode is on the first screen, and nothing covers the picture. Transparency is shown on white."""
     screen = {"width": 390, "height": 664, "deviceScaleFactor": 1, "mobile": True}
     page.tell("Emulation.setDeviceMetricsOverride", **screen)
-    open_page(page, web)
-    queued(page, see_through(), "clear.png")
-    row = settled(page)
+    page.open_page(web)
+    page.queued(see_through(), "clear.png")
+    row = page.settled()
     assert row[len(row) // 3].tolist() == [255, 255, 255]
     assert row[2 * len(row) // 3].tolist() == [10, 90, 200]
     low, stage, *words = page.run("""
@@ -204,37 +181,37 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     assert min(words) >= stage
     assert page.run("return document.documentElement.scrollWidth") == screen["width"]
     page.click("#cancel")
-    says(page, "stay transparent in the file", "#note")
-    assert complaints(page) == []
+    page.says("stay transparent in the file", "#note")
+    assert page.complaints() == []
 
 
 def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    page.open_page(web)
     page.run("HTMLAnchorElement.prototype.click = function () { window.saved = this.download; }")
     page.click("#link")
-    says(page, "The link is in the clipboard", "#taken")
+    page.says("The link is in the clipboard", "#taken")
     page.click("#save-sg")
-    says(page, "Downloaded astronaut.sg, 4.7 kB.", "#taken")
+    page.says("Downloaded astronaut.sg, 4.7 kB.", "#taken")
     page.click("#save-picture")
-    says(page, "Downloaded astronaut.png", "#taken")
+    page.says("Downloaded astronaut.png", "#taken")
     assert page.run("return window.saved") == "astronaut.png"
     for width in (1, 20_000):
         page.run(f"document.getElementById('width').value = {width}")
         page.click("#save-picture")
-        says(page, "the width must lie between 7 and 8660 pixels", "#taken")
+        page.says("the width must lie between 7 and 8660 pixels", "#taken")
         page.run("document.getElementById('taken').textContent = ''")
     page.run("Object.defineProperty(navigator, 'clipboard', { value: undefined })")  # as over plain HTTP
     page.click("#link")
-    says(page, "is in the clipboard", "#taken")
+    page.says("is in the clipboard", "#taken")
     page.click("#sample-cat")
     assert page.text("#taken") == ""
 
 
 def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
-    open_page(page, web)
+    page.open_page(web)
     name = "'my \"cup\" & <b>.webp'"
     snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [432, 288], name: {name} }})"
-    html = imported(page, "snippet.js", snippet)
+    html = page.imported("snippet.js", snippet)
     assert len(html) < 200_000
     alone = tmp_path / "alone.html"
     alone.write_text(html)
@@ -251,7 +228,7 @@ def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path)
     """)
     assert scrolled <= 300
     assert width / height == pytest.approx(1.5, rel=0.01)
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_requests_for_people(page: Chromium, web: Service) -> None:

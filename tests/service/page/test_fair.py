@@ -8,30 +8,14 @@ import numpy as np
 import pytest
 
 from tests.harness.browser import Chromium
-from tests.harness.data import STATIC
+from tests.harness.page import bytes_of
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import (
-    COFFEE,
-    bytes_of,
-    cancel,
-    choose,
-    complaints,
-    give,
-    imported,
-    open_blank,
-    open_page,
-    press,
-    queued,
-    says,
-    settled,
-    zoom_in,
-)
+from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
 
-PHOTOGRAPH = (STATIC / "samples" / "coffee.webp").read_bytes()
 JOB = {"state": "running", "progress": 0.5, "trace": [{"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}]}
 
 
@@ -40,7 +24,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
     page: Chromium, web: Service, codec: str, nearest: float
 ) -> None:
     """The steps of JPEG's quality are large in small files, those of WebP from 0 to 1 even more."""
-    open_blank(page, web)
+    page.open_blank(web)
     wanted = list(range(2400, 7000, 350))
     sizes = page.run(f"""
         return (async () => {{
@@ -61,7 +45,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
 
 
 def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service) -> None:
-    open_blank(page, web)
+    page.open_blank(web)
     verdicts = {
         (1020, 28.0, 0.8): "A is 2.0 dB further from the original.",
         (980, 31.5, 0.8): "A is 1.5 dB closer to the original.",
@@ -73,69 +57,68 @@ def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service
     }
     for (size, psnr, ssim), sentence in verdicts.items():
         rivals = json.dumps({"A": {"bytes": size, "psnr": psnr, "ssim": ssim}})
-        said = imported(page, "viewer/rivals.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {rivals})")
+        said = page.imported("viewer/rivals.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {rivals})")
         assert said == sentence
     exact = "it.verdict(1000, { psnr: 30, ssim: 0.9 }, { A: { bytes: 1000, psnr: Infinity, ssim: 1 } })"
-    assert imported(page, "viewer/rivals.js", exact) == "A matches the original exactly."
+    assert page.imported("viewer/rivals.js", exact) == "A matches the original exactly."
 
 
 def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service) -> None:
     """Of a part of the file as well."""
 
     def steps() -> int:
-        return int((np.abs(np.diff(settled(page).astype(int), axis=0)).sum(1) > 0).sum())
+        return int((np.abs(np.diff(page.settled(), axis=0)).sum(1) > 0).sum())
 
-    open_page(page, web)
-    zoom_in(page)
-    width = len(settled(page))
+    page.open_page(web)
+    page.zoom_in()
+    width = len(page.settled())
     most = width // 64 + 2  # whole pixels of 64 each
     page.click("#pixels")
     for side in ("Home", "End"):
-        press(page, "divider", side)
+        page.press("divider", side)
         wait_until(lambda: steps() <= most)
-    press(page, "divider", "Home")
-    choose(page, "prefix", 50)
+    page.press("divider", "Home")
+    page.choose("prefix", 50)
     wait_until(lambda: steps() <= most)
     page.click("#pixels")
     for side in ("Home", "End"):
-        press(page, "divider", side)
+        page.press("divider", side)
         wait_until(lambda: steps() > 2 * most)
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Service) -> None:
     """How good 0.3 bits per pixel are depends on the picture: some 30 Gaussians draw none."""
-    open_page(page, web)
-    queued(page, SMALL, "small.png")
+    page.open_page(web)
+    page.queued(SMALL, "small.png")
     assert "too few for more than a rough idea" in page.text("#rate-words")
     assert "SSIM" not in page.text("#figures")
-    job_id = queued(page, PHOTOGRAPH, "coffee.webp")
-    says(page, "about 1,400 Gaussians.", "#rate-words")
+    job_id = page.queued(PHOTOGRAPH, "coffee.webp")
+    page.says("about 1,400 Gaussians.", "#rate-words")
     web.publish(job_id, COFFEE)
-    says(page, "SSIM 0.", "#figures")
+    page.says("SSIM 0.", "#figures")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
-        assert words in imported(page, "words.js", f"it.closeness({ssim})")
-    for job in web.client.get("/jobs").json()["jobs"]:
-        web.client.delete(f"/jobs/{job['id']}")
+        assert words in page.imported("words.js", f"it.closeness({ssim})")
+    web.clear()
 
 
 def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -> None:
     """It falls while the picture gets better."""
-    open_page(page, service)
-    give(page, "drop", SLOW, "slow.png")
-    says(page, "Fitting")
+    page.open_page(service)
+    page.give("drop", SLOW, "slow.png")
+    page.says("Fitting")
     assert "dB" not in page.text("#status")
     assert not page.is_seen("#chart-card")
-    cancel(page)
-    said = imported(page, "watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
+    page.cancel()
+    said = page.imported("watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
     assert said == "Fitting 250 Gaussians, about 2 s left"
 
 
 def test_the_curve_stays_within_its_axes(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    page.open_page(web)
     for psnrs in ([15.9, 30.4, 26.0], [26.02, 26.05, 26.04], [7, 12, 44.9], [30, 30, 30]):
         trace = [{"seconds": at, "psnr": psnr, "bytes": 900, "phase": "joint"} for at, psnr in enumerate(psnrs)]
-        imported(page, "watching.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
+        page.imported("watching.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
         lines, points, labels = page.run("""
             const all = (kind) => [...document.querySelectorAll(`#chart ${kind}`)];
             return [

@@ -11,41 +11,23 @@ import numpy as np
 import pytest
 
 from service.keys import digest
-from tests.harness.browser import Browser, Chromium
+from tests.harness.browser import Chromium
 from tests.harness.data import golden_path
+from tests.harness.page import Page
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import encoder_of, wait_until
 from tests.harness.service import Service, StartService
-from tests.service.page.steps import (
-    COFFEE,
-    COFFEE_SAYS,
-    OTHER,
-    assert_as_python,
-    assert_open_to_all,
-    cancel,
-    choose,
-    complaints,
-    decoded,
-    give,
-    hold_back,
-    imported,
-    open_blank,
-    open_page,
-    press,
-    queued,
-    says,
-    settled,
-)
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 
-def test_the_main_road(each_browser: Browser, service: Service) -> None:
+def test_the_main_road(each_browser: Page, service: Service) -> None:
     """A picture dropped, encoded, compared, enlarged, loaded again; a file opened and decoded; and back."""
     page = each_browser
-    open_page(page, service)
+    page.open_page(service)
     page.run("document.getElementById('effort').value = '1'")
-    give(page, "drop", SMALL, "my disc.png")
-    says(page, "my disc.png is done", "#said")
-    says(page, "Gaussians", "#right-label")
+    page.give("drop", SMALL, "my disc.png")
+    page.says("my disc.png is done", "#said")
+    page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#rivals"))
     (job,) = service.client.get("/jobs").json()["jobs"]
@@ -57,44 +39,47 @@ def test_the_main_road(each_browser: Browser, service: Service) -> None:
     assert "-F image=@my_disc.png -F bpp=0.3" in lines[0]
     assert "-F effort=1" in lines[0]
     assert 'sgmethod.encode("my_disc.png", bpp=0.3' in lines[1]
-    both = settled(page)
-    press(page, "divider", "Home")
-    wait_until(lambda: not np.array_equal(settled(page), both))
+    both = page.settled()
+    page.press("divider", "Home")
+    wait_until(lambda: not np.array_equal(page.settled(), both))
     page.click("#zoom-in")
     assert page.text("#zoom").endswith("%")
     page.open("about:blank")
     page.open(f"{service.url}/#{job['id']}")  # as it stands in the address when the page is loaded again
-    says(page, "Gaussians", "#right-label")
-    says(page, "Original", "#left-label")  # the browser has kept it
-    give(page, "drop", COFFEE, "coffee.sg")
-    says(page, COFFEE_SAYS, "#figures")
-    assert_as_python(decoded(page, COFFEE).astype(int), COFFEE)
+    page.says("Gaussians", "#right-label")
+    page.says("Original", "#left-label")  # the browser has kept it
+    page.give("drop", COFFEE, "coffee.sg")
+    page.says(COFFEE_SAYS, "#figures")
+    assert_as_python(page.decoded(COFFEE), COFFEE)
+    assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
     page.click("#rows li:first-child .pick")
-    says(page, "my disc.png", "#rows")
-    assert complaints(page) == []
+    page.says("my disc.png", "#rows")
+    page.give("drop", COFFEE[:-1], "cut.sg")
+    page.says("the file is damaged")
+    assert page.complaints() == []
     service.clear()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("way", ["paste", "sample"])
 def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: str) -> None:
-    open_page(page, service)
+    page.open_page(service)
     if way == "paste":
-        give(page, "paste", SMALL, "pasted.png")
+        page.give("paste", SMALL, "pasted.png")
     else:
         assert page.text("#again") == "Encode this one"
         page.click("#again")
     job_id = wait_until(lambda: len(job := page.run("return location.hash.slice(1)")) == 32 and job)
-    says(page, f"{service.wait(job_id)['result']['gaussians']:,} Gaussians", "#figures")
+    page.says(f"{service.wait(job_id)['result']['gaussians']:,} Gaussians", "#figures")
     assert page.text("#left-label").startswith("Original")
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 @pytest.mark.thorough
 def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Service) -> None:
     """Loaded again in the middle: the address has the job, the browser its original."""
-    open_page(page, service)
-    give(page, "drop", SLOW, "slow.png")
+    page.open_page(service)
+    page.give("drop", SLOW, "slow.png")
     wait_until(lambda: page.is_seen("#stop"))
     address = page.run("return location.href")
     job_id = address.rpartition("#")[2]
@@ -105,28 +90,28 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
         page.open("about:blank")
         page.open(address)
         wait_until(lambda: page.is_seen("#stop"))
-        says(page, "Original", "#left-label")
+        page.says("Original", "#left-label")
         page.click("#stop")
     finally:
         os.kill(encoder, signal.SIGCONT)
-    says(page, "Gaussians", "#right-label")
+    page.says("Gaussians", "#right-label")
     assert not page.is_seen("#work")
     job = service.job(job_id)
     assert job["state"] == "done"
     assert f"{job['result']['gaussians']:,} Gaussians" in page.text("#figures")
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 @pytest.mark.thorough
 def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
     """Given, chosen, or gone back to, whatever ends last."""
-    open_page(page, web)
+    page.open_page(web)
     first = page.run("return location.hash")
-    hold_back(page, "cat.webp")
+    page.hold_back("cat.webp")
     page.click("#sample-cat")
-    says(page, "5.4 kB", "#right-label")
-    give(page, "drop", OTHER, "other.sg")
-    says(page, "40 × 56 pixels", "#figures")
+    page.says("5.4 kB", "#right-label")
+    page.give("drop", OTHER, "other.sg")
+    page.says("40 × 56 pixels", "#figures")
     page.run("window.goOn()")
     original = f"{web.url}/static/samples/cat.webp"
     wait_until(lambda: page.run(f"return performance.getEntriesByName('{original}').length"))
@@ -134,45 +119,45 @@ def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
     assert "40 × 56 pixels" in page.text("#figures")
     for step, words, where in ((-1, "5.4 kB", "#right-label"), (-1, "4.7 kB", "#right-label"), (2, "40 ×", "#figures")):
         page.run(f"history.go({step})")
-        says(page, words, where)
+        page.says(words, where)
     # The address is another one before the page is told of it. What then becomes new must not take it back.
     page.run(f"location.hash = '{first}'; document.querySelector('#rows [aria-pressed=true]').click()")
-    says(page, "4.7 kB", "#right-label")
+    page.says("4.7 kB", "#right-label")
     assert page.run("return location.hash") == first
 
 
 @pytest.mark.thorough
 def test_one_that_is_cancelled(page: Chromium, web: Service) -> None:
     """In the queue, while an answer about it is on its way, and while it is sent."""
-    open_page(page, web)
-    job_id = queued(page, SMALL, "pasted.png", "paste")
+    page.open_page(web)
+    job_id = page.queued(SMALL, "pasted.png", "paste")
     assert web.job(job_id)["state"] == "queued"
-    hold_back(page, f"/jobs/{job_id}")
+    page.hold_back(f"/jobs/{job_id}")
     time.sleep(1)  # more than a poll
-    cancel(page)
+    page.cancel()
     assert page.run("return document.getElementById('work').className") == "card"
     assert not page.is_seen("#cancel")
     wait_until(lambda: web.client.get(f"/jobs/{job_id}").status_code == 404)  # it is said before the service knows
     page.run("window.goOn()")
     time.sleep(1)
-    assert complaints(page) == []
+    assert page.complaints() == []
 
-    hold_back(page, "/encode")
+    page.hold_back("/encode")
     before = web.client.get("/jobs").json()
     sent = "return performance.getEntriesByName(location.origin + '/encode').length"
     sent_before = page.run(sent)
-    give(page, "drop", SMALL, "one.png")
-    says(page, "Sending")
-    cancel(page)
+    page.give("drop", SMALL, "one.png")
+    page.says("Sending")
+    page.cancel()
     page.run("window.goOn()")
     wait_until(lambda: page.run(sent) > sent_before)
     wait_until(lambda: web.client.get("/jobs").json() == before)
-    says(page, "Cancelled", "#work")
+    page.says("Cancelled", "#work")
 
 
 @pytest.mark.thorough
 def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> None:
-    open_blank(page, web)
+    page.open_blank(web)
     beginnings = {
         **{"PNG": "\x89PNG\r\n", "JPEG": "\xff\xd8\xff\xe0", "GIF": "GIF89a", "WebP": "RIFF....WEBPVP8 "},
         **{"AVIF": "\0\0\0\x1cftypavif....", "HEIC": "\0\0\0\x18ftypmif1....heic", "QOI": "qoif", "PPM": "P6\n1 1"},
@@ -180,23 +165,23 @@ def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> N
     }
     files = f"{json.dumps([*beginnings.values()])}.map((text) => Uint8Array.from(text, (it) => it.charCodeAt(0)))"
     kinds = f"Promise.all({files}.map((bytes) => it.kindOf(new File([bytes], 'a.b'))))"
-    found = imported(page, "kinds.js", f"{kinds}.then((all) => all.map((one) => [one.kind, one.format ?? '']))")
+    found = page.imported("kinds.js", f"{kinds}.then((all) => all.map((one) => [one.kind, one.format ?? '']))")
     assert found == [["image", name] for name in beginnings]
 
 
 @pytest.mark.thorough
 def test_two_tabs(page: Chromium, web: Service) -> None:
     """Each has its own picture and its own job; what one removes the other learns of."""
-    open_page(page, web)
-    queued(page, SMALL, "one.png")
+    page.open_page(web)
+    page.queued(SMALL, "one.png")
     first, address = page.tab(), page.run("return location.href")
     second = page.new_tab()
     page.switch_to(second)
     try:
-        open_page(page, web)
-        choose(page, "tune", "psnr")
-        give(page, "drop", SMALL, "two.png")
-        says(page, " before it")
+        page.open_page(web)
+        page.choose("tune", "psnr")
+        page.give("drop", SMALL, "two.png")
+        page.says(" before it")
         assert page.run("return location.href") != address
         page.switch_to(first)
         assert page.run("return [location.href, document.getElementById('tune').value]") == [address, "visual"]
@@ -204,11 +189,11 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.switch_to(second)
         page.open("about:blank")
         page.open(address)  # the same job in both
-        says(page, "in the queue")
-        says(page, "Original", "#left-label")
-        cancel(page)
+        page.says("in the queue")
+        page.says("Original", "#left-label")
+        page.cancel()
         page.switch_to(first)
-        says(page, "has deleted it")
+        page.says("has deleted it")
         assert len(web.client.get("/jobs").json()["jobs"]) == 1
     finally:
         page.switch_to(second)
@@ -217,76 +202,61 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.switch_to(first)
 
 
-def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", COFFEE, "my coffee.sg")
-    says(page, COFFEE_SAYS, "#figures")
-    assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
-    give(page, "drop", OTHER, "other.sg")
-    says(page, "Drawn by the service", "#note")
-    says(page, "40 × 56 pixels", "#figures")
-    page.click("#rows li:first-child .pick")
-    says(page, COFFEE_SAYS, "#figures")
-    give(page, "drop", COFFEE[:-1], "cut.sg")
-    says(page, "the file is damaged")
-    assert complaints(page) == []
-
-
 @pytest.mark.thorough
 def test_what_is_refused(page: Chromium, web: Service) -> None:
     """Nothing is offered for it."""
-    open_page(page, web)
-    give(page, "drop", b"%PDF-1.7", "text.pdf")
-    says(page, "text.pdf is a PDF", "#trouble")
+    page.open_page(web)
+    page.give("drop", b"%PDF-1.7", "text.pdf")
+    page.says("text.pdf is a PDF", "#trouble")
     assert page.is_seen("#overlays")
-    assert complaints(page) == []
-    give(page, "drop", b"this is no picture", "words.png")
-    says(page, "not a PNG", "#work")
+    assert page.complaints() == []
+    page.give("drop", b"this is no picture", "words.png")
+    page.says("not a PNG", "#work")
     parts = ("#progress", "#chart", "#cancel", "#stage", "#tools", "#overlays", "#again")
     assert [part for part in parts if page.is_seen(part)] == []
-    (complaint,) = complaints(page)
+    (complaint,) = page.complaints()
     assert "415" in complaint
     page.click("#sample-cat")
-    says(page, "5.4 kB", "#right-label")
+    page.says("5.4 kB", "#right-label")
     assert [page.is_seen(part) for part in ("#stage", "#tools", "#overlays")] == [True] * 3
     page.type("#file", str(golden_path("v1-paper.png")))
-    says(page, "in the queue")
-    cancel(page)
+    page.says("in the queue")
+    page.cancel()
 
 
 @pytest.mark.thorough
 def test_with_a_key(page: Chromium, start_service: StartService) -> None:
     web = start_service("web", api_keys=f"ann:{digest('secret')}")
-    open_page(page, web)
-    give(page, "drop", SMALL, "disc.png")
-    says(page, "needs an API key")
+    page.open_page(web)
+    page.give("drop", SMALL, "disc.png")
+    page.says("needs an API key")
     page.type("#key", "wrong")
     page.click("#again")
-    says(page, "Unknown API key")
-    assert all("401" in complaint for complaint in complaints(page))
+    page.says("Unknown API key")
+    assert all("401" in complaint for complaint in page.complaints())
     page.run("document.getElementById('key').value = ''")
     page.type("#key", "secret")
     page.click("#again")
-    says(page, "in the queue")
+    page.says("in the queue")
     page.open("about:blank")
     page.open(f"{web.url}/#{web.published(COFFEE, 'ann')}")  # the key is remembered until the window is closed
-    says(page, COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#figures")
 
 
 @pytest.mark.thorough
 def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartService) -> None:
     service = start_service("web")
-    open_page(page, service)
-    queued(page, SMALL, "disc.png")
+    page.open_page(service)
+    page.queued(SMALL, "disc.png")
     service.environment["SG_PORT"] = service.url.rpartition(":")[2]
     assert service.stop() == 0
-    says(page, "trying again")
+    page.says("trying again")
     service.start()
-    says(page, "in the queue")
-    assert all("ERR_" in complaint or "Failed to load" in complaint for complaint in complaints(page))
+    page.says("in the queue")
+    assert all("ERR_" in complaint or "Failed to load" in complaint for complaint in page.complaints())
 
 
 def test_nobody_is_left_out(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    says(page, "AVIF", "#verdict")
+    page.open_page(web)
+    page.says("AVIF", "#verdict")
     assert_open_to_all(page, least=20)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,44 +10,28 @@ from numpy.typing import NDArray
 
 import sgmethod
 from tests.harness.browser import Chromium
-from tests.harness.data import STATIC, golden
+from tests.harness.data import golden
+from tests.harness.page import bytes_of
 from tests.harness.pictures import page_of_text
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import (
-    COFFEE,
-    OTHER,
-    assert_as_python,
-    bytes_of,
-    choose,
-    complaints,
-    decoded,
-    give,
-    open_blank,
-    open_page,
-    press,
-    queued,
-    says,
-    settled,
-    zoom_in,
-)
+from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
 
-PHOTOGRAPH = (STATIC / "samples" / "coffee.webp").read_bytes()
 FIRST_LOOK_BYTES = 150_000
 TEXTURED = golden(2)["v2-texture"]
 
 
 def largest_step(page: Chromium) -> int:
     """Of levels, from one pixel on the screen to the next."""
-    return int(np.abs(np.diff(settled(page).astype(int), axis=0)).max())
+    return int(np.abs(np.diff(page.settled(), axis=0)).max())
 
 
 def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     page.open("about:blank")
-    open_page(page, web)
-    says(page, "AVIF", "#verdict")
+    page.open_page(web)
+    page.says("AVIF", "#verdict")
     sizes = page.run("return performance.getEntriesByType('resource').map((one) => [one.name, one.transferSize])")
     before_sample = [size for name, size in sizes if not name.endswith(("webp", "avif"))]
     assert sum(before_sample) < FIRST_LOOK_BYTES
@@ -58,33 +41,33 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     assert "4.7 kB" in page.text("#right-label")
     assert [name in page.text("#rivals") for name in ("Original", "Gaussians", "JPEG", "WebP", "AVIF")] == [True] * 5
 
-    both = settled(page)
-    press(page, "divider", "Home")
-    ours = settled(page)
-    press(page, "divider", "End")
-    original = settled(page)
+    both = page.settled()
+    page.press("divider", "Home")
+    ours = page.settled()
+    page.press("divider", "End")
+    original = page.settled()
     half = len(both) // 2
     assert (both[: half - 2] == original[: half - 2]).all()
     assert (both[half + 2 :] == ours[half + 2 :]).all()
     assert 0 < np.abs(ours.astype(int) - original).mean() < 10
 
-    zoom_in(page)
+    page.zoom_in()
     assert page.text("#zoom") == "6400 %"
     wait_until(lambda: largest_step(page) <= 6)  # 1 here; 42 with hard pixels
-    press(page, "divider", "Home")
+    page.press("divider", "Home")
     wait_until(lambda: largest_step(page) <= 6)
     page.click("#zoom-fit")
 
-    choose(page, "prefix", 5)
+    page.choose("prefix", 5)
     assert re.search(r"the first 2\d\d B of 4\.7 kB", page.text("#right-label"))
-    wait_until(lambda: np.abs(settled(page).astype(int) - ours).mean() > 10)
+    wait_until(lambda: np.abs(page.settled() - ours).mean() > 10)
     page.run("document.querySelector('[value=ellipses]').click()")
-    says(page, "one standard deviation", "#legend")
+    page.says("one standard deviation", "#legend")
     page.run("document.querySelector('[value=heat]').click()")
-    says(page, "bits per pixel", "#legend")
+    page.says("bits per pixel", "#legend")
     page.click("#sample-cat")
-    says(page, "5.4 kB", "#right-label")
-    assert complaints(page) == []
+    page.says("5.4 kB", "#right-label")
+    assert page.complaints() == []
 
 
 def test_fingers(page: Chromium, web: Service) -> None:
@@ -96,7 +79,7 @@ def test_fingers(page: Chromium, web: Service) -> None:
             page.tell("Input.dispatchTouchEvent", type=kind, touchPoints=points)
         page.tell("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
-    open_page(page, web)
+    page.open_page(web)
     left, top, width, height = page.run("""
         const { x, y, width, height } = document.getElementById("stage").getBoundingClientRect();
         return [x, y, width, height];
@@ -108,29 +91,29 @@ def test_fingers(page: Chromium, web: Service) -> None:
     touch([(x - 20, y), (x + 20, y)], [(x - 50, y), (x + 50, y)], [(x - 80, y), (x + 80, y)])
     assert 3.8 < int(page.text("#zoom").removesuffix(" %")) / before < 4.2
     page.click("#zoom-fit")
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_rivals_that_the_service_makes(page: Chromium, keeping: Service) -> None:
     """No browser writes AVIF: the service makes it of the job's picture, as long as it has it."""
-    open_page(page, keeping)
-    keeping.publish(queued(page, PHOTOGRAPH, "coffee.webp"), COFFEE)
-    says(page, "AVIF", "#verdict")
+    page.open_page(keeping)
+    keeping.publish(page.queued(PHOTOGRAPH, "coffee.webp"), COFFEE)
+    page.says("AVIF", "#verdict")
     assert re.search(r"AVIF 4\.[5-9] kB \d\d\.\d dB 0\.\d{3}", page.text("#rivals"))
     row = "#rivals tbody tr:last-child"
     page.click(f"{row} button")
-    says(page, "AVIF", "#left-label")
+    page.says("AVIF", "#left-label")
     assert page.run(f"return document.activeElement === document.querySelector('{row} button')")
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_the_better_file_is_offered(page: Chromium, keeping: Service) -> None:
     """Of what Gaussians do not suit, with a sentence that says why; the service makes it of the job's picture."""
-    open_page(page, keeping)
+    page.open_page(keeping)
     assert not page.is_seen("#advice")
-    job = queued(page, page_of_text(), "words.png")
+    job = page.queued(page_of_text(), "words.png")
     keeping.publish(job, COFFEE, bytes=20_000, better="webp", advice="Gaussians do not suit this: WebP takes less")
-    says(page, "Gaussians do not suit this: WebP takes less. Save as lossless WebP", "#advice")
+    page.says("Gaussians do not suit this: WebP takes less. Save as lossless WebP", "#advice")
     assert not page.is_seen("#note")
     page.run("""
         HTMLAnchorElement.prototype.click = function () { window.saved = this.download; };
@@ -140,58 +123,58 @@ def test_the_better_file_is_offered(page: Chromium, keeping: Service) -> None:
     page.click("#advice button")
     wait_until(lambda: page.run("return window.saved") == "words.webp")
     assert page.run("return window.size") == len(keeping.client.get(f"/jobs/{job}/rival.webp").content)
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
     """This service keeps no images; the page knows, and does not ask."""
-    open_page(page, web)
-    web.publish(queued(page, PHOTOGRAPH, "coffee.webp"), COFFEE)
-    says(page, "no longer has the picture", "#rivals")
-    assert complaints(page) == []
+    page.open_page(web)
+    web.publish(page.queued(PHOTOGRAPH, "coffee.webp"), COFFEE)
+    page.says("no longer has the picture", "#rivals")
+    assert page.complaints() == []
 
 
 def test_texture_on_and_off(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", golden(2)["v2-color"], "smooth.sg")
+    page.open_page(web)
+    page.give("drop", golden(2)["v2-color"], "smooth.sg")
     wait_until(lambda: not page.is_seen("#texture-field"))
-    give(page, "drop", TEXTURED, "textured.sg")
+    page.give("drop", TEXTURED, "textured.sg")
     wait_until(lambda: page.is_seen("#texture"))
-    textured, size = settled(page), sgmethod.info(TEXTURED)
+    textured, size = page.settled(), sgmethod.info(TEXTURED)
     page.click("#texture")
-    says(page, "without texture", "#right-label")
-    wait_until(lambda: not np.array_equal(settled(page), textured))
-    press(page, "stage", "1")
+    page.says("without texture", "#right-label")
+    wait_until(lambda: not np.array_equal(page.settled(), textured))
+    page.press("stage", "1")
     middle, smooth = size.height // 2, sgmethod.decode(TEXTURED, texture=False).astype(int)
 
     def is_smooth() -> bool:
-        row = settled(page)
+        row = page.settled()
         left = (len(row) - size.width) // 2
         parts = (row[at : at + size.width] for at in (left, left + 1))  # the canvas may be an odd number wide, or high
         return any(np.abs(part - smooth[y]).max() <= 1 for part in parts for y in (middle - 1, middle))
 
     wait_until(is_smooth)
-    assert complaints(page) == []
+    assert page.complaints() == []
 
 
 def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    page.open_page(web)
     for name, lacking in (("grey", "Colour"), ("upright", "Slants"), ("color", "Texture"), ("texture", "Transparency")):
         data = golden(2)[f"v2-{name}"]
-        give(page, "drop", data, f"{name}.sg")
-        says(page, f"{len(data)} B", "#right-label")
+        page.give("drop", data, f"{name}.sg")
+        page.says(f"{len(data)} B", "#right-label")
         rows = page.run("return [...document.querySelectorAll('#contents tbody tr')].map((row) => row.innerText)")
         assert rows[0].startswith("Positions")
         assert not any(row.startswith(lacking) for row in rows)
         sizes = [int(found[1]) for row in rows if (found := re.search(r"(\d+) B", row))]
         assert abs(sum(sizes) - len(data)) <= len(sizes) / 2
-    give(page, "drop", OTHER, "other.sg")
-    says(page, "Drawn by the service", "#note")
+    page.give("drop", OTHER, "other.sg")
+    page.says("Drawn by the service", "#note")
     assert not page.is_seen("#contents")
 
 
 def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    page.open_page(web)
     # It is told for a while only, and of frames without long pauses between them, which a busy machine may make.
     text = wait_until(
         lambda: page.run("""
@@ -210,23 +193,6 @@ def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
     found = re.fullmatch(r"(\d+\.\d) ms a frame, (\d+) a second", text)
     assert found
     assert float(found[1]) * int(found[2]) == pytest.approx(1000, rel=0.5)
-
-
-def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
-    open_blank(page, web)
-    views: list[tuple[bytes, str, dict[str, Any]]] = [
-        *((data, "{}", {}) for data in (*golden(2).values(), COFFEE)),
-        (COFFEE, "{ scale: 0.3 }", {"scale": 0.3}),
-        (COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", {"scale": 3, "region": (100, 50, 60, 40)}),
-        (COFFEE, "{ prefix: 0.2 }", {"prefix": 0.2}),
-        (TEXTURED, "{ scale: 0.4 }", {"scale": 0.4}),
-        (TEXTURED, "{ scale: 2, region: [5, 60, 50, 90] }", {"scale": 2, "region": (5, 60, 50, 90)}),
-    ]
-    for data, options, view in views:
-        assert_as_python(decoded(page, data, options).astype(int), data, **view)
-    for hostile in (OTHER, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
-        with pytest.raises(AssertionError, match=r"not known here|is damaged|no \.sg file"):
-            decoded(page, hostile)
 
 
 def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) -> NDArray[np.int64]:
@@ -251,7 +217,7 @@ def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) ->
 
 @pytest.mark.parametrize(("data", "scale"), [(COFFEE, 2), (TEXTURED, 1), (TEXTURED, 2.5), (TEXTURED, 7)])
 def test_webgl_draws_what_the_decoder_does(page: Chromium, web: Service, data: bytes, scale: float) -> None:
-    open_blank(page, web)
+    page.open_blank(web)
     for textured in (False, True):
         wanted = sgmethod.open(data).pixels(scale=scale, texture=textured)
         difference = np.abs(drawn_by_webgl(page, data, scale, textured) - wanted)

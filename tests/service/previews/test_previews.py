@@ -1,22 +1,22 @@
-"""Previews in a page: their small decoder against ours, in Node and in browsers, and the element that draws them."""
+"""Previews in a page: their small decoder against ours, the element that draws them, and the page's wall of them."""
 
 from __future__ import annotations
 
 import base64
 import json
 import shutil
-import subprocess
 
 import numpy as np
 import pytest
 
 import sgmethod
-from sgmethod.bitstream.text import to_text
-from tests.harness.browser import Browser, Chromium
-from tests.harness.data import JAVASCRIPT, golden
-from tests.harness.processes import wait_until
+from sgmethod.bitstream.text import from_text, to_text
+from tests.harness.browser import Chromium
+from tests.harness.data import JAVASCRIPT, STATIC, golden
+from tests.harness.page import Page
+from tests.harness.processes import run, wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import assert_as_python, complaints, open_blank
+from tests.service.page.steps import assert_as_python, assert_open_to_all
 
 SIZE = 96  # of the longer side, pixels
 SHORT = [golden(2)[name] for name in ("v2-color", "v2-grey", "v2-empty")]
@@ -26,68 +26,37 @@ STRAY_BITS = GOOD[:-1] + chr(ord(GOOD[-1]) + 1)
 BAD = ["", "x", "no preview", GOOD[:-4], GOOD[:200] + "A" + GOOD[201:], TEXTURED, LONG, "A" + GOOD[1:]]
 BAD += [GOOD + "=", GOOD + "\n", STRAY_BITS]
 DECODE = """
-const answers = %s.map((text) => {
+const { decodePreview } = await import("%s");
+console.log(JSON.stringify(%s.map((text) => {
   try {
     const { width, height, data } = decodePreview(text, %d);
     return [width, height, btoa(String.fromCharCode(...data))];
   } catch (error) {
     return String(error.message);
   }
-});
+})));
 """
 
 
-def see_through() -> bytes:
-    """A short file with alpha and without texture."""
-    pixels = np.zeros((12, 16, 4), np.uint8)
-    pixels[:, 8:] = (200, 90, 20, 255)
-    return sgmethod.encode(pixels, bytes=60, tune="psnr", effort=1).data
-
-
-@pytest.fixture(scope="module")
-def files() -> list[bytes]:
-    return [*SHORT, see_through()]
-
-
-def assert_decoded(found: list[list[object] | str], files: list[bytes]) -> None:
+def test_the_small_decoder_in_node() -> None:
     """The files as Python draws them, within what docs/format.md allows two decoders; and what is bad refused."""
-    for answer, data in zip(found, files, strict=False):
-        width, height, levels = answer
-        ours = np.frombuffer(base64.b64decode(str(levels)), np.uint8).reshape(height, width, 4).astype(int)
-        info = sgmethod.info(data)
-        assert_as_python(ours, data, scale=SIZE / max(info.width, info.height))
-    refused = found[len(files) :]
-    assert len(refused) == len(BAD)
-    assert [answer for answer in refused if not isinstance(answer, str)] == []
-
-
-def test_in_node(files: list[bytes]) -> None:
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
+    see_through = np.zeros((12, 16, 4), np.uint8)
+    see_through[:, 8:] = (200, 90, 20, 255)
+    files = [*SHORT, sgmethod.encode(see_through, bytes=60, tune="psnr", effort=1).data]
     texts = json.dumps([*map(to_text, files), *BAD])
-    module = (JAVASCRIPT / "preview.js").as_uri()
-    start, end = f"const {{ decodePreview }} = await import('{module}');", "console.log(JSON.stringify(answers));"
-    script = start + DECODE % (texts, SIZE) + end
-    command = ["node", "--input-type=module", "--eval", script]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    assert_decoded(json.loads(done.stdout), files)
+    done = run("node", "--input-type=module", "--eval", DECODE % ((JAVASCRIPT / "preview.js").as_uri(), texts, SIZE))
+    assert done.status == 0, done.stderr
+    drawn, refused = (found := json.loads(done.stdout))[: len(files)], found[len(files) :]
+    for (width, height, levels), data in zip(drawn, files, strict=True):
+        ours = np.frombuffer(base64.b64decode(levels), np.uint8).reshape(height, width, 4).astype(int)
+        info = sgmethod.info(data)
+        assert_as_python(ours, data, scale=SIZE / max(info.width, info.height))
+    assert [type(answer) for answer in refused] == [str] * len(BAD)
 
 
-@pytest.mark.thorough
-def test_in_a_browser(each_browser: Browser, web: Service, files: list[bytes]) -> None:
-    open_blank(each_browser, web)
-    texts = json.dumps([*map(to_text, files), *BAD])
-    found = each_browser.run(f"""
-        return import("/static/sgmethod/preview.js").then(({{ decodePreview }}) => {{
-            if (!(decodePreview({texts}[0]) instanceof ImageData)) throw new Error("no ImageData");
-            {DECODE % (texts, SIZE)}
-            return answers;
-        }});
-    """)
-    assert_decoded(found, files)
-
-
-def show(page: Browser, html: str) -> None:
+def show(page: Page, html: str) -> None:
     """Elements at the top of a page with the strict policy of the service's."""
     page.run(f"""
         document.body.insertAdjacentHTML("afterbegin", {json.dumps(html)});
@@ -106,8 +75,8 @@ STATE = """
 
 
 @pytest.mark.thorough
-def test_the_preview_stands_until_the_picture_is_there(each_browser: Browser, web: Service) -> None:
-    open_blank(each_browser, web)
+def test_the_preview_stands_until_the_picture_is_there(each_browser: Page, web: Service) -> None:
+    each_browser.open_blank(web)
     below = "<br>" * 500  # so far that the picture is not loaded yet
     show(each_browser, f'{below}<sg-img id="one" src="static/samples/cat.webp" alt="A cat" preview="{GOOD}"></sg-img>')
     wait_until(lambda: each_browser.run(STATE)["drawn"] == 256)
@@ -123,14 +92,14 @@ def test_the_preview_stands_until_the_picture_is_there(each_browser: Browser, we
 @pytest.mark.thorough
 def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service) -> None:
     """It stays as it is; and one that fails to load leaves the preview, but not on paper."""
-    open_blank(page, web)
+    page.open_blank(web)
     image = '<img srcset="static/samples/none.webp 400w" sizes="50vw" alt="Cups" width="48" height="40">'
     show(page, f'<sg-img id="one" preview="{GOOD}"> {image} </sg-img>')
     wait_until(lambda: page.run(STATE)["drawn"] == 256)
     state = page.run(STATE)
     assert (state["alt"], state["sizes"]) == ("Cups", "50vw")
     assert state["ratio"] == pytest.approx(48 / 40, rel=0.01)
-    wait_until(lambda: any("404" in said for said in complaints(page)))
+    wait_until(lambda: any("404" in said for said in page.complaints()))
     assert page.run("return document.querySelector('#one img').outerHTML") == image
     seen = "return getComputedStyle(one.shadowRoot.querySelector('canvas')).display"
     page.tell("Emulation.setEmulatedMedia", media="print")
@@ -141,13 +110,13 @@ def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service)
 
 @pytest.mark.thorough
 def test_a_bad_text_is_a_warning(page: Chromium, web: Service) -> None:
-    open_blank(page, web)
-    complaints(page)
+    page.open_blank(web)
+    page.complaints()
     show(page, '<sg-img id="one" src="static/samples/coffee.webp" alt="A cup" preview="nothing"></sg-img>')
     wait_until(lambda: page.run(STATE)["loaded"])
     state = page.run(STATE)
     assert state["drawn"] == 0
-    (warning,) = complaints(page)
+    (warning,) = page.complaints()
     assert "sg-img has no preview" in warning
 
 
@@ -259,8 +228,8 @@ OWNED = {
 }
 
 
-def test_it_is_as_an_img_and_leaves_what_is_not_its_own(each_browser: Browser, web: Service) -> None:
-    open_blank(each_browser, web)
+def test_it_is_as_an_img_and_leaves_what_is_not_its_own(each_browser: Page, web: Service) -> None:
+    each_browser.open_blank(web)
     early = f'Object.assign(document.createElement("sg-img"), {{ preview: "{GOOD}", src: "/static/samples/cat.webp" }})'
     each_browser.run(f"window.EARLY = {early}; document.body.append(window.EARLY);")
     show(each_browser, "")
@@ -274,3 +243,37 @@ def test_it_is_as_an_img_and_leaves_what_is_not_its_own(each_browser: Browser, w
     photo = f"{web.url}/static/samples/cat.webp"
     expected = json.loads(json.dumps([value for _, value in OWNED.values()]).replace("PHOTO", photo))
     assert dict(zip(OWNED, found, strict=True)) == dict(zip(OWNED, expected, strict=True))
+
+
+WALL = json.loads((STATIC / "wall" / "wall.json").read_text())
+PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+DRAWN = """
+    const hasPreview = (one) => one.shadowRoot.querySelector("canvas");
+    return [...document.querySelectorAll("#wall sg-img")].filter(hasPreview).length;
+"""
+
+
+@pytest.mark.thorough
+def test_the_wall_on_a_phone(page: Chromium, web: Service) -> None:
+    page.tell("Emulation.setDeviceMetricsOverride", **PHONE)
+    page.open_page(web)
+    loaded = page.run("return performance.getEntriesByType('resource').map((one) => one.name)")
+    assert [name for name in loaded if "/wall/" in name or "/preview/" in name] == []
+    page.run("document.getElementById('show-wall').click()")
+    wait_until(lambda: page.run(DRAWN) == len(WALL["pictures"]))
+    assert page.run("return document.documentElement.scrollWidth") == PHONE["width"]
+    text = page.text("#wall")
+    for name in ("sgmethod", "WebP", "BlurHash", "ThumbHash"):
+        assert text.count(name) >= len(WALL["pictures"])
+    assert_open_to_all(page, "'#wall-card'", 1)
+    page.run("document.getElementById('load-wall').scrollIntoView(); document.getElementById('load-wall').click()")
+    wait_until(lambda: page.run(DRAWN) < len(WALL["pictures"]))
+    assert page.complaints() == []
+
+
+def test_all_have_the_same_bytes() -> None:
+    for picture in WALL["pictures"]:
+        for size, most in enumerate(WALL["bytes"]):
+            assert len(from_text(picture["previews"][size])) <= most
+            assert len(base64.b64decode(picture["webp"][size] or "")) <= most
+            assert picture["blurhash"][size]["characters"] <= 4 * most / 3

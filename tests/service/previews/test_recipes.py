@@ -7,7 +7,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,8 @@ import pytest
 from sgmethod.bitstream.text import from_text, to_text
 from tests.harness.browser import Chromium
 from tests.harness.data import PHOTOGRAPHS, ROOT, golden
-from tests.harness.processes import wait_until
+from tests.harness.processes import run, wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import open_blank
 from tests.service.previews.test_previews import show
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
@@ -46,7 +44,7 @@ def blocks(heading: str) -> list[str]:
 @pytest.mark.thorough
 def test_plain_html(page: Chromium, web: Service) -> None:
     text = to_text(golden(2)["v2-color"])
-    open_blank(page, web)
+    page.open_blank(web)
     within, rules, alone = blocks("Plain HTML")
     within, alone = (re.sub(r"photo(-2x)?\.avif", "static/samples/cat.webp", html) for html in (within, alone))
     page.run(f"""
@@ -77,11 +75,8 @@ def test_eleventy(tmp_path: Path) -> None:
         configure({ addPassthroughCopy() {}, addShortcode });
     """
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    command = ["node", "--input-type=module", "--eval", script]
-    environment = {**os.environ, "PATH": path}
-    done = subprocess.run(
-        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True, timeout=120
-    )
+    done = run("node", "--input-type=module", "--eval", script, folder=tmp_path, PATH=path)
+    assert done.status == 0, done.stderr
     image = r'<img src="/door.png" alt="A red door" width="128" height="96" loading="lazy" decoding="async">'
     tag = rf'<sg-img preview="(\S+)">{image}</sg-img>\n'
     found = re.fullmatch(tag, done.stdout)

@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,8 +16,8 @@ from service.settings import Settings
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 from tests.harness.data import ROOT
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import Outcome, RunCommand
+from tests.harness.processes import PATIENCE_S, Outcome, failing, run, wait_until
+from tests.harness.service import RunCommand
 
 COMPUTED = {"workers": "cores / 4, at least 1", **dict.fromkeys(("api_keys_file", "link_secret", "webhook_secret"), "")}
 
@@ -30,31 +29,22 @@ def no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.delenv(name)
 
 
-def run(*arguments: str, **environment: str) -> Outcome:
+def run_alone(command: str, **environment: object) -> Outcome:
     """In a process of its own."""
-    command = [sys.executable, "-m", "service", *arguments]
-    everything = {**os.environ, **environment}
-    done = subprocess.run(
-        command, cwd=ROOT, env=everything, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
-    return Outcome(done.returncode, done.stdout, done.stderr)
-
-
-def expected_row(name: str, field: Any) -> str:
-    default = COMPUTED.get(name, str(field.default))
-    return f"| `SG_{name.upper()}` | {default or 'none'} | {field.description} |"
+    return run(sys.executable, "-m", "service", command, **environment)
 
 
 def test_the_operators_page_has_every_setting_with_its_default() -> None:
     rows = re.findall(r"^\| `SG_.*$", (ROOT / "docs" / "deploy.md").read_text(), re.MULTILINE)
-    assert rows == [expected_row(name, field) for name, field in Settings.model_fields.items()]
+    fields = [(name, COMPUTED.get(name, str(field.default)), field) for name, field in Settings.model_fields.items()]
+    assert rows == [f"| `SG_{name.upper()}` | {d or 'none'} | {field.description} |" for name, d, field in fields]
 
 
 def test_limits_never_exceed_what_the_encoder_reads() -> None:
     bound = ImageLimits().max_pixels
+    assert Settings(max_pixels=bound).max_pixels == bound
     with pytest.raises(ValueError, match="max_pixels"):
-        Settings.model_validate({"max_pixels": bound + 1})
-    assert Settings.model_validate({"max_pixels": bound}).max_pixels == bound
+        Settings(max_pixels=bound + 1)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 100])
@@ -75,15 +65,8 @@ def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -
 def test_missing_kernels_are_one_clear_line(command: str) -> None:
     missing = "import sys; sys.modules['sgmethod.native._native'] = None"
     script = f"{missing}; from service.__main__ import main; sys.exit(main())"
-    ran = subprocess.run(
-        [sys.executable, "-c", script, command],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert (ran.returncode, ran.stdout) == (1, "")
+    ran = run(sys.executable, "-c", script, command)
+    assert (ran.status, ran.stdout) == (1, "")
     assert re.fullmatch(r"cannot start: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
 
 
@@ -108,10 +91,12 @@ def test_a_bad_setting_is_named_in_one_line(run_command: RunCommand, name: str, 
     assert "pattern" not in result.stderr  # which is a regular expression
 
 
-def test_the_line_end_of_a_secret_is_no_part_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("SG_LINK_SECRET", "SG_DATA_DIR"):
-        monkeypatch.setenv(name, 32 * "x" + "\n")
-    assert (Settings().link_secret.get_secret_value(), Settings().data_dir) == (32 * "x", Path(32 * "x"))
+def test_a_line_end_is_no_part_of_a_setting_and_an_empty_one_means_its_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("SG_LINK_SECRET", 32 * "x" + "\n"), ("SG_DATA_DIR", "x\n"), ("SG_PORT", "")):
+        monkeypatch.setenv(name, value)
+    settings = Settings()
+    assert (settings.link_secret.get_secret_value(), settings.data_dir) == (32 * "x", Path("x"))
+    assert settings.port == 8000
 
 
 def test_keys_that_are_none_do_not_leave_all_open(run_command: RunCommand, tmp_path: Path) -> None:
@@ -123,21 +108,16 @@ def test_keys_that_are_none_do_not_leave_all_open(run_command: RunCommand, tmp_p
 
 def test_a_misspelt_setting_is_named(tmp_path: Path) -> None:
     settings = {"SG_WORKER": "3", "SG_API_KEY": "the-clients", "SG_HOST": "no.such.host.invalid"}
-    result = run("serve", SG_DATA_DIR=str(tmp_path), **settings)
+    result = run_alone("serve", SG_DATA_DIR=tmp_path, **settings)
     assert result.status == 1
     misspelt, trouble = result.stderr.splitlines()
     assert misspelt.startswith("SG_WORKER is not a setting")
     assert trouble.startswith("cannot start: SG_HOST and SG_PORT, no.such.host.invalid:")
 
 
-def test_an_empty_setting_means_its_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SG_PORT", "")
-    assert Settings().port == 8000
-
-
 def test_a_taken_port_is_one_clear_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        result = run("serve", SG_PORT=str(taken.getsockname()[1]), SG_DATA_DIR=str(tmp_path / "data"))
+        result = run_alone("serve", SG_PORT=taken.getsockname()[1], SG_DATA_DIR=tmp_path / "data")
     assert result.status == 1
     assert re.fullmatch(r"cannot start: .*[Aa]ddress already in use.*\n", result.stderr)
 
@@ -150,8 +130,8 @@ def test_a_data_folder_that_cannot_be_is_one_clear_line(
 ) -> None:
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).write_text("this is neither a folder nor a database" * 100)
-    start = run if command == "web" else run_command  # which leaves its socket to the end of the process
-    result = start(command, SG_PORT="0", SG_DATA_DIR=str(tmp_path / "data"))
+    start = run_alone if command == "web" else run_command  # which leaves its socket to the end of the process
+    result = start(command, SG_PORT=0, SG_DATA_DIR=tmp_path / "data")
     assert result.status == 1
     verb = "sweep" if command == "sweep" else "start"
     (line,) = [line for line in result.stderr.splitlines() if "INFO" not in line]
@@ -185,14 +165,8 @@ def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) 
     """SIGTERM as soon as there is a sign of life: exit status 0 all the same."""
     settings = {"port": 0, "data_dir": tmp_path / "data", "workers": 1, "stop_grace_s": PATIENCE_S}
     environment = {**os.environ, **{f"SG_{name}".upper(): str(value) for name, value in settings.items()}}
-    with subprocess.Popen(
-        [sys.executable, "-m", "service", command],
-        cwd=ROOT,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as process:
+    words, pipes = [sys.executable, "-m", "service", command], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(words, cwd=ROOT, env=environment, text=True, **pipes) as process:
         assert process.stdout is not None
         assert any(first_words in line for line in process.stdout)  # the first lines may be warnings
         process.terminate()
@@ -204,8 +178,7 @@ def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) 
 
 def test_web_process_and_worker_never_import_torch() -> None:
     modules = "sys, service.api.app, service.worker.loop, service.process.supervisor"
-    script = f"import {modules}; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=PATIENCE_S, check=False).returncode == 0
+    assert run(sys.executable, "-c", f"import {modules}; sys.exit('torch' in sys.modules)").status == 0
 
 
 @pytest.mark.thorough
@@ -214,14 +187,8 @@ def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.Mon
     monkeypatch.setattr(supervisor, "FIRST_PAUSE_S", 0.0)
     process = supervisor.Supervised("worker 1", [sys.executable, "--version"], ())
     process.process.wait()
-    start, refusals = subprocess.Popen, iter([OSError(11, "Resource temporarily unavailable")] * 3)
-
-    def popen(*arguments: Any, **named: Any) -> subprocess.Popen[bytes]:
-        for error in refusals:
-            raise error
-        return start(*arguments, **named)
-
-    monkeypatch.setattr(subprocess, "Popen", popen)
+    errors = [OSError(11, "Resource temporarily unavailable")] * 3
+    monkeypatch.setattr(subprocess, "Popen", failing(subprocess.Popen, *errors))
     first = process.process
     wait_until(lambda: process.keep_alive() or process.process is not first)
     process.process.wait()

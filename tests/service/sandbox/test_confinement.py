@@ -11,7 +11,7 @@ import pytest
 
 from service.sandbox import confinement
 from service.sandbox.frames import Ended, Preview
-from tests.harness.processes import encoder_of, processes, wait_until
+from tests.harness.processes import encoder_of, processes, running_encoder, wait_until
 from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
 from tests.harness.service import STAND_IN, RunCommand, StartService
 
@@ -160,28 +160,21 @@ def test_tasks_see_nothing_of_each_other() -> None:
         wait_until(lambda: running.read(0.1) or running.begun)
         (report,) = (m for m in messages_of(tasks, task(), look) if isinstance(m, Preview))
         assert report.bitstream == b"False"
-        descriptors = Path(f"/proc/{wait_until(lambda: encoder_of(sleeper.job_id))}/fd")
+        descriptors = Path(f"/proc/{running_encoder(sleeper.job_id)}/fd")
         opened = [str(entry.readlink()).partition(":")[0] for entry in descriptors.iterdir()]
         assert sorted(opened) == ["/dev/null"] * 3 + ["socket"]
 
 
 def test_secrets_stay_behind() -> None:
-    given = {
-        "SG_LINK_SECRET": SECRET,
-        "SG_API_KEYS": SECRET,
-        "SG_DATABASE_URL": SECRET,
-        "AWS_SECRET_ACCESS_KEY": SECRET,
-        "PGPASSWORD": SECRET,
-        "PATH": "/bin",
-        "PYTHONPATH": "/opt",
-    }
-    assert confinement.environment(given) == {"PATH": "/bin", "PYTHONPATH": "/opt"}
+    secrets = ("SG_LINK_SECRET", "SG_API_KEYS", "SG_DATABASE_URL", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD")
+    known = {"PATH": "/bin", "PYTHONPATH": "/opt"}
+    assert confinement.environment(dict.fromkeys(secrets, SECRET) | known) == known
 
 
 def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> None:
     service = start_service(link_secret=SECRET, extra=STAND_IN)
     job_id = service.accepted_slow()
-    number = wait_until(lambda: encoder_of(job_id))
+    number = running_encoder(job_id)
     process = Path("/proc", str(number))
     wait_until(lambda: "NoNewPrivs:\t1" in (status := (process / "status").read_text()) and "Seccomp:\t2" in status)
     assert os.geteuid() != 0 or f"Uid:\t{confinement.NOBODY}\t{confinement.NOBODY}" in (process / "status").read_text()

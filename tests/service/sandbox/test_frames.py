@@ -9,30 +9,14 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.frames import (
-    FILE_BYTES,
-    FRAME_HEADER,
-    MOST_POINTS,
-    AnyTask,
-    Begun,
-    Draw,
-    Encode,
-    FrameError,
-    FrameReader,
-    HeaderFigures,
-    ReadHeader,
-    Result,
-    TracePoint,
-    finite,
-    packed,
-    packed_json,
-)
+from service.sandbox import frames
+from service.sandbox.frames import Begun, Draw, Encode, FrameError, FrameReader, ReadHeader, packed, packed_json
 from service.sandbox.pictures import PictureOptions
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
 ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "baseline", 2.5), threads=2)
 DRAW = Draw(**LIMITS, options=PictureOptions(region="0,0,8,8", quality=5), file_kind="jpg")
-POINT = TracePoint(seconds=0.5, step=1, steps=2, psnr=None, bytes=3, gaussians=4, phase="joint")
+POINT = frames.TracePoint(seconds=0.5, step=1, steps=2, psnr=None, bytes=3, gaussians=4, phase="joint")
 FIGURES: dict[str, Any] = {
     **{"bytes": 3, "bpp": 0.3, "psnr": None, "ms_ssim": 0.9, "ssimulacra2": None, "gaussians": 1, "steps": 2},
     **{"seconds": 0.1, "width": 8, "height": 8, "profile": "rd", "tune": "psnr", "effort": 5, "source_bytes": 10},
@@ -44,15 +28,10 @@ def figures(**more: Any) -> bytes:
     return packed(b"S", json.dumps({**FIGURES, **more}).encode())
 
 
-@pytest.mark.parametrize("task", [ENCODE, DRAW, ReadHeader(**LIMITS)])
-def test_a_task_survives_the_way(task: AnyTask) -> None:
-    assert TypeAdapter(AnyTask).validate_json(task.model_dump_json()) == task
-
-
 def test_a_task_has_no_field_that_nobody_knows() -> None:
     for field in ("more", "gives_file"):
         with pytest.raises(ValidationError):
-            TypeAdapter(AnyTask).validate_python({**DRAW.model_dump(), field: 1})
+            TypeAdapter(frames.AnyTask).validate_python({**DRAW.model_dump(), field: 1})
 
 
 def test_messages_arrive_whole_and_in_order() -> None:
@@ -61,25 +40,19 @@ def test_messages_arrive_whole_and_in_order() -> None:
     messages = [message for at in range(0, len(said), 7) for message in reader.take(said[at : at + 7])]
     assert messages[:2] == [Begun(), POINT]
     (result,) = messages[2:]
-    assert isinstance(result, Result)
+    assert isinstance(result, frames.Result)
     assert result.file == file
     assert result.figures.model_dump(exclude_unset=True) == {**FIGURES, "notes": ["alpha"]}
-
-
-def test_answers_of_words_alone() -> None:
-    header = b'{"format": "PNG", "width": 3, "height": 4}'
-    (result,) = FrameReader(ReadHeader(**LIMITS)).take(packed(b"S", header))
-    assert result == Result(figures=HeaderFigures(format="PNG", width=3, height=4))
 
 
 @pytest.mark.parametrize(
     ("task", "said", "words"),
     [
         (ENCODE, packed(b"Z", b""), "unknown kind b'Z'"),
-        (ENCODE, FRAME_HEADER.pack(b"S", 300 << 20), "where 65536 are allowed"),
-        (ENCODE, FRAME_HEADER.pack(b"T", 4097), "where 4096 are allowed"),
-        (ENCODE, FRAME_HEADER.pack(b"F", FILE_BYTES + 8 * 64 + 1), "are allowed"),
-        (ENCODE, FRAME_HEADER.pack(b"P", 300 << 20), "are allowed"),
+        (ENCODE, frames.FRAME_HEADER.pack(b"S", 300 << 20), "where 65536 are allowed"),
+        (ENCODE, frames.FRAME_HEADER.pack(b"T", 4097), "where 4096 are allowed"),
+        (ENCODE, frames.FRAME_HEADER.pack(b"F", frames.FILE_BYTES + 8 * 64 + 1), "are allowed"),
+        (ENCODE, frames.FRAME_HEADER.pack(b"P", 300 << 20), "are allowed"),
         (ENCODE, packed(b"S", b"[]"), "is wrong"),
         (ENCODE, packed(b"S", b"{"), "json_invalid"),
         (ENCODE, packed(b"S", b"[" * 60_000), "json_invalid"),
@@ -94,7 +67,7 @@ def test_answers_of_words_alone() -> None:
         (ENCODE, packed(b"F", b"x"), "without its figures"),
         (ENCODE, packed(b"T", b'{"step": 1}'), "missing"),
         (ENCODE, packed(b"T", b"null"), "is wrong"),
-        (ENCODE, packed_json(POINT) * (MOST_POINTS + 1), "too many"),
+        (ENCODE, packed_json(POINT) * (frames.MOST_POINTS + 1), "too many"),
         (ENCODE, packed(b"R", b'{"error": "SystemExit", "detail": ""}'), "error"),
         (ENCODE, packed(b"C", b'{"detail": 7}'), "detail"),
         (ENCODE, packed(b"E", b'{"status": "0"} x'), "json_invalid"),
@@ -111,4 +84,5 @@ def test_nonsense(task: Any, said: bytes, words: str) -> None:
 
 
 def test_figures_that_json_cannot_say_become_none() -> None:
-    assert finite({"psnr": float("inf"), "ssim": float("nan"), "bytes": 3}) == {"psnr": None, "ssim": None, "bytes": 3}
+    figures = {"psnr": float("inf"), "ssim": float("nan"), "bytes": 3}
+    assert frames.finite(figures) == {"psnr": None, "ssim": None, "bytes": 3}

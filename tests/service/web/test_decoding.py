@@ -7,40 +7,31 @@ import io
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
 from service.api.cache import PictureCache
 from service.api.pictures import PictureQuery
-from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureFormat, PictureOptions, encode_picture
+from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from tests.harness.data import PICTURE
+from tests.harness.pictures import pixels_of
 
 INFO = sgmethod.info(PICTURE)
 SIZE = (INFO.width, INFO.height)
 NO_LIMIT = 10**9
 
 
-def pixels_of(file: bytes) -> NDArray[np.uint8]:
-    return np.asarray(Image.open(io.BytesIO(file)))
-
-
-@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 7), (7, 1), (64, 48), (333, 3)])
-def test_png_is_lossless_and_whole(width: int, height: int) -> None:
-    pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
-    for some in (pixels, np.zeros_like(pixels)):
-        file = encode_picture(some, "png")
-        Image.open(io.BytesIO(file)).verify()
-        np.testing.assert_array_equal(pixels_of(file), some)
-
-
-def test_png_of_many_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sgmethod.io.png.MAX_CHUNK_BYTES", 100)
-    pixels = np.random.default_rng(0).integers(0, 256, (20, 20, 3), np.uint8)
-    file = encode_picture(pixels, "png")
-    assert file.count(b"IDAT") > 10
-    np.testing.assert_array_equal(pixels_of(file), pixels)
+@pytest.mark.parametrize("most", [100, 1 << 24])
+def test_png_is_lossless_and_whole(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    """However many chunks it has."""
+    monkeypatch.setattr("sgmethod.io.png.MAX_CHUNK_BYTES", most)
+    for width, height in ((1, 1), (1, 7), (7, 1), (64, 48), (333, 3)):
+        pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
+        for some in (pixels, np.zeros_like(pixels)):
+            file = encode_picture(some, "png")
+            Image.open(io.BytesIO(file)).verify()
+            np.testing.assert_array_equal(pixels_of(file), some)
 
 
 @pytest.mark.parametrize("kind", ["jpg", "webp", "avif"])
@@ -89,17 +80,10 @@ def test_what_a_kind_of_file_cannot_hold() -> None:
 def test_entity_tags_tell_pictures_apart() -> None:
     queries = [{}, {"scale": 2}, {"region": "0,0,10,8"}, {"region": "0,1,10,8"}, {"region": "0,0,10,8", "scale": 2}]
     drawings = [Drawing.of(PictureQuery.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
-    crop = PictureOptions(width=5, height=9, fit="crop")
-    more: list[tuple[PictureOptions, PictureFormat]] = [
-        (PictureOptions(), "jpg"),
-        (PictureOptions(quality=50), "jpg"),
-        (PictureOptions(prefix=0.5), "png"),
-        (PictureOptions(), "avif"),
-        (crop, "png"),
-        (PictureOptions(texture=False), "png"),
-        (PictureOptions.model_validate({"texture": "0", "scale": 2}), "png"),
-    ]
-    drawings += [Drawing.of(options, kind, SIZE, NO_LIMIT) for options, kind in more]
+    crop = {"width": 5, "height": 9, "fit": "crop"}
+    pngs = ({"prefix": 0.5}, crop, {"texture": "0"}, {"texture": "0", "scale": 2})
+    more = [("jpg", {}), ("jpg", {"quality": 50}), ("avif", {}), *(("png", options) for options in pngs)]
+    drawings += [Drawing.of(PictureOptions.model_validate(o), kind, SIZE, NO_LIMIT) for kind, o in more]
     tags = {drawing.etag(sha) for drawing in drawings for sha in ("a" * 64, "b" * 64)}
     assert len(tags) == 2 * len(drawings)
     doubled = (PictureOptions(width=2 * SIZE[0]), PictureOptions(scale=2.0))

@@ -1,21 +1,27 @@
-"""Streams of server-sent events."""
+"""What clients see of a job that goes on: progress, its trace, and streams of server-sent events."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
 import pytest
 
+from service.api.models import MAX_TRACE_POINTS, summary, with_trace
+from service.jobs.job import Job, JobError, JobState
+from service.settings import Settings
 from tests.harness.data import PICTURE
+from tests.harness.job_table import CRASH, IMAGE, REQUEST
 from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
 Event = tuple[str, dict[str, Any]]
+SETTINGS = Settings()
 
 
 def read(answer: httpx.Response) -> Iterator[Event]:
@@ -88,13 +94,58 @@ def test_a_job_table_that_goes_away(start_service: StartService) -> None:
 
 
 @pytest.mark.thorough
-def test_open_streams_do_not_hold_up_the_end(start_service: StartService) -> None:
+def test_neither_streams_nor_waits_hold_up_the_end(start_service: StartService) -> None:
+    """Who waits for a file is told of the job."""
     web = start_service("web", stop_grace_s=2 * PATIENCE_S)
-    job_id = web.accepted()
-    with stream(web, job_id) as events:
-        next(events)
-        assert web.stop() == 0
-        # A stream that the server had cut off, as it does at half of the grace time, would raise an error here.
-        assert "done" not in [name for name, _ in events]
+    asked = {"files": {"image": SMALL}, "timeout": 2 * PATIENCE_S}
+    with ThreadPoolExecutor(1) as pool:
+        asking = pool.submit(httpx.post, f"{web.url}/encode?wait=300", **asked)
+        job_id = wait_until(lambda: web.client.get("/jobs").json()["jobs"])[0]["id"]
+        with stream(web, job_id) as events:
+            next(events)
+            assert web.stop() == 0
+            # A stream that the server had cut off, as it does at half of the grace time, would raise an error here.
+            assert "done" not in [name for name, _ in events]
+        assert asking.result().json()["id"] == job_id
     web.start()
     assert web.job(job_id)["state"] == "queued"
+
+
+def job(state: JobState, error: JobError | None = None) -> Job:
+    return Job(1, "0" * 32, None, "interactive", state, None, REQUEST, IMAGE, 1, 0, 0.0, None, None, None, error, 0)
+
+
+def point(phase: str, step: int, steps: int) -> dict[str, Any]:
+    return {"phase": phase, "step": step, "steps": steps, "psnr": 30.0}
+
+
+def test_progress_never_falls() -> None:
+    trace = [
+        point("start", 0, 0),
+        *(point("fit", step, 50) for step in range(51)),
+        *(point("tune", step, 30) for step in range(31)),
+        *(point("fit", step, 50) for step in range(51)),  # a second try at a PSNR
+    ]
+    seen = [with_trace(job("running"), trace[:length], SETTINGS).progress for length in range(len(trace) + 1)]
+    assert seen == sorted(seen)
+    assert seen[0] == 0
+    assert seen[26] == pytest.approx(0.3, abs=0.02)
+    assert seen[52] == pytest.approx(0.6)
+    assert with_trace(job("done"), [], SETTINGS).progress == 1
+
+
+@pytest.mark.parametrize("length", [0, 1, MAX_TRACE_POINTS, MAX_TRACE_POINTS + 1, 10 * MAX_TRACE_POINTS + 7])
+def test_a_long_trace_is_thinned(length: int) -> None:
+    trace = [point("fit", step, length) for step in range(length)]
+    steps = [int(shown["step"] or 0) for shown in with_trace(job("running"), trace, SETTINGS).trace]
+    assert len(steps) == min(length, MAX_TRACE_POINTS)
+    assert steps == sorted(set(steps))
+    if length:
+        assert (steps[0], steps[-1]) == (0, length - 1)
+
+
+def test_the_error_of_a_crash_is_shown_once_the_job_has_failed() -> None:
+    assert summary(job("queued", CRASH), SETTINGS).error is None
+    shown = summary(job("failed", CRASH), SETTINGS).error
+    assert shown is not None
+    assert (shown.code, shown.detail) == (CRASH.code, CRASH.detail)

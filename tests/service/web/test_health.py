@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
@@ -12,9 +11,9 @@ import httpx
 import pytest
 
 from tests.harness.data import PICTURE
+from tests.harness.job_table import grow_older
 from tests.harness.processes import wait_until
 from tests.harness.service import STAND_IN, StartService, assert_problem
-from tests.service.jobs.test_jobs import grow_older
 
 pytestmark = pytest.mark.thorough
 
@@ -43,7 +42,7 @@ def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
     service.wait(service.accepted_slow(), "running")
     service.accepted()
     started = service.figures()["process_start_time_seconds"]
-    with contextlib.closing(service._open_table()) as table:
+    with service.table() as table:
         grow_older(table, 10 * STALL_S)
     wait_until(lambda: service.client.get("/readyz").status_code == 200)
     assert service.figures()["sgmethod_oldest_job_waits_seconds"] > STALL_S

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import io
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,21 +15,18 @@ from PIL import Image
 import sgmethod
 from service.api import models
 from service.api.routes import HOST
-from service.keys import digest
 from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S
-from tests.harness.service import STAND_IN, StartService
+from tests.harness.processes import PATIENCE_S, run
+from tests.harness.service import STAND_IN, StartService, keys_of
 
 pytestmark = pytest.mark.thorough
 
 # Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
 NOT_CHECKED = "positive_data_acceptance"
 
-
-KEY = "key-of-ann"
 OPEN = {"link_secret": "x" * 32}
-GUARDED = {**OPEN, "api_keys": f"ann:{digest(KEY)}"}
+GUARDED = {**OPEN, "api_keys": keys_of("ann")}
 
 
 @pytest.mark.parametrize("settings", [OPEN, GUARDED], ids=["open", "guarded"])
@@ -38,7 +34,7 @@ def test_no_answer_is_beyond_the_document(
     start_service: StartService, tmp_path: Path, settings: dict[str, object]
 ) -> None:
     web = start_service("web", queue_length=10_000, **settings)
-    owner, header = ("ann", [f"--header=Authorization: Bearer {KEY}"]) if settings is GUARDED else (None, [])
+    owner, header = ("ann", ["--header=Authorization: Bearer ann"]) if settings is GUARDED else (None, [])
     config = tmp_path / "schemathesis.toml"
     config.write_text(f'[parameters]\njob_id = "{web.published(PICTURE, owner)}"\n')
     program = [str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(config)]
@@ -47,8 +43,8 @@ def test_no_answer_is_beyond_the_document(
     options = ["--max-examples=8", "--seed=1", f"--phases={phases}", "--suppress-health-check=all"]
     checks = ["--checks=all", f"--exclude-checks={NOT_CHECKED}", "--continue-on-failure", "--no-color"]
     command = [*program, "run", f"{web.url}/openapi.json", *header, *options, *checks]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stdout
+    done = run(*command, folder=tmp_path)
+    assert done.status == 0, done.stdout
     assert web.stop() == 0
     assert "Traceback" not in web.log.read_text()
 
@@ -63,13 +59,12 @@ def curl(command: str, folder: Path) -> httpx.Response:
     """The answer to a curl command that is run in a folder, and the file that it asks for."""
     parser = argparse.ArgumentParser()
     parser.add_argument("url")
-    parser.add_argument("-X", dest="method")
-    parser.add_argument("-H", dest="headers", action="append", default=[])
-    parser.add_argument("-F", dest="fields", action="append", default=[])
-    parser.add_argument("--data-binary", dest="body")
-    parser.add_argument("-o", dest="output")
-    parser.add_argument("-N", action="store_true")
-    parser.add_argument("--fail", action="store_true")
+    for flag, name in (("-X", "method"), ("--data-binary", "body"), ("-o", "output")):
+        parser.add_argument(flag, dest=name)
+    for flag, name in (("-H", "headers"), ("-F", "fields")):
+        parser.add_argument(flag, dest=name, action="append", default=[])
+    for flag in ("-N", "--fail"):
+        parser.add_argument(flag, action="store_true")
     program, *arguments = shlex.split(command)
     assert program == "curl"
     given = parser.parse_args(arguments)
@@ -98,9 +93,7 @@ def test_every_operation_has_a_summary_and_a_command_that_works(start_service: S
     document = service.client.get("/openapi.json").json()
     assert "examples" in document["components"]["schemas"]["JobView"]
     done = service.wait(service.accepted())["id"]
-    operations = [
-        (method, path, what) for path, methods in document["paths"].items() for method, what in methods.items()
-    ]
+    operations = [(method, path, what) for path, all_ in document["paths"].items() for method, what in all_.items()]
     for method, path, operation in sorted(operations):  # which comes to remove a job first
         assert operation["description"], (method, path)
         assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "nobody has written it"

@@ -13,14 +13,13 @@ from PIL import Image
 import sgmethod
 from service.sandbox.pictures import Rival, as_large
 from sgmethod.view import View
+from tests.harness import pictures
 from tests.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
-from tests.harness.pictures import SMALL, page_of_text
+from tests.harness.pictures import SMALL, page_of_text, saved
 from tests.harness.service import Service, StartService, assert_problem
 
 TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
-OTHER = golden_path("v1-paper.sg").read_bytes()
-TEXT = page_of_text()
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def tight(start_for_module: StartService) -> Service:
 def pixels_of(answer: httpx.Response) -> NDArray[np.uint8]:
     assert answer.status_code == 200, answer.text
     assert int(answer.headers["content-length"]) == len(answer.content)
-    return np.asarray(Image.open(io.BytesIO(answer.content)))
+    return pictures.pixels_of(answer.content)
 
 
 @pytest.mark.parametrize("kind", ["png", "jpg", "webp", "avif"])
@@ -85,7 +84,7 @@ def test_rivals_are_as_large(keeping: Service) -> None:
     coffee, image = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
     job, waiting = keeping.accepted(image), keeping.accepted(image)
     keeping.publish(job, coffee)
-    original = np.asarray(Image.open(io.BytesIO(image)).convert("RGB"), float)
+    original = pictures.pixels_of(image).astype(float)
     for kind, name in (("jpg", "JPEG"), ("webp", "WEBP"), ("avif", "AVIF")):
         answer = keeping.client.get(f"/jobs/{job}/rival.{kind}")
         assert Image.open(io.BytesIO(answer.content)).format == name
@@ -104,10 +103,8 @@ def test_rivals_are_as_large(keeping: Service) -> None:
 @pytest.mark.thorough
 def test_rivals_of_a_page_of_text_keep_it_sharp(keeping: Service) -> None:
     """Lossless WebP where it is no larger, with its transparency; AVIF whose colours are as sharp as the rest."""
-    clear = np.dstack([pixels := np.asarray(Image.open(io.BytesIO(TEXT))), 255 - pixels[..., 0] // 2])
-    file = io.BytesIO()
-    Image.fromarray(clear).save(file, "PNG")
-    job = keeping.accepted(file.getvalue())
+    clear = np.dstack([pixels := pictures.pixels_of(page_of_text()), 255 - pixels[..., 0] // 2])
+    job = keeping.accepted(saved(Image.fromarray(clear)))
     keeping.publish(job, PICTURE, bytes=20_000)
     np.testing.assert_array_equal(pixels_of(keeping.client.get(f"/jobs/{job}/rival.webp")), clear)
     assert pixels_of(keeping.client.get(f"/jobs/{job}/rival.avif")).shape == pixels.shape
@@ -119,14 +116,9 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
 
     assert [size(wanted) for wanted in (10, 100, 5099, 9999, 10**9)] == [100, 100, 5000, 9900, 10_000]
     assert [size(wanted) for wanted in (199, 1099)] == [200, 1100]  # the one below is not near
-    pixels = np.asarray(Image.open(io.BytesIO(PHOTOGRAPH)).convert("RGB"))
+    pixels = pictures.pixels_of(PHOTOGRAPH)
     for wanted in range(2000, 6000, 250):
         assert len(Rival("jpg", wanted).made_of(pixels)) >= 0.97 * wanted
-
-
-def test_the_other_version_of_the_file(web: Service) -> None:
-    answer = web.client.get(f"/decode/{web.published(OTHER)}.png?scale=0.5")
-    np.testing.assert_array_equal(pixels_of(answer), sgmethod.decode(OTHER, view=View(0.5)))
 
 
 @pytest.mark.parametrize(
@@ -162,13 +154,6 @@ def test_bodies_that_are_no_bitstream(tight: Service) -> None:
     assert tight.files() == before
 
 
-def test_a_removed_job_is_gone_from_memory_too(web: Service) -> None:
-    job_id = web.published(PICTURE)
-    assert web.client.get(f"/decode/{job_id}.png").status_code == 200
-    assert web.client.delete(f"/jobs/{job_id}").status_code == 204
-    assert_problem(web.client.get(f"/decode/{job_id}.png"), 404)
-
-
 def test_a_preview_is_answered_at_once_and_decoded_from_its_text(web: Service) -> None:
     answer = web.client.post("/preview?bytes=80", content=PHOTOGRAPH)
     made = sgmethod.preview(PHOTOGRAPH, 80)
@@ -198,8 +183,7 @@ def test_what_gets_no_preview(web: Service, query: str, body: bytes, status: int
 @pytest.mark.thorough
 def test_limits_of_previews(web: Service, start_service: StartService) -> None:
     assert_problem(web.client.post("/preview", files={"image": PHOTOGRAPH}), 415, "not a form")
-    file = io.BytesIO()
-    Image.new("1", (1200, 900)).save(file, "PNG")
-    assert_problem(web.client.post("/preview", content=file.getvalue()), 422, "limit is 1,000,000 pixels")
+    large = saved(Image.new("1", (1200, 900)))
+    assert_problem(web.client.post("/preview", content=large), 422, "limit is 1,000,000 pixels")
     short = start_service("web", decode_time_s=0.01)
     assert_problem(short.client.post("/preview", content=PHOTOGRAPH), 422, "time limit")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from PIL import Image
 
-from tests.harness.data import JAVASCRIPT, STATIC
+from tests.harness.data import JAVASCRIPT, PICTURE, STATIC
 from tests.harness.pictures import SMALL, png
 from tests.harness.service import SMALL_QUEUE, Service, assert_problem
 
@@ -40,14 +36,6 @@ def test_page_names_nothing_elsewhere(web: Service) -> None:
         assert "://" not in answer.text.replace("http://www.w3.org", "").replace("http://127.0.0.1:8000", "")
 
 
-def test_openapi_lists_the_routes(web: Service) -> None:
-    job = ("", "/encode", "/events", "/links", "/preview.sg", "/rival.{kind}", "/stop")
-    decode = ("/decode", "/decode.{kind}", "/decode/{job_id}", "/decode/{job_id}.{kind}")
-    others = ("/encode", "/jobs", "/bitstreams/{job_id}.sg", "/preview", "/livez", "/readyz", "/metrics")
-    paths = web.client.get("/openapi.json").json()["paths"]
-    assert set(paths) == {*decode, *others, *(f"/jobs/{{job_id}}{end}" for end in job)}
-
-
 def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert_problem(web.client.get("/nowhere"), 404)
     assert_problem(web.client.get("/static/nothing.js"), 404)
@@ -71,16 +59,24 @@ def test_a_waiting_job_has_a_place_and_no_picture_yet(empty: Service) -> None:
 
 
 def test_jobs_are_listed_newest_first_in_pages(empty: Service) -> None:
-    assert empty.client.get("/jobs").json() == {"jobs": [], "next": None}
-    ids = [empty.accepted() for _ in range(5)]
-    seen, url = [], "/jobs?limit=2"
-    while url:
-        page = empty.client.get(url).json()
-        assert len(page["jobs"]) <= 2
-        seen += [job["id"] for job in page["jobs"]]
-        url = page["next"]
-    assert seen == ids[::-1]
-    for query in ("limit=0", "limit=201", "limit=x", "before=0", "before=" + "9" * 30):
+    """All, or those of a state."""
+
+    def listed(query: str) -> list[str]:
+        seen, url = [], f"/jobs?limit=2{query}"
+        while url:
+            page = empty.client.get(url).json()
+            assert len(page["jobs"]) <= 2
+            seen += [job["id"] for job in page["jobs"]]
+            url = page["next"]
+        return seen
+
+    assert listed("") == []
+    done = [empty.published(PICTURE) for _ in range(3)]
+    waiting = [empty.accepted() for _ in range(2)]
+    assert listed("") == [*waiting[::-1], *done[::-1]]
+    states = ("done", "queued", "failed")
+    assert [listed(f"&state={state}") for state in states] == [done[::-1], waiting[::-1], []]
+    for query in ("limit=0", "limit=201", "limit=x", "before=0", "before=" + "9" * 30, "state=lost"):
         assert assert_problem(empty.client.get(f"/jobs?{query}"), 422)["errors"]
 
 
@@ -99,8 +95,7 @@ REFUSED_FIELDS: dict[str, list[dict[str, str]]] = {
     "unknown profile": [{"bpp": "1", "profile": "best"}],
     "unknown tune": [{"bpp": "1", "tune": "best"}],
     "can only be tuned for psnr": [
-        {"psnr": "30", "tune": "visual"},
-        {"bpp": "1", "profile": "paper", "tune": "visual"},
+        {"tune": "visual", **more} for more in ({"psnr": "30"}, {"bpp": "1", "profile": "paper"})
     ],
     "effort must be a whole number from 1 to 9": [{"bpp": "1", "effort": value} for value in ("10", "5.5")],
     "effort must be a number": [{"bpp": "1", "effort": "all"}],
@@ -156,7 +151,7 @@ def test_an_image_as_the_body(web: Service) -> None:
     assert (job["time_limit_s"], job["priority"], job["tune"], job["effort"]) == (2, "bulk", "psnr", 5)
     unasked = web.job(post("?bpp=1").json()["id"])
     assert (unasked["tune"], unasked["effort"]) == ("visual", 5)
-    assert unasked["priority"] == "interactive"
+    assert (unasked["priority"], unasked["time_limit_s"]) == ("interactive", 300)  # the longest
     assert web.job(post("?bpp=1&effort=7").json()["id"])["effort"] == 7
     assert web.job(post("?quality=40").json()["id"])["budget"] == {"kind": "quality", "value": 40}
     assert web.job(post("?bpp=1&tune=psnr").json()["id"])["tune"] == "psnr"
@@ -168,26 +163,11 @@ def test_an_image_as_the_body(web: Service) -> None:
     assert_problem(post("?bpp=1&psnr=30"), 422, "give one")
     assert_problem(post("?bpp=1&bpp=1"), 422, "twice")
     assert_problem(post("?bpp=1", content=b""), 422, "empty")
-    assert_problem(post("?bpp=1", content=SMALL[:30]), 422)
-    assert_problem(post("?bpp=1", content=b"%PDF-1.7"), 415)
     assert_problem(post("?bpp=1", headers={"Content-Type": "text/plain"}), 415)
-    assert_problem(post("?bpp=1", content=bytes(200_001)), 413)
     assert_problem(post("?bpp=1", content=iter([bytes(100_000)] * 3)), 413)
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)}, data={"bpp": "1"})
     assert_problem(form, 422, "twice")
     assert web.files() == before
-
-
-@pytest.mark.parametrize("format_", ["PNG", "JPEG", "WebP", "TIFF", "BMP"])
-def test_every_format_is_accepted(web: Service, format_: str) -> None:
-    file = io.BytesIO()
-    Image.open(io.BytesIO(SMALL)).save(file, format_)
-    assert web.job(web.accepted(file.getvalue()))["image"]["format"] == format_
-
-
-def test_an_encode_without_a_time_limit_gets_the_longest(web: Service) -> None:
-    answer = web.client.post("/encode", files={"image": ("a.png", SMALL)}, data={"psnr": "30"})
-    assert web.job(answer.json()["id"])["time_limit_s"] == 300
 
 
 def test_the_users_file_name_goes_nowhere(web: Service) -> None:
@@ -200,28 +180,10 @@ def test_the_users_file_name_goes_nowhere(web: Service) -> None:
 
 def test_image_larger_than_the_limit(web: Service) -> None:
     image = {"Content-Type": "image/png"}
-    for size, status in ((200_000, 202), (200_001, 413)):
-        answer = web.client.post("/encode?bpp=1", content=SMALL.ljust(size, b"\0"), headers=image)
-        assert answer.status_code == status
-    assert assert_problem(answer, 413)["max_bytes"] == 200_000
+    fits, large = (web.client.post("/encode", content=SMALL.ljust(n, b"\0"), headers=image) for n in (200_000, 200_001))
+    assert fits.status_code == 202
+    assert assert_problem(large, 413)["max_bytes"] == 200_000
     assert_problem(web.post(SMALL.ljust(200_000, b"\0")), 413)
-
-
-@given(
-    name=st.sampled_from(
-        ["bpp", "bytes", "looks", "psnr", "quality", "gaussians", "profile", "tune", "effort", "time_limit_s", "x"]
-    ),
-    value=st.text(max_size=20) | st.floats().map(str) | st.integers().map(str),
-    image=st.binary(max_size=60) | st.binary(max_size=20).map(lambda junk: SMALL[:60] + junk),
-)
-def test_whatever_is_posted_gets_a_proper_answer(web: Service, name: str, value: str, image: bytes) -> None:
-    try:
-        answer = web.post(image, **{name: value})
-    except UnicodeEncodeError:  # the client cannot send lone surrogates
-        return
-    if answer.status_code != 202:
-        assert answer.status_code in (400, 415, 422)
-        assert_problem(answer, answer.status_code)
 
 
 def test_one_key_makes_one_job(web: Service) -> None:

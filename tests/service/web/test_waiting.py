@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import socket
-import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -15,12 +13,12 @@ from PIL import Image
 
 import sgmethod
 from service.api.requests import MAX_WAIT_S
-from service.keys import digest
 from service.settings import Settings
 from tests.harness.data import PICTURE
+from tests.harness.job_table import change
 from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem, bearer, keys_of
 
 BODY = {"Content-Type": "image/png"}
 QUICK = "time_limit_s=0.1"
@@ -78,7 +76,6 @@ def test_waits_that_are_refused(web: Service, query: str) -> None:
 
 
 def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
-
     def ask() -> httpx.Response:
         return httpx.post(f"{empty.url}/encode?wait=100", content=SMALL, headers=BODY, timeout=200)
 
@@ -99,57 +96,33 @@ def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
 
 
 @pytest.mark.thorough
-def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -> None:
-    web = start_service("web", stop_grace_s=2 * PATIENCE_S)
-    with ThreadPoolExecutor(1) as pool:
-        url = f"{web.url}/encode?wait=300"
-        asking = pool.submit(lambda: httpx.post(url, content=SMALL, headers=BODY, timeout=400))
-        wait_until(lambda: web.client.get("/jobs").json()["jobs"])
-        assert web.stop() == 0
-        assert asking.result().status_code == 202
-
-
-def watching(web: Service, job: str) -> socket.socket:
-    """A stream of events."""
-    stream = web.connect()
-    stream.sendall(f"GET /jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-    return stream
-
-
-def taken(web: Service) -> float:
-    """How many wait or watch."""
-    return web.figures()["sgmethod_streams"]
-
-
-@pytest.mark.thorough
-def test_too_many_that_wait_get_a_job_at_once(start_service: StartService) -> None:
+def test_places_to_wait_or_watch(start_service: StartService) -> None:
+    """Who goes leaves a job, and no place taken. Who finds none that is free gets a job at once."""
     web = start_service("web")
-    job = web.accepted()
-    crowd = [watching(web, job) for _ in range(Settings.max_streams)]
-    wait_until(lambda: taken(web) == len(crowd))
-    assert web.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
-    assert_problem(web.client.get(f"/jobs/{job}/events"), 503, "streams")
-    for stream in crowd:
-        stream.close()
-    wait_until(lambda: taken(web) == 0)
 
+    def wait_for(taken: int) -> None:
+        wait_until(lambda: web.figures()["sgmethod_streams"] == taken)
 
-@pytest.mark.thorough
-def test_who_goes_leaves_a_job_and_no_place_taken(start_service: StartService) -> None:
-    web = start_service("web")
     with web.connect() as gone:
         head = f"Host: localhost\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}\r\n\r\n"
         gone.sendall(b"POST /encode?wait=300 HTTP/1.1\r\n" + head.encode() + SMALL)
-        wait_until(lambda: taken(web) == 1)
-    assert len(web.client.get("/jobs").json()["jobs"]) == 1
-    wait_until(lambda: taken(web) == 0)
+        wait_for(taken=1)
+    wait_for(taken=0)
+    (job,) = web.client.get("/jobs").json()["jobs"]
+    with contextlib.ExitStack() as crowd:
+        for _ in range(Settings.max_streams):
+            stream = crowd.enter_context(web.connect())
+            stream.sendall(f"GET /jobs/{job['id']}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        wait_for(taken=Settings.max_streams)
+        assert web.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
+        assert_problem(web.client.get(f"/jobs/{job['id']}/events"), 503, "streams")
+    wait_for(taken=0)
 
 
 @pytest.mark.thorough
 def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> None:
-    keys = ",".join(f"{name}:{digest(name)}" for name in ("ann", "bob"))
-    web = start_service("web", source_retention_s=1000, api_keys=keys, queue_length=8)
-    web.client.headers["Authorization"] = "Bearer ann"
+    web = start_service("web", source_retention_s=1000, api_keys=keys_of("ann", "bob"), queue_length=8)
+    web.client.headers.update(bearer("ann"))
     done, waiting = web.accepted(), web.accepted()
     web.publish(done, PICTURE)
 
@@ -226,12 +199,11 @@ def test_images_that_are_no_longer_kept(keeping: Service) -> None:
         keeping.publish(job_id, PICTURE)
         assert keeping.client.post(f"/jobs/{job_id}/encode").status_code == 202
     (keeping.data_dir / "sources" / swept).unlink()
-    assert_problem(
-        keeping.client.post(f"/jobs/{swept}/encode"), 503, "not have this file yet"
-    )  # it was stored just now
-    with contextlib.closing(sqlite3.connect(keeping.data_dir / "jobs.sqlite3")) as connection, connection as db:
-        db.execute("UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", (late,))
-        db.execute("UPDATE jobs SET created_at = created_at - 1000")
+    again = keeping.client.post(f"/jobs/{swept}/encode")  # of what was stored just now
+    assert_problem(again, 503, "not have this file yet")
+    with keeping.table() as table:
+        change(table, "UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", late)
+        change(table, "UPDATE jobs SET created_at = created_at - 1000")
     before = keeping.files()
     assert f"sources/{late}" in before  # which the next sweep removes
     for job_id in (swept, late):

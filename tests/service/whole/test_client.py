@@ -1,30 +1,31 @@
-"""The Python client and `sgmethod encode --server`, against a real service."""
+"""The Python client and `sgmethod encode --server`, one picture or many, against a real service."""
 
 from __future__ import annotations
 
-import io
 import json
-import os
-import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 
 import sgmethod
-from service.keys import digest
 from sgmethod import Budget
-from sgmethod.client import Client
+from sgmethod.cli import encoding
+from sgmethod.cli import main as cli
+from sgmethod.client import Client, encode_many
 from sgmethod.client import client as client_module
+from sgmethod.client.connection import Connection
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
 from tests.harness.data import PICTURE, ROOT
-from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService
+from tests.harness.pictures import SMALL, png, saved
+from tests.harness.processes import Outcome, run, wait_until
+from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService, keys_of
 
 
 def test_an_encode(service: Service) -> None:
@@ -58,11 +59,10 @@ def test_a_file_that_came_out_badly(service: Service) -> None:
 
 @pytest.mark.thorough
 def test_what_is_left_out_is_told(service: Service) -> None:
-    file = io.BytesIO()
-    Image.new("RGBA", (64, 48), (200, 80, 60, 100)).save(file, "PNG")
+    glass = saved(Image.new("RGBA", (64, 48), (200, 80, 60, 100)))
     with Client(service.url) as client:
-        kept = client.encode(file.getvalue(), Budget("bytes", 200), time_limit_s=0.5)
-        laid = client.encode(file.getvalue(), Budget("gaussians", 4), "baseline", time_limit_s=0.5)
+        kept = client.encode(glass, Budget("bytes", 200), time_limit_s=0.5)
+        laid = client.encode(glass, Budget("gaussians", 4), "baseline", time_limit_s=0.5)
     assert (kept.notes, laid.notes) == ([], ["transparency is composited over white"])
     assert "notes" not in laid.figures
 
@@ -89,16 +89,6 @@ def test_an_image_that_is_encoded_again(keeping: Service) -> None:
         client.remove(first)
         with pytest.raises(ServerError, match="no such job"):
             client.submit_again(first, Budget("bpp", 1))
-
-
-def test_what_the_server_refuses(service: Service) -> None:
-    with Client(service.url) as client:
-        with pytest.raises(ServerError, match="not a PNG"):
-            client.submit(b"hello", Budget("bpp", 1))
-        with pytest.raises(ServerError, match="bytes"):
-            client.encode(SMALL, Budget("bytes", 1))
-        with pytest.raises(ServerError, match="no such job"):
-            client.wait("0" * 32)
 
 
 def test_a_job_that_somebody_removes(web: Service) -> None:
@@ -169,19 +159,15 @@ def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
 
 
 def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
-    service = start_service(api_keys=f"ann:{digest('secret')}", extra=STAND_IN)
+    service = start_service(api_keys=keys_of("ann"), extra=STAND_IN)
     (tmp_path / "in.png").write_bytes(SMALL)
 
-    def encode(*arguments: str, key: str = "secret") -> subprocess.CompletedProcess[str]:
+    def encode(*arguments: object, key: str = "ann") -> Outcome:
         command = [sys.executable, "-m", "sgmethod", "encode", "in.png", "out.sg", "--server", service.url]
-        environment = {**os.environ, "SG_API_KEY": key, "PYTHONPATH": str(ROOT)}
-        everything = [*command, "--time-limit", "1", *arguments]
-        return subprocess.run(
-            everything, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-        )
+        return run(*command, "--time-limit", 1, *arguments, folder=tmp_path, SG_API_KEY=key, PYTHONPATH=ROOT)
 
-    done = encode("--bpp", "2", "--json", "--trace", "trace.json")
-    assert (done.returncode, done.stderr) == (0, "")
+    done = encode("--bpp", 2, "--json", "--trace", "trace.json")
+    assert (done.status, done.stderr) == (0, "")
     figures = json.loads(done.stdout)
     data = (tmp_path / "out.sg").read_bytes()
     assert figures["bytes"] == len(data)
@@ -191,8 +177,8 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
     assert trace["trace"]
 
     (tmp_path / "out.sg").unlink()
-    for refused, words in ((encode(key="wrong"), "unknown API key; set SG_API_KEY"), (encode("--seed", "1"), "--seed")):
-        assert refused.returncode == 2
+    for refused, words in ((encode(key="wrong"), "unknown API key; set SG_API_KEY"), (encode("--seed", 1), "--seed")):
+        assert refused.status == 2
         assert words in refused.stderr
         assert refused.stderr.count("\n") == 1
         assert not (tmp_path / "out.sg").exists()
@@ -218,5 +204,55 @@ def test_all_that_a_client_may_ask(start_service: StartService) -> None:
             client.links(first, 10**9)
         client.stop(first)  # nothing is left to do
         client.remove(first)
-        with pytest.raises(ServerError, match="no such job"):
-            client.job(first)
+        for ask in (client.job, client.wait):
+            with pytest.raises(ServerError, match="no such job"):
+                ask(first)
+
+
+@pytest.mark.thorough
+def test_many_pictures(service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the client and by the command line: the same files as without a server, and none twice."""
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    for number in range(2):
+        Path(f"in/{number}.png").write_bytes(png(64, 48, number))
+    Path("in/bad.png").write_bytes(b"hello")
+    with Client(service.url) as client:
+        options = {"budget": Budget("gaussians", 9), "effort": 1}
+        first = encode_many(client, sorted(Path("in").iterdir()), "a", resume=True, **options)
+        again = encode_many(client, sorted(Path("in").iterdir()), "a", resume=True, **options)
+    assert (first.encoded, first.skipped, first.failed) == (2, 0, 1)
+    assert (again.encoded, again.skipped, again.failed) == (0, 2, 1)
+    names = ["encode", "in/1.png", "in/bad.png", "--output-dir", "b"]
+    line = [*names, "--gaussians", "9", "--effort", "1", "--quiet", "--resume"]
+    with closing(encoding._client(service.url, True, encoding.MANY_PATIENCE_S)):
+        assert cli.main([*line, "--server", service.url]) == cli.main(line) == 1
+    assert len(Path("b/manifest.jsonl").read_text().splitlines()) == 4  # another server is another choice
+    by_name = {row["name"]: row for row in map(json.loads, Path("a/manifest.jsonl").read_text().splitlines())}
+    assert by_name["bad.sg"]["error"].startswith("the server refused: the file is not a PNG")
+    data = Path("a/1.sg").read_bytes()
+    assert data == Path("b/1.sg").read_bytes()
+    assert by_name["1.sg"]["figures"]["bytes"] == len(data)
+    assert service.client.get("/jobs").json()["jobs"] == []
+
+
+@pytest.mark.thorough
+def test_a_killed_run_finds_its_jobs_again(
+    start_service: StartService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its pictures were encoded twice."""
+    service = start_service(extra=STAND_IN)
+    pictures = [(str(number), png(64, 48, number)) for number in range(2)]
+    ask = Connection.ask
+
+    def killed(connection: Connection, method: str, path: str, **request: Any) -> Any:
+        ask(connection, method, path, **request)
+        raise ServerError("the client was killed before it heard of its job")
+
+    with Client(service.url) as client:
+        with monkeypatch.context() as patch:
+            patch.setattr(Connection, "ask", killed)
+            assert encode_many(client, pictures, tmp_path, time_limit_s=0.1).failed == 2
+        assert encode_many(client, pictures, tmp_path, resume=True, time_limit_s=0.1).encoded == 2
+    assert service.figures()["sgmethod_jobs_accepted_total"] == 2
+    assert service.client.get("/jobs").json()["jobs"] == []

@@ -15,14 +15,23 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import httpx
 import pytest
 
 from tests.harness.data import PICTURE
 from tests.harness.pictures import SLOW, SMALL
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, state_of, wait_until, worker_of
+from tests.harness.processes import (
+    PATIENCE_S,
+    Kind,
+    encoder_of,
+    end_early,
+    processes,
+    running_encoder,
+    wait_until,
+    worker_of,
+)
 from tests.harness.service import STAND_IN, Service, StartService
 
 
@@ -30,15 +39,6 @@ from tests.harness.service import STAND_IN, Service, StartService
 def start_service(start_service: StartService, database_url: str) -> StartService:
     """Every test here runs once on either database."""
     return partial(start_service, database_url=database_url)
-
-
-@pytest.fixture(scope="module", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
-def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
-    """Gives SG_DATABASE_URL of empty job tables, all in one kind of database."""
-    if request.param == "sqlite":
-        return lambda: "sqlite"
-    server: PostgresServer = request.getfixturevalue("postgres")
-    return server.new_database
 
 
 @pytest.fixture(scope="module")
@@ -67,26 +67,22 @@ def duo(two_workers: Service) -> Iterator[Service]:
     two_workers.clear()
 
 
-def running(job_id: str) -> int:
-    """Wait for the job's encoder; its process number."""
-    return wait_until(lambda: encoder_of(job_id)) or 0
-
-
 def sandbox_of(service: Service) -> int:
     """The process that forks."""
     (number,) = [n for n, p in service.family().items() if p.is_a("sandbox") and p.parent == service.process.pid]
     return number
 
 
-def put_to_sleep(service: Service, worker: int) -> None:
-    """Stop a worker at a moment when it does not hold SQLite's lock, for which all others would wait until it wakes up
-    again. PostgreSQL ends such a transaction by itself.
+@contextlib.contextmanager
+def asleep(service: Service, job_id: str) -> Iterator[None]:
+    """Stop the worker of a job's first attempt for a while, at a moment when it does not hold SQLite's lock, for which
+    all others would wait until it wakes up again. PostgreSQL ends such a transaction by itself.
     """
-    table = service.data_dir / "jobs.sqlite3"
+    table, worker = service.data_dir / "jobs.sqlite3", worker_of(service.log, job_id)
 
     def sleeps() -> bool:
         os.kill(worker, signal.SIGSTOP)
-        wait_until(lambda: state_of(worker) == "T")
+        wait_until(lambda: Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[0] == "T")
         if not table.exists():
             return True
         with contextlib.closing(sqlite3.connect(table, timeout=0, isolation_level=None)) as db:
@@ -98,6 +94,10 @@ def put_to_sleep(service: Service, worker: int) -> None:
         return True
 
     wait_until(sleeps)
+    try:
+        yield
+    finally:
+        os.kill(worker, signal.SIGCONT)
 
 
 def assert_settled(service: Service, *done: str) -> None:
@@ -114,7 +114,7 @@ def assert_settled(service: Service, *done: str) -> None:
 
 def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
-    job_id = solo.accepted_long(1)
+    job_id = solo.accepted_slow(1)
     (web,) = solo.ours("web")
     os.kill(web, signal.SIGKILL)
     solo.client.close()
@@ -129,11 +129,11 @@ def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) ->
     """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
     service = start_service(extra=STAND_IN)
     first = service.accepted_slow()
-    running(first)
+    running_encoder(first)
     second = service.accepted()
     service.kill_all()
     service.start()
-    end_early(running(first))
+    end_early(running_encoder(first))
     assert [service.wait(job_id)["attempt"] for job_id in (first, second)] == [2, 1]
     assert_settled(service, first, second)
 
@@ -154,14 +154,10 @@ def test_rule_1_one_key_one_job(start_service: StartService) -> None:
 def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
     """A worker that sleeps beyond its lease ends its encoder when it wakes up, and changes nothing."""
     job_id = duo.accepted_slow()
-    encoder = running(job_id)
-    sleeper = worker_of(duo.log, job_id)
-    put_to_sleep(duo, sleeper)
-    try:
+    encoder = running_encoder(job_id)
+    with asleep(duo, job_id):
         wait_until(lambda: duo.job(job_id)["attempt"] == 2)
         assert encoder in processes()
-    finally:
-        os.kill(sleeper, signal.SIGCONT)
     wait_until(lambda: encoder not in processes())
     job = duo.job(job_id)
     assert (job["state"], job["attempt"]) == ("running", 2)
@@ -173,32 +169,32 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
 def test_rule_3_published_once(duo: Service) -> None:
     """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
     job_id = duo.accepted_slow()
-    encoder = running(job_id)
-    sleeper = worker_of(duo.log, job_id)
-    put_to_sleep(duo, sleeper)
-    try:
+    encoder = running_encoder(job_id)
+    with asleep(duo, job_id):
         end_early(encoder)
         wait_until(lambda: encoder not in processes())
-        end_early(running(job_id))
+        end_early(running_encoder(job_id))
         job = duo.wait(job_id)
-    finally:
-        os.kill(sleeper, signal.SIGCONT)
     wait_until(lambda: f"job {job_id}: attempt 1 was taken over by another worker" in duo.log.read_text())
     assert job["attempt"] == 2
     assert duo.job(job_id) == job
     assert_settled(duo, job_id)
 
 
-def test_rule_4_the_encoder_ends_with_its_worker(solo: Service) -> None:
-    """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
+@pytest.mark.parametrize("kind", ["encoder", "worker", "sandbox"])
+def test_rules_4_and_5_whoever_is_killed(solo: Service, kind: Kind) -> None:
+    """The encode ends, and another attempt at the job comes to its end. The job of a worker goes to the next one when
+    its lease is over; requests wait for the successor of a sandbox, which costs no attempt."""
     job_id = solo.accepted_slow()
-    encoder = running(job_id)
-    (worker,) = solo.ours("worker")
-    os.kill(worker, signal.SIGKILL)
+    encoder = running_encoder(job_id)
+    victim = sandbox_of(solo) if kind == "sandbox" else solo.ours(kind)[0]
+    os.kill(victim, signal.SIGKILL)
+    assert solo.client.post("/decode", content=PICTURE).status_code == 200
     wait_until(lambda: encoder not in processes())
-    end_early(running(job_id))
-    assert solo.wait(job_id)["attempt"] == 2
-    assert solo.ours("worker") != [worker]
+    end_early(running_encoder(job_id))
+    job = solo.wait(job_id)
+    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
+    assert victim not in processes()
     assert_settled(solo, job_id)
 
 
@@ -208,7 +204,7 @@ def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
     failed = solo.accepted(SMALL[: len(SMALL) // 2])
     assert [solo.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
     current, waiting, last = solo.accepted_slow(), solo.accepted(), solo.accepted()
-    encoder = running(current)
+    encoder = running_encoder(current)
     for job_id in (waiting, current, done, failed):
         assert solo.client.delete(f"/jobs/{job_id}").status_code == 204
         for address in (f"/jobs/{job_id}", f"/bitstreams/{job_id}.sg", f"/decode/{job_id}.png"):
@@ -224,37 +220,12 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
     """An encode beyond the time-out is ended and not tried again."""
     service = start_service(max_time_limit_s=2, extra=STAND_IN)
     job_id = service.accepted(SLOW, bpp=1, time_limit_s=2)
-    os.kill(running(job_id), signal.SIGSTOP)
+    encoder = running_encoder(job_id)
+    os.kill(encoder, signal.SIGSTOP)
     job = service.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
+    wait_until(lambda: encoder not in processes())
     assert_settled(service)
-
-
-def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
-    """The encode's process alone dies: its worker starts the job again at once."""
-    job_id = solo.accepted_slow()
-    encoder = running(job_id)
-    os.kill(encoder, signal.SIGKILL)
-    wait_until(lambda: encoder not in processes())
-    end_early(running(job_id))
-    job = solo.wait(job_id)
-    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
-    assert_settled(solo, job_id)
-
-
-def test_a_killed_sandbox_costs_no_attempt(solo: Service) -> None:
-    """The encode ends with it; the job is claimed again, and requests wait for its successor."""
-    job_id = solo.accepted_slow()
-    encoder = running(job_id)
-    sandbox = sandbox_of(solo)
-    os.kill(sandbox, signal.SIGKILL)
-    assert solo.client.post("/decode", content=PICTURE).status_code == 200
-    wait_until(lambda: encoder not in processes())
-    end_early(running(job_id))
-    job = solo.wait(job_id)
-    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
-    assert sandbox_of(solo) != sandbox
-    assert_settled(solo, job_id)
 
 
 @pytest.mark.thorough
@@ -279,7 +250,7 @@ def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
     service = start_service(stop_grace_s=PATIENCE_S, extra=STAND_IN)
     job_id = service.accepted_slow()
-    encoder = running(job_id)
+    encoder = running_encoder(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
     assert service.stop() == 0
     assert not ours & set(processes())

@@ -4,7 +4,6 @@ long waits and events; and with a database and a store that restart.
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import threading
@@ -14,21 +13,18 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
-import numpy as np
 import pytest
-from PIL import Image
 
 import sgmethod
 from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
 from tests.harness.browser import Chromium
 from tests.harness.nginx import Nginx
-from tests.harness.pictures import SLOW, SMALL
+from tests.harness.pictures import SLOW, SMALL, noise
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.s3_server import KeptS3Server
 from tests.harness.service import STAND_IN, Service, StartService
-from tests.service.page.steps import complaints, give
 
 pytestmark = pytest.mark.thorough
 
@@ -108,11 +104,9 @@ def test_a_client_sees_every_page_of_jobs(behind: str, monkeypatch: pytest.Monke
 
 def test_large_bodies_pass(behind: str) -> None:
     """nginx by itself refuses more than 1 MB."""
-    noise = np.random.default_rng(1).integers(0, 256, (1000, 1000, 3), np.uint8)
-    file = io.BytesIO()
-    Image.fromarray(noise).save(file, "PNG")
-    assert len(file.getvalue()) > 2_000_000
-    assert sgmethod.info(posted(behind, "?wait=50", file.getvalue()).content).width == 1000
+    large = noise(1000)
+    assert len(large) > 2_000_000
+    assert sgmethod.info(posted(behind, "?wait=50", large).content).width == 1000
 
 
 def test_events_are_not_held_back(behind: str) -> None:
@@ -133,14 +127,13 @@ def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
     transport = httpx.HTTPTransport(local_address="127.0.0.3")
     with httpx.Client(transport=transport, headers={"X-Forwarded-For": "9.9.9.9"}) as client:
         names = [client.get(f"{root}/jobs").headers["x-request-id"] for _ in range(4)]
-    lines = wait_until(
-        lambda: (
-            len(found := [x for x in service.log.read_text().splitlines() if any(n in x for n in names)]) == 4 and found
-        )
-    )
-    assert lines
-    assert all("127.0.0.3" in line for line in lines)
-    assert "9.9.9.9" not in "".join(lines)
+
+    def lines() -> list[str]:
+        return [line for line in service.log.read_text().splitlines() if any(name in line for name in names)]
+
+    wait_until(lambda: len(lines()) == len(names))
+    assert all("127.0.0.3" in line for line in lines())
+    assert "9.9.9.9" not in "".join(lines())
 
 
 def test_everything_restarts(
@@ -149,14 +142,9 @@ def test_everything_restarts(
     """While a client encodes in bulk, the database, the store, a web process and the worker end and come back: each
     picture is there in the end, once.
     """
-    shared = {
-        "trusted_proxies": "127.0.0.1",
-        "database_url": postgres.new_database(),
-        "storage_url": store.new_storage(),
-        "lease_s": 2,
-    }
-    environment = {**store.environment, **STAND_IN}
-    webs = [start_service(command, **shared, extra=environment) for command in ("serve", "web")]
+    shared = {"database_url": postgres.new_database(), "storage_url": store.new_storage(), "lease_s": 2}
+    shared |= {"trusted_proxies": "127.0.0.1", "extra": {**store.environment, **STAND_IN}}
+    webs = [start_service(command, **shared) for command in ("serve", "web")]
     root = start_proxy([web.url for web in webs]).url
     rows: list[Row] = []
 
@@ -190,12 +178,12 @@ def test_the_page_works(behind: str, browser: Chromium) -> None:
     browser.open(f"{behind}/")
     wait_until(lambda: browser.is_seen("#right-label") and browser.is_seen("#left-label"))
     browser.run("document.getElementById('more').open = true; document.getElementById('time-limit').value = '0.1'")
-    give(browser, "drop", SMALL, "one.png")
+    browser.give("drop", SMALL, "one.png")
     wait_until(lambda: len(browser.run("return location.hash")) == len("#") + 32)
     command = "return document.getElementById('curl').textContent"
     wait_until(lambda: browser.run(command).endswith("one.sg"))
     assert f"'{behind}/encode?wait=50'" in browser.run(command)
-    assert complaints(browser) == []
+    assert browser.complaints() == []
     browser.open(f"{behind}/docs")
     wait_until(lambda: browser.run("return document.querySelectorAll('#operations details').length"))
     assert browser.run(f"return document.body.textContent.includes('{behind}/encode?wait=50')")

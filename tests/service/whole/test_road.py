@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import sgmethod
 from sgmethod.profiles import DEFAULT_PROFILE
-from tests.harness.pictures import SMALL, png
+from tests.harness.pictures import SMALL, pixels_of
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, assert_problem
 
@@ -81,17 +79,15 @@ def test_picture_and_bitstream_agree(service: Service, done: dict[str, Any]) -> 
     assert len(bitstream.content) == done["result"]["bytes"]
     picture = service.client.get(done["decode_url"])
     assert picture.headers["content-type"] == "image/png"
-    pixels = np.asarray(Image.open(io.BytesIO(picture.content)))
+    pixels = pixels_of(picture.content)
     np.testing.assert_array_equal(pixels, sgmethod.decode(bitstream.content))
-    source = np.asarray(Image.open(io.BytesIO(SMALL)), dtype=np.float64)
-    error = np.mean((pixels - source) ** 2)
+    error = np.mean((pixels - pixels_of(SMALL).astype(float)) ** 2)
     assert 10 * np.log10(255**2 / error) == pytest.approx(done["result"]["psnr"], abs=0.01)
 
 
 def test_what_the_codec_refuses_fails_at_once(service: Service) -> None:
     """Such as an image with a good header, and pixels that are missing."""
-    whole = png(64, 48)
-    job = service.wait(service.accepted(whole[: len(whole) // 2], bpp=1))
+    job = service.wait(service.accepted(SMALL[: len(SMALL) // 2], bpp=1))
     assert (job["state"], job["attempt"], job["result"]) == ("failed", 1, None)
     assert job["error"]["code"] == "refused"
     assert "truncated" in job["error"]["detail"]

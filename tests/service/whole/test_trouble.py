@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
-import numpy as np
 import psycopg
 import pytest
 from PIL import Image
 
 from service.storage.bucket import SILENCE, SMALL_BYTES
 from tests.harness.data import PICTURE, ROOT
+from tests.harness.job_table import grow_older
+from tests.harness.pictures import noise, saved
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until, worker_of
+from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, running_encoder, wait_until, worker_of
 from tests.harness.s3_server import S3Server
 from tests.harness.service import STAND_IN, StartService, assert_problem
 
@@ -75,9 +73,9 @@ def test_full_disk_while_finishing(small_disk: Path, start_service: StartService
     """A result waits for room; the encode is not done again."""
     service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=ROOM_BYTES, extra=STAND_IN)
     job_id = service.accepted_slow()
-    encoder = wait_until(lambda: encoder_of(job_id))
+    encoder = running_encoder(job_id)
     ballast = fill(small_disk)
-    end_early(encoder or 0)
+    end_early(encoder)
     wait_until(lambda: "cannot be stored yet" in service.log.read_text())
     assert service.job(job_id)["state"] == "running"
     ballast.unlink()
@@ -104,13 +102,13 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
     """An encode goes on meanwhile, its result is published afterwards, and new jobs find their workers."""
     service = start_service(database_url=postgres.new_database(), lease_s=20, extra=STAND_IN)
     job_id = service.accepted_slow()
-    encoder = wait_until(lambda: encoder_of(job_id))
+    encoder = running_encoder(job_id)
     postgres.stop("immediate")
     try:
         wait_until(lambda: f"job {job_id}: no heartbeat" in service.log.read_text())
     finally:
         postgres.start()
-    end_early(encoder or 0)
+    end_early(encoder)
     job = service.wait(job_id)
     assert (job["state"], job["attempt"]) == ("done", 1)
     assert service.wait(service.accepted())["attempt"] == 1
@@ -144,8 +142,8 @@ def test_a_storage_that_breaks(start_service: StartService) -> None:
     answer = web.client.get(f"/bitstreams/{lost}.sg")
     assert_problem(answer, 503, "not have this file yet")
     assert answer.headers["retry-after"]
-    with contextlib.closing(sqlite3.connect(web.data_dir / "jobs.sqlite3")) as connection, connection as db:
-        db.execute("UPDATE jobs SET finished_at = finished_at - 1000")
+    with web.table() as table:
+        grow_older(table, 1000)
     assert_problem(web.client.get(f"/bitstreams/{lost}.sg"), 500, "missing")
     assert_problem(web.client.get(f"/decode/{lost}.png"), 500, "missing")
     assert_problem(web.client.get(f"/decode/{damaged}.png"), 500, "damaged")
@@ -175,15 +173,13 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
     done = service.wait(service.accepted())
     own_s3.freeze()
     service.client.timeout = httpx.Timeout(SOON_S)
-    noise = np.random.default_rng(1).integers(0, 256, (700, 700, 3), np.uint8)
-    file = io.BytesIO()
-    Image.fromarray(noise).save(file, "PNG")
-    assert len(file.getvalue()) > SMALL_BYTES
+    large = noise(700)
+    assert len(large) > SMALL_BYTES
     for ask in (
         lambda: service.client.get(done["bitstream_url"]),
         lambda: service.client.get(done["decode_url"]),
         service.post,
-        lambda: service.post(file.getvalue()),
+        lambda: service.post(large),
         lambda: service.client.post(f"{done['status_url']}/encode"),
     ):
         answer = ask()
@@ -205,7 +201,7 @@ def test_workers_that_share_only_a_database_and_a_bucket(
             command = [sys.executable, "-m", "service", "worker"]
             workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
     jobs = [web.accepted_slow() for _ in range(3)]
-    encoder = wait_until(lambda: encoder_of(jobs[0])) or 0
+    encoder = running_encoder(jobs[0])
     logs = [tmp_path / f"{name}.log" for name in ("a", "b")]
     wait_until(lambda: all("attempt 1" in log.read_text() for log in logs))
     (victim,) = filter(None, (worker_of(log, jobs[0]) for log in logs))
@@ -229,8 +225,7 @@ def test_workers_that_share_only_a_database_and_a_bucket(
 def test_supervisor_killed_alone(start_service: StartService) -> None:
     """Without their supervisor the other processes end by themselves, so that a new one finds free ground."""
     service = start_service(extra=STAND_IN)
-    job_id = service.accepted_slow()
-    encoder = wait_until(lambda: encoder_of(job_id))
+    encoder = running_encoder(service.accepted_slow())
     orphans = {encoder, *service.ours("sandbox"), *service.ours("web"), *service.ours("worker")}
     service.process.kill()
     service.process.wait()
@@ -247,9 +242,7 @@ def test_interrupt_stops_too(start_service: StartService) -> None:
 def test_memory_limit(start_service: StartService) -> None:
     """An encode that wants more memory than it may have fails, and nothing else does."""
     service = start_service(job_memory_bytes=500 * 2**20, max_pixels=10**8)
-    file = io.BytesIO()
-    Image.new("RGB", (9000, 9000)).save(file, "PNG")
-    job = service.wait(service.accepted(file.getvalue()))
+    job = service.wait(service.accepted(saved(Image.new("RGB", (9000, 9000)))))
     assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "refused")
     assert "memory" in job["error"]["detail"]
     assert service.client.get("/livez").status_code == 200

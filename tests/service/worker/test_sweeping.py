@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ from service.storage.files import DiskStorage, Storage, bitstream_key, source_ke
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
 from tests.harness import job_table
-from tests.harness.job_table import LONG_S, REFUSED, OpenTable, claimed
+from tests.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
 from tests.harness.processes import wait_until
 
 AT_ONCE_S = -5.0
@@ -66,20 +65,8 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed
 
 
-def test_images_go_before_their_jobs(table: JobTable, storage: Storage, open_job_table: OpenTable) -> None:
-    """As when they are kept no longer. They are not counted any more then."""
-    keeping = open_job_table(LONG_S, source_retention_s=60.0)
-    job_id = submitted(keeping, storage)
-    assert keeping.finish(claimed(keeping), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
-    sweep_orphans = partial(sweep, retention_s=1000, orphan_age_s=AT_ONCE_S)
-    assert sweep_orphans(keeping, storage, source_retention_s=60) == Swept(0, 0)
-    assert stored(storage) == {source_key(job_id)}
-    assert sweep_orphans(table, storage) == Swept(0, 1)
-    assert (stored(storage), table.census().stored_bytes) == (set(), 7)
-
-
 def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage: Storage) -> None:
-    """However young it is; and once."""
+    """However young it is; and once. Then it is not counted any more."""
     table = open_job_table(LONG_S, source_retention_s=60.0)
     done, refused, waiting = (submitted(table, storage) for _ in range(3))
     assert table.finish(claimed(table), EncodeResult(bitstream_key(done, 1), "", {"bytes": 7}))
@@ -89,6 +76,7 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S, dry_run=True) == swept
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
         assert stored(storage) == {source_key(waiting)}
+    assert table.census().stored_bytes == 7 + IMAGE.size_bytes
     assert {job.id for job in table.page(10)} == {done, refused, waiting}
 
 

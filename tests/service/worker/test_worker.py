@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import socket
-import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 
@@ -16,12 +13,13 @@ from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
 from service.settings import Settings
-from service.storage.files import DiskStorage, bitstream_key, source_key
+from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from service.worker import attempt as attempt_module
 from service.worker import loop
-from service.worker.attempt import Attempt, ClaimLostError, Encoded, StoppedError
+from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
 from tests.harness.job_table import LONG_S, claimed, job_of, submitted
+from tests.harness.processes import failing
 
 
 class Unsteady(SqliteJobTable):
@@ -45,18 +43,6 @@ class Unsteady(SqliteJobTable):
         return job
 
 
-class Full(DiskStorage):
-    """A disk that fails this many times."""
-
-    refusals = 0
-
-    def put(self, key: str, data: bytes) -> None:
-        if self.refusals:
-            self.refusals -= 1
-            raise OSError(28, "No space left on device")
-        super().put(key, data)
-
-
 @pytest.fixture
 def table(tmp_path: Path) -> Iterator[Unsteady]:
     table = Unsteady(tmp_path / "jobs.sqlite3", JobRules(LONG_S, 4))
@@ -65,8 +51,8 @@ def table(tmp_path: Path) -> Iterator[Unsteady]:
 
 
 @pytest.fixture
-def storage(tmp_path: Path) -> Full:
-    return Full(tmp_path)
+def storage(tmp_path: Path) -> Storage:
+    return DiskStorage(tmp_path)
 
 
 @pytest.fixture
@@ -75,21 +61,25 @@ def stop() -> StopSignal:
 
 
 @pytest.fixture
-def worker(table: Unsteady, storage: Full, stop: StopSignal) -> Iterator[Worker]:
+def worker(table: Unsteady, storage: Storage, stop: StopSignal) -> Iterator[Worker]:
     requests, silent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with requests, silent:
         yield Worker(Settings(), table, storage, Sandbox(requests), stop)
 
 
 @pytest.fixture
-def claim(table: Unsteady, storage: DiskStorage) -> Claim:
+def claim(table: Unsteady, storage: Storage) -> Claim:
     storage.put(source_key(submitted(table)), b"image")
     return claimed(table)
 
 
-@pytest.fixture
-def attempt(table: Unsteady, storage: Full, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch) -> Attempt:
+@pytest.fixture(autouse=True)
+def no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(attempt_module, "PAUSE_AFTER_TROUBLE_S", 0.0)
+
+
+@pytest.fixture
+def attempt(table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim) -> Attempt:
     return Attempt(table, storage, claim, stop)
 
 
@@ -100,25 +90,6 @@ def result_of(table: Unsteady, claim: Claim) -> str | None:
 
 def bitstreams(tmp_path: Path) -> list[str]:
     return sorted(f"bitstreams/{path.name}" for path in (tmp_path / "bitstreams").iterdir())
-
-
-def test_two_attempts_and_one_result(
-    table: Unsteady, storage: Full, stop: StopSignal, attempt: Attempt, claim: Claim, tmp_path: Path
-) -> None:
-    """Rule 3: the attempt that lost its claim publishes nothing and leaves nothing."""
-    assert table.release(claim)
-    second = table.claim("other")
-    assert second is not None
-    with pytest.raises(ClaimLostError):
-        attempt.conclude(Encoded({}, b"of the first"))
-    assert bitstreams(tmp_path) == []
-    Attempt(table, storage, second, stop).conclude(Encoded({}, b"of the second"))
-    with pytest.raises(ClaimLostError):
-        attempt.conclude(Encoded({}, b"of the first, later"))
-    key = bitstream_key(claim.job_id, 2)
-    assert bitstreams(tmp_path) == [key]
-    assert result_of(table, claim) == key
-    assert (tmp_path / key).read_bytes() == b"of the second"
 
 
 def test_a_lost_answer_loses_no_result(table: Unsteady, attempt: Attempt, claim: Claim, tmp_path: Path) -> None:
@@ -140,28 +111,23 @@ def test_stopping_while_the_table_is_out_of_reach(
     assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
 
 
-def test_a_result_waits_for_space(table: Unsteady, attempt: Attempt, storage: Full, claim: Claim) -> None:
-    storage.refusals = 3
+def test_a_result_waits_for_space(
+    table: Unsteady, attempt: Attempt, storage: Storage, claim: Claim, stop: StopSignal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "put", failing(storage.put, *[OSError(28, "No space left on device")] * 3))
     attempt.conclude(Encoded({}, b"data"))
     assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
-
-
-def test_stopping_while_the_disk_is_full(attempt: Attempt, storage: Full, stop: StopSignal) -> None:
-    storage.refusals = 100
+    monkeypatch.setattr(storage, "put", failing(storage.put, *[OSError(28, "No space left on device")] * 100))
     stop.request()
     with pytest.raises(StoppedError):
         attempt.conclude(Encoded({}, b"data"))
 
 
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
-    table: Unsteady, storage: Full, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
+    table: Unsteady, storage: Storage, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert table.release(claim)
-
-    def out_of_reach(_key: str) -> None:
-        raise OSError(5, "the object store failed")
-
-    monkeypatch.setattr(storage, "open", out_of_reach)
+    monkeypatch.setattr(storage, "open", failing(storage.open, OSError(5, "the object store failed")))
     with pytest.raises(OSError, match="the object store failed"):
         worker.run_one()
     job = job_of(table, claim.job_id)
@@ -182,7 +148,7 @@ def test_a_heartbeat_sends_each_point_once(table: Unsteady, attempt: Attempt, cl
 
 
 def test_a_heartbeat_that_nobody_hears_goes_on(
-    table: Unsteady, storage: Full, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
+    table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rule 2: that a job is lost is the table's word, which silence is not."""
     clock = [1000.0]
@@ -203,32 +169,17 @@ def test_an_end_is_written_down_however_long_it_takes(
     table: Unsteady, attempt: Attempt, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | JobError
 ) -> None:
     """Rule 7: else the lease would run out, and that counts as a crash."""
-    refusals = iter([JobTableError("out of reach")] * 5)
-    connection = table._connection
-
-    def out_of_reach() -> AbstractContextManager[sqlite3.Connection]:
-        for error in refusals:
-            raise error
-        return connection()
-
-    monkeypatch.setattr(table, "_connection", out_of_reach)
+    monkeypatch.setattr(table, "_connection", failing(table._connection, *[JobTableError("out of reach")] * 5))
     attempt.conclude(outcome)
     job = job_of(table, claim.job_id)
     assert (job.state, job.crashes) == ("done" if isinstance(outcome, Encoded) else "failed", 0)
 
 
 def test_a_source_that_the_storage_has_later(
-    storage: Full, worker: Worker, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+    storage: Storage, worker: Worker, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a store that copies between places. It made the job fail, after four attempts within two seconds."""
-    misses, has = iter([FileNotFoundError()] * 2), storage.open
-
-    def open_late(key: str) -> BinaryIO:
-        for error in misses:
-            raise error
-        return has(key)
-
-    monkeypatch.setattr(storage, "open", open_late)
+    monkeypatch.setattr(storage, "open", failing(storage.open, *[FileNotFoundError()] * 2))
     with worker._source(attempt) as file:
         assert file.read() == b"image"
 
@@ -245,7 +196,7 @@ def test_what_nobody_foresaw_does_not_end_a_worker(
 
 
 def test_a_source_that_is_gone(
-    table: Unsteady, storage: DiskStorage, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
+    table: Unsteady, storage: Storage, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(loop, "MISSING_S", 0.0)
     assert table.release(claim)

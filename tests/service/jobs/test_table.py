@@ -1,4 +1,4 @@
-"""Which worker runs which job when, and whose report counts."""
+"""What every job table does: which worker runs which job when, whose report counts, and what is counted."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from service.jobs import table as table_module
-from service.jobs.job import Claim, EncodeResult, JobError
+from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
+from service.jobs.job import Claim, EncodeResult, LimitError
 from service.jobs.table import JobTable
-from service.opening import open_job_table as open_backend_of
-from service.settings import Settings
+from service.storage.files import source_key
 from tests.harness.job_table import (
     CRASH,
     IMAGE,
@@ -23,21 +23,15 @@ from tests.harness.job_table import (
     REQUEST,
     RESULT,
     OpenTable,
+    change,
     claimed,
     job_of,
+    new,
     open_table,
     state,
     submitted,
     what_all_say,
 )
-
-
-def test_jobs_are_claimed_in_order_and_once(table: JobTable) -> None:
-    ids = [submitted(table) for _ in range(3)]
-    claims = [claimed(table) for _ in range(3)]
-    assert [claim.job_id for claim in claims] == ids
-    assert claims[0] == Claim(ids[0], 1, REQUEST, IMAGE)
-    assert table.claim("w") is None
 
 
 def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:
@@ -46,6 +40,7 @@ def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:
     positions = {job.id: (job.position, job.priority) for job in table.page(10)}
     assert positions == {urgent: (1, "interactive"), bulk: (2, "bulk"), late_bulk: (3, "bulk")}
     assert [claimed(table).job_id for _ in range(3)] == [urgent, bulk, late_bulk]
+    assert table.claim("w") is None
 
 
 def test_owners_take_turns(table: JobTable) -> None:
@@ -54,7 +49,7 @@ def test_owners_take_turns(table: JobTable) -> None:
     of_bert = [submitted(table, owner="bert") for _ in range(2)]
     of_cora = [submitted(table, owner="cora")]
     first = claimed(table)
-    assert first.job_id == of_anna[0]
+    assert first == Claim(of_anna[0], 1, REQUEST, IMAGE)
     assert [claimed(table).job_id for _ in range(2)] == [of_bert[0], of_cora[0]]
     assert table.finish(first, RESULT)  # anna has none running
     second = claimed(table)
@@ -64,17 +59,6 @@ def test_owners_take_turns(table: JobTable) -> None:
     assert third.job_id == of_anna[2]
     # All have one running: bert was served before anna.
     assert [claimed(table).job_id for _ in range(2)] == [of_bert[1], of_anna[3]]
-
-
-def test_the_operators_limits_reach_the_table(tmp_path: Path) -> None:
-    table = open_backend_of(Settings(data_dir=tmp_path, lease_s=LONG_S))
-    first = submitted(table)
-    for crashes in range(1, 5):
-        claim = claimed(table)
-        assert claim.job_id == first
-        assert table.fail(claim, CRASH)
-        assert state(table, first) == ("queued" if crashes < 4 else "failed")
-    table.close()
 
 
 def test_heartbeat_carries_the_trace(table: JobTable) -> None:
@@ -132,43 +116,6 @@ def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     assert not hasty.finish(stale, EncodeResult("bitstreams/x.9.sg", "cd" * 32, {}))
 
 
-def test_a_removed_job_is_lost_to_its_worker(table: JobTable) -> None:
-    job_id = submitted(table)
-    claim = claimed(table)
-    assert table.heartbeat(claim, [{"step": 0}], 0)
-    removed = table.remove(job_id)
-    assert removed is not None
-    assert (removed.id, removed.state) == (job_id, "running")
-    assert table.remove(job_id) is None
-    assert not table.heartbeat(claim, [{"step": 1}], 1)
-    assert not table.finish(claim, RESULT)
-    assert table.trace(job_id) == []
-
-
-def test_ends(table: JobTable) -> None:
-    """Done, refused, and crashed as often as may be."""
-    done, refused, crashing = (submitted(table) for _ in range(3))
-    claim = claimed(table)
-    for _ in range(2):  # as after a commit whose answer was lost
-        assert table.finish(claim, RESULT)
-    assert table.fail(claimed(table), REFUSED)
-    for attempt in (1, 2):
-        claim = claimed(table)
-        assert (claim.job_id, claim.attempt) == (crashing, attempt)
-        assert table.fail(claim, CRASH)
-        assert state(table, crashing) == "queued"
-    assert table.fail(claimed(table), JobError("crashed", "the last one"))
-    assert table.claim("w") is None
-    jobs = [job_of(table, job_id) for job_id in (done, refused, crashing)]
-    assert [(job.state, job.crashes, job.result, job.error) for job in jobs] == [
-        ("done", 0, RESULT, None),
-        ("failed", 0, None, REFUSED),
-        ("failed", 3, None, JobError("crashed", "the last one")),
-    ]
-    assert all(job.finished_at is not None for job in jobs)
-    assert table.needed_keys() == {RESULT.bitstream_key}
-
-
 def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> None:
     hasty = open_job_table(NO_TIME_S)
     job_id = submitted(hasty)
@@ -179,18 +126,6 @@ def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> Non
     claimed(hasty)
     assert [job.id for job in hasty.reconcile()] == [job_id]
     assert state(hasty, job_id) == "failed"
-
-
-def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let time pass for the watcher of leases, and none for the leases."""
-    now = table_module.time.monotonic()
-    monkeypatch.setattr(table_module.time, "monotonic", lambda: now + seconds)
-
-
-def move_clock(table: JobTable, seconds: float) -> None:
-    """Put the table's clock forward after all that was written."""
-    with table._transaction() as db:
-        db.execute("UPDATE jobs SET lease_until = lease_until - ?", (seconds,))
 
 
 @pytest.mark.parametrize("lives", [True, False])
@@ -204,12 +139,13 @@ def test_a_clock_that_jumps(
     table = open_job_table(LONG_S)
     submitted(table)
     claim = claimed(table)
-    move_clock(table, jump_s)
+    change(table, "UPDATE jobs SET lease_until = lease_until - ?", jump_s)
     assert table.reconcile() == []
     assert state(table, claim.job_id) == "running"
     if lives:
         assert table.heartbeat(claim, [], 0)
-    pass_time(monkeypatch, LONG_S if jump_s else 10 * LONG_S)
+    later = table_module.time.monotonic() + (LONG_S if jump_s else 10 * LONG_S)
+    monkeypatch.setattr(table_module.time, "monotonic", lambda: later)  # for the watcher of leases alone
     assert table.reconcile() == []
     job = job_of(table, claim.job_id)
     expected = ("running", 0) if lives or not jump_s else ("queued", 1)
@@ -219,9 +155,8 @@ def test_a_clock_that_jumps(
 def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
     strange = submitted(table)
-    with table._transaction() as db:
-        request = json.dumps({**asdict(REQUEST), "mood": 9, "tune": "sharper"})
-        db.execute("UPDATE jobs SET request = ? WHERE id = ?", (request, strange))
+    request = json.dumps({**asdict(REQUEST), "mood": 9, "tune": "sharper"})
+    change(table, "UPDATE jobs SET request = ? WHERE id = ?", request, strange)
     plain = submitted(table)
     claims = [table.claim("w") for _ in range(4)]
     assert [claim.job_id for claim in claims if claim is not None] == [plain]
@@ -237,8 +172,7 @@ def test_a_released_job_keeps_its_place_and_counts_no_crash(table: JobTable) -> 
     assert table.release(claimed(table))
     again = claimed(table)
     assert (again.job_id, again.attempt) == (first, 2)
-    job = job_of(table, first)
-    assert job.crashes == 0
+    assert job_of(table, first).crashes == 0
     assert claimed(table).job_id == second
 
 
@@ -255,8 +189,106 @@ def _claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.Simp
 def test_processes_share_a_table(database_url: str, tmp_path: Path) -> None:
     """No job goes to two of them."""
     first = open_table(database_url, tmp_path, LONG_S)
-    expected = {submitted(first) for _ in range(60)}
+    expected = [submitted(first) for _ in range(60)]
     first.close()
-    seen = what_all_say(_claim_and_finish, 4, database_url, tmp_path)
-    assert len(seen) == len(expected)
-    assert set(seen) == expected
+    assert sorted(what_all_say(_claim_and_finish, 4, database_url, tmp_path)) == sorted(expected)
+
+
+def test_queue_length_counts_waiting_jobs_only(open_job_table: OpenTable) -> None:
+    table = open_job_table(LONG_S, queue_length=1)
+    table.submit(new("key"))
+    for refused in (lambda: table.submit(new()), table.check_queue, lambda: table.check_queue("ann", "key")):
+        with pytest.raises(LimitError) as refusal:
+            refused()
+        assert refusal.value.reason == "queue"
+    table.check_queue(idempotency_key="key")  # which makes no new job
+    claimed(table)
+    table.submit(new())
+    assert table.queued() == 1
+
+
+def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    for failures, worker in enumerate(("one", "two", "one")):
+        table.sign(worker, failures)
+    workers = table.census().workers
+    assert table.census().failures == {"one": 2, "two": 1}
+    assert sorted(workers) == ["one", "two"]
+    assert all(-1 < seconds < 60 for seconds in workers.values())
+    table.sign_off("two")
+    assert list(table.census().workers) == ["one"]
+    monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
+    table.sign("three")  # and workers that were silent for too long are forgotten
+    assert table.census().workers == {}
+
+
+def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
+    table = open_table(database_url, folder, LONG_S)
+    ids.put(table.submit(new("the same key"))[0].id)
+    table.close()
+
+
+def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_path: Path) -> None:
+    """And all submit under one key: it is one job."""
+    ids = what_all_say(_submit_and_close, 4, database_url, tmp_path)
+    assert (len(ids), len(set(ids))) == (4, 1)
+
+
+@pytest.mark.parametrize("kept_s", [0.0, LONG_S])
+def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, kept_s: float) -> None:
+    """Of images of finished jobs too, where those are kept."""
+    table = open_job_table(LONG_S, source_retention_s=kept_s)
+    done, failed, crashing = (table.submit(new(owner="ann"))[0] for _ in range(3))
+    size = done.image.size_bytes
+    kept = size if kept_s else 0
+    assert table.census().stored_bytes == 3 * size
+    claims = {claim.job_id: claim for claim in (claimed(table) for _ in range(3))}
+    for _ in range(2):  # as after a commit whose answer was lost
+        assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
+    table.fail(claims[failed.id], REFUSED)
+    assert table.census().stored_bytes == size + 7 + 2 * kept
+    table.fail(claims[crashing.id], CRASH)
+    assert table.census().stored_bytes == size + 7 + 2 * kept  # it is tried again
+    while (claim := table.claim("w")) is not None:
+        table.fail(claim, CRASH)
+    assert table.census().stored_bytes == 7 + 3 * kept
+    images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
+    assert table.needed_keys() == {*images, "bitstreams/x"}
+    for job in (done, done, failed, crashing):
+        table.source_removed(job.id)
+    assert (table.census().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
+    table.source_removed(table.submit(new())[0].id)  # which waits
+    assert table.census().stored_bytes == 7 + size
+    table.remove(done.id)
+    assert table.census().stored_bytes == size
+
+
+def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
+    """Whether or not the jobs are still there."""
+    done, crashed, refused, cancelled = (submitted(table) for _ in range(4))
+    assert table.finish(claimed(table), RESULT)
+    assert table.finish(Claim(done, 1, REQUEST, IMAGE), RESULT)  # once more, as after an answer that was lost
+    for _ in range(3):  # of RULES
+        assert table.fail(claimed(table), CRASH)
+    assert table.fail(claimed(table), REFUSED)
+    for job_id in (done, crashed, refused, cancelled):
+        table.remove(job_id)
+    totals = table.census().totals
+    assert {name: totals.get(name, 0) for name in ENDINGS} == {"finished": 1, "retried": 2, "failed": 2, "cancelled": 1}
+    assert sum(totals.get(bucket(most), 0) for most in BUCKETS_S) == 1
+    assert totals[SECONDS] >= 0
+
+
+def test_quotas(open_job_table: OpenTable) -> None:
+    size = new().image.size_bytes
+
+    def refused(owner: str, **quotas: int) -> str:
+        with pytest.raises(LimitError, match="remove jobs first") as refusal:
+            open_job_table(LONG_S, **quotas).submit(new(owner=owner))
+        return refusal.value.reason
+
+    own = open_job_table(LONG_S, own_quota_bytes=size)
+    submitted(own, owner="ann")
+    assert refused("ann", own_quota_bytes=2 * size - 1) == "own_quota"
+    submitted(own, owner="bob")
+    assert refused("cat", quota_bytes=3 * size - 1, own_quota_bytes=size) == "quota"
+    submitted(open_job_table(LONG_S, quota_bytes=3 * size, own_quota_bytes=size), owner="cat")

@@ -1,0 +1,169 @@
+"""What only the table in PostgreSQL must do, or only the one in SQLite."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import psycopg
+import pytest
+
+from service.jobs.job import JobTableError, job_of
+from service.jobs.postgres import PostgresJobTable
+from service.jobs.sqlite import SqliteJobTable
+from service.process.loops import StopSignal
+from tests.harness.job_table import RULES, claimed, submitted
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.processes import PATIENCE_S, failing
+
+PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
+
+
+@pytest.fixture
+def url(postgres: PostgresServer) -> str:
+    return postgres.new_database()
+
+
+@pytest.fixture
+def jobs(url: str) -> Iterator[PostgresJobTable]:
+    with closing(PostgresJobTable(url, RULES)) as jobs:
+        yield jobs
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Where a table in SQLite belongs, in a folder of its own."""
+    (tmp_path / "data").mkdir()
+    return tmp_path / "data" / "jobs.sqlite3"
+
+
+def assert_delivers(jobs: PostgresJobTable) -> None:
+    """Each job wakes a worker at once; what it was called for and does not find does no harm; it ends when told."""
+    stop, taken = StopSignal(), threading.Semaphore(0)
+
+    def run_next() -> bool:
+        if jobs.claim("w") is None:
+            return False
+        taken.release()
+        return True
+
+    thread = threading.Thread(target=jobs.deliver, args=(run_next, stop))
+    thread.start()
+    for _ in range(3):
+        submitted(jobs)
+    for _ in range(3):
+        assert taken.acquire(timeout=PATIENCE_S)
+    stop.request()
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert jobs.census().jobs["running"] == 3
+
+
+def test_delivery(jobs: PostgresJobTable) -> None:
+    assert_delivers(jobs)
+
+
+@pytest.mark.skipif(PGBOUNCER is None, reason="PgBouncer is not installed: sudo apt install pgbouncer")
+def test_behind_a_pooler(postgres: PostgresServer) -> None:
+    """One that pools sessions will do. With one that pools transactions, settings of ours would reach others."""
+    assert PGBOUNCER is not None
+    with postgres.pooled(PGBOUNCER, "session") as url, closing(PostgresJobTable(url, RULES)) as jobs:
+        assert_delivers(jobs)
+    refused = "SG_DATABASE_URL: the pooler is in transaction mode"
+    with postgres.pooled(PGBOUNCER, "transaction") as url, pytest.raises(JobTableError, match=refused):
+        PostgresJobTable(url, RULES)
+
+
+def test_a_database_without_an_encoding(postgres: PostgresServer) -> None:
+    """As a cluster made in the C locale has it: it worked once, and never again."""
+    url = postgres.new_database("ENCODING 'SQL_ASCII' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0")
+    for _ in range(2):
+        with closing(PostgresJobTable(url, RULES)) as jobs:
+            submitted(jobs)
+
+
+def tokens(url: str) -> int:
+    with psycopg.connect(url) as db:
+        return len(db.execute("SELECT FROM sgmethod_engine.procrastinate_jobs").fetchall())
+
+
+def test_rule_1_row_and_engine_job_are_one_transaction(
+    url: str, jobs: PostgresJobTable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submitted(jobs)
+    assert (jobs.queued(), tokens(url)) == (1, 1)
+    broken = failing(job_of, psycopg.OperationalError("broken off"))
+    monkeypatch.setattr("service.jobs.table.job_of", broken)  # the last step of the transaction
+    with pytest.raises(JobTableError, match="broken off"):
+        submitted(jobs)
+    assert (jobs.queued(), tokens(url)) == (1, 1)
+
+
+def test_rule_6_durability_settings_of_postgresql(jobs: PostgresJobTable) -> None:
+    with jobs._connection() as db:
+        names = ("synchronous_commit", "idle_in_transaction_session_timeout", "search_path")
+        values = [next(iter(db.execute(f"SHOW {name}").fetchone().values())) for name in names]
+    assert values == ["on", "10s", "sgmethod, sgmethod_engine"]
+
+
+def test_rule_6_durability_settings_of_sqlite(path: Path) -> None:
+    with closing(SqliteJobTable(path, RULES)) as table, table._connection() as db:
+        names = ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
+        values = [db.execute(f"PRAGMA {name}").fetchone()[0] for name in names]
+    assert values == ["wal", 2, 1, 30_000]
+
+
+def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobTable) -> None:
+    """Its jobs are made anew from the table."""
+    job_id = submitted(jobs)
+    with psycopg.connect(url) as db:
+        db.execute("UPDATE sgmethod.version SET version = '0.1' WHERE part = 'engine'")
+    with closing(PostgresJobTable(url, RULES)) as later:
+        assert tokens(url) == 0
+        later._top_up()
+        later._top_up()
+        assert tokens(url) == 1
+        assert claimed(later).job_id == job_id
+
+
+def test_a_table_of_a_later_version_in_postgresql(url: str, jobs: PostgresJobTable) -> None:
+    with psycopg.connect(url) as db:
+        db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
+    with pytest.raises(JobTableError, match="another version"):
+        PostgresJobTable(url, RULES)
+    assert jobs.queued() == 0
+
+
+def test_a_table_of_a_later_version_in_sqlite(path: Path) -> None:
+    SqliteJobTable(path, RULES).close()
+    with closing(sqlite3.connect(path)) as file:
+        file.execute("PRAGMA user_version = 99")
+    with pytest.raises(JobTableError, match="another version"):
+        SqliteJobTable(path, RULES)
+
+
+def test_a_file_that_is_no_table(path: Path) -> None:
+    path.write_bytes(b"this is not a database" * 100)
+    with pytest.raises(JobTableError, match="not a database"):
+        SqliteJobTable(path, RULES)
+
+
+def test_a_file_that_is_removed_or_replaced(path: Path, tmp_path: Path) -> None:
+    """Nothing is accepted into a file that nobody else sees."""
+    with closing(SqliteJobTable(path, RULES)) as table:
+        first = submitted(table)
+        path.parent.rename(tmp_path / "aside")
+        with pytest.raises(JobTableError, match="No such file"):
+            submitted(table)
+        path.parent.mkdir()
+        path.touch()
+        second = submitted(table)
+        with closing(SqliteJobTable(path, RULES)) as other:
+            assert [job.id for job in other.page(10)] == [second]
+        shutil.rmtree(path.parent)
+        (tmp_path / "aside").rename(path.parent)
+        assert [job.id for job in table.page(10)] == [first]
