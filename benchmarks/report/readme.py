@@ -75,9 +75,8 @@ def figures(results: Path) -> str:
         )
     change = against_quoted(average, "rd", rate.ANCHOR)
     if change is not None and change < 0:
-        notes.append(
-            f"At the same PSNR, {rate.ANCHOR} needs {100 / (100 + change):.0f} times our bits, by its published figures."
-        )
+        times = f"{100 / (100 + change):.0f} times"
+        notes.append(f"At the same PSNR, {rate.ANCHOR} needs {times} our bits, by its published figures.")
     return "\n\n".join([made, *([textwrap.fill(" ".join(notes), WIDTH, break_long_words=False)] if notes else [])])
 
 
