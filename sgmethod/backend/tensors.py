@@ -106,7 +106,8 @@ class Tensors(Kernels):
         descents = [descent for _, _, descent in fits]
         target = torch.stack([self._image(one.target) for one in descents])
         quanta = [one.quantum if one.price > 0 else 1.0 for one in descents]  # it may be 0 where bits are free
-        bits = [self._tensor(np.float32(of)) for of in (quanta, [one.price for one in descents])]
+        prices = [one.price for one in descents]
+        bits = [self._tensor(np.array(of, np.float32)) for of in (quanta, prices)]
         for rate in rates:
             take_step(state[:3], state[3:], bits, target, descents[0], rate)
         for values, of in zip(state, zip(*arrays, strict=True), strict=True):

@@ -68,7 +68,7 @@ def png(width: int, height: int, seed: int = 0) -> bytes:
     return saved(Image.fromarray(pixels.clip(0, 255).astype(np.uint8)))
 
 
-def noise(side: int) -> bytes:
+def noisy_png(side: int) -> bytes:
     """A square PNG of three bytes a pixel."""
     return saved(Image.fromarray(np.random.default_rng(1).integers(0, 256, (side, side, 3), np.uint8)))
 

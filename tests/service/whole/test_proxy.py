@@ -20,7 +20,7 @@ from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
 from tests.harness.browser import Chromium
 from tests.harness.nginx import Nginx
-from tests.harness.pictures import SLOW, SMALL, noise
+from tests.harness.pictures import SLOW, SMALL, noisy_png
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.s3_server import KeptS3Server
@@ -104,7 +104,7 @@ def test_a_client_sees_every_page_of_jobs(behind: str, monkeypatch: pytest.Monke
 
 def test_large_bodies_pass(behind: str) -> None:
     """nginx by itself refuses more than 1 MB."""
-    large = noise(1000)
+    large = noisy_png(1000)
     assert len(large) > 2_000_000
     assert sgmethod.info(posted(behind, "?wait=50", large).content).width == 1000
 

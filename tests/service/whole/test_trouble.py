@@ -17,7 +17,7 @@ from PIL import Image
 from service.storage.bucket import SILENCE, SMALL_BYTES
 from tests.harness.data import PICTURE, ROOT
 from tests.harness.job_table import grow_older
-from tests.harness.pictures import noise, saved
+from tests.harness.pictures import noisy_png, saved
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, running_encoder, wait_until, worker_of
 from tests.harness.s3_server import S3Server
@@ -173,7 +173,7 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
     done = service.wait(service.accepted())
     own_s3.freeze()
     service.client.timeout = httpx.Timeout(SOON_S)
-    large = noise(700)
+    large = noisy_png(700)
     assert len(large) > SMALL_BYTES
     for ask in (
         lambda: service.client.get(done["bitstream_url"]),
