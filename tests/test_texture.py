@@ -18,7 +18,7 @@ from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.fitting.texture import estimate, grain
+from sgmethod.fitting.texture import SHOWN, estimate, grain
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.rd.rate_control import EXACT_DB, Coded
@@ -32,7 +32,7 @@ from tests.rd.short import requested
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
 TEXTURE = RD.objective.texture
-ALL_GIVEN = replace(TEXTURE, given=1.0)
+ALL_GIVEN = replace(TEXTURE, given=1.0, most_levels=1000.0)
 STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
 
 
@@ -129,6 +129,9 @@ def drawn_spread(spread: float) -> float:
 def test_noise_is_given_back_by_its_strength() -> None:
     for spread in (2.0, 3.0, 6.0, 20.0):
         assert drawn_spread(spread) == pytest.approx(spread, rel=0.2)
+    loud = estimate(levels_of(128 + noise(40)), levels_of(128 + noise(0)), TEXTURE)  # else it is all that is seen
+    assert loud is not None
+    assert STRENGTHS[int(loud.max())] * min(SHOWN) < 1.3 * TEXTURE.most_levels
     faint = estimated(STRAIGHT + noise(0.8))  # sky without it has bands
     assert faint is not None
     assert 0.3 < STRENGTHS[int(np.median(faint[0]))] < 0.8

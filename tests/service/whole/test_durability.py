@@ -105,7 +105,7 @@ def assert_settled(service: Service, *done: str) -> None:
     jobs = service.client.get("/jobs?limit=200").json()["jobs"]
     assert {job["id"] for job in jobs if job["state"] == "done"} == set(done)
     assert {job["state"] for job in jobs} <= {"done", "failed"}
-    assert service.ours("encoder") == []
+    wait_until(lambda: not service.ours("encoder"))
     published = sorted(f"bitstreams/{job['id']}.{job['attempt']}.sg" for job in jobs if job["state"] == "done")
     wait_until(lambda: service.files() == published)
     for job_id in done:
