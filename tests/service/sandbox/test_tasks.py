@@ -98,12 +98,12 @@ def test_rivals(real: Sandbox, kind: Any) -> None:
 def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, more: dict[str, Any]) -> None:
     """As the command line makes them, whatever the picture asks of libraries that are imported late."""
     for image in (picture(), picture(alpha=True), picture(drawn=True)):
-        request = EncodeRequest(kind, value, "rd", 60.0, **more)
+        request = EncodeRequest(kind, value, "rd", 600.0, **more)
         what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=1)
         *_, result = messages_of(real, what, saved(image))
         assert isinstance(result, Result), result
         assert result.figures.bytes == len(result.file)
-        how = {"tune": request.tune, "effort": request.effort, "time_limit_s": 60.0}
+        how = {"tune": request.tune, "effort": request.effort, "time_limit_s": 600.0}
         same = sgmethod.encode(saved(image), sgmethod.Budget(kind, value), "rd", **how, measure=True)
         assert result.file == same.data
         assert result.figures.psnr == same.stats.to_dict()["psnr"]
