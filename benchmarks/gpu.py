@@ -36,9 +36,11 @@ import sgmethod.torch
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, pictures_in, sized
 from sgmethod.backend.pairs import Pairs
-from sgmethod.backend.protocol import CUTOFF, Descent, Frame
+from sgmethod.backend.protocol import CUTOFF, Descent, Frame, Moments
+from sgmethod.fitting.level import Histogram, target_of
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
+from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import NEWTON_ADAM
 
 Row = dict[str, Any]
@@ -138,25 +140,23 @@ class Bench:
 
     def steps(self, batch: int) -> Row:
         """Milliseconds of a step, and the error that some of them leave from a random start."""
-        from sgmethod.backend.tiles import take_step
+        from sgmethod.backend.tensors import Tensors
 
         side, n, count = self.sizes.side, self.sizes.each, 2 * self.sizes.repeats
-        target = torch.from_numpy(self._pictures(batch)).to(self.device).permute(0, 3, 1, 2).float() / 255
-        target = target - target.mean((2, 3), keepdim=True)
-        values = self._gaussians(side, side, n, batch)
-        values[2].zero_()
-        moments = [torch.zeros(batch, n, 8, device=self.device) for _ in range(2)]
-        moments.append(torch.ones(batch, n, 2, device=self.device))
-        bits = [torch.full((batch,), value, device=self.device) for value in (0.3, 1e-4 / (3 * side * side))]
-        unused = np.empty(0, np.int16)
-        alike = Descent(Frame(side, side), unused, None, 0.0, 0.0, side, side, NEWTON_ADAM)
+        backend, frame, price = Tensors(self.device, tiled=True), Frame(side, side), 1e-4 / (3 * side * side)
+        means, factors, colors = (values.cpu().numpy() for values in self._gaussians(side, side, n, batch))
+        fits = []
+        for k, picture in enumerate(self._pictures(batch)):
+            target = target_of(picture, Histogram(picture).background)
+            descent = Descent(frame, target, None, 0.3, price, side, side, NEWTON_ADAM)
+            fits.append((Gaussians(means[k], factors[k], 0 * colors[k]), Moments.none(n), descent))
 
-        def step() -> Tensor:
-            return take_step(values, moments, bits, target, alike, 1.0)
+        def error() -> float:
+            return statistics.mean(backend.error(one, frame, descent.target) for one, _, descent in fits)
 
-        first = step().mean().item()
-        seconds = self._seconds(step, count)
-        last = step().mean().item()
+        first = error()
+        seconds = self._seconds(lambda: backend.steps_of(fits, [1.0] * count), 1) / count
+        last = error()
         return {"step_ms": 1e3 * seconds, "first_error": first, "last_error": last, "finite": bool(np.isfinite(last))}
 
     def fit(self, pictures: Callable[[], Pixels], n: int) -> Row:

@@ -97,7 +97,7 @@ class Tensors(Kernels):
 
         From the first step to the last nothing leaves the device.
         """
-        from sgmethod.backend.tiles import take_step
+        from sgmethod.backend.tiles import Tiles
 
         most = max(len(gaussians) for gaussians, _, _ in fits)
         arrays = [(*one.arrays, moments.first, moments.second, moments.bias) for one, moments, _ in fits]
@@ -109,7 +109,7 @@ class Tensors(Kernels):
         prices = [one.price for one in descents]
         bits = [self._tensor(np.array(of, np.float32)) for of in (quanta, prices)]
         for rate in rates:
-            take_step(state[:3], state[3:], bits, target, descents[0], rate)
+            Tiles(descents[0].frame, *state[:3]).step(state[3:], bits, target, descents[0], rate)
         for values, of in zip(state, zip(*arrays, strict=True), strict=True):
             for found, one in zip(_numpy(values), of, strict=True):
                 one[...] = found[: len(one)]

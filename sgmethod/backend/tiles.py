@@ -77,11 +77,6 @@ class Tiles:
         """Draw the pictures [B, 3, height, width]."""
         return self._drawn(None)[0]
 
-    def compare(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Draw; return the mean squared errors [B] to a target [B, 3, height, width], and their sums for step()."""
-        planes, errors = self._drawn(target.contiguous())
-        return errors.sum(1) / (3 * self._levels[0].area), self._sums(planes)
-
     def gradients(self, by_image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Backpropagate a gradient by the pictures to means, factors and colours."""
         planes = self._new(self._batch * 3 * self._samples)
@@ -91,10 +86,23 @@ class Tiles:
         self._launch(tile_kernels.gradients, self._blocks(), *values, BLOCK)
         return out  # type: ignore[return-value]
 
-    def step(self, sums: Tensor, state: Sequence[Tensor], bits: Sequence[Tensor], *numbers: float) -> None:
-        """Move the Gaussians in place. state: first and second moments and bias; bits: quanta and prices [B]."""
-        arguments = *self._values, sums, *state, *bits, self._total, self._each, self._scale, *numbers
+    def step(
+        self, moments: Sequence[Tensor], bits: Sequence[Tensor], target: Tensor, descent: Descent, rate: float
+    ) -> Tensor:
+        """Take a step of the optimiser, in place, as Backend does; return the mean squared errors [B] before it.
+
+        Means, factors and colours must be contiguous; zeros fill up pictures with fewer Gaussians, and stay.
+        moments: first and second [B, N, 8] and bias [B, N, 2], as of protocol.Moments; target: [B, 3, height, width].
+        bits: quanta and prices [B], as of `descent`, whose other fields are alike for all pictures.
+        """
+        planes, errors = self._drawn(target.contiguous())
+        d, s = descent, descent.settings
+        rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
+        newton = s.newton_steps * d.values / (2 * math.pi)
+        numbers = *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(d.width), float(d.height)
+        arguments = *self._values, self._sums(planes), *moments, *bits, self._total, self._each, self._scale, *numbers
         self._launch(tile_kernels.step, self._blocks(), *arguments, self._frame.pyramid, BLOCK)
+        return errors.sum(1) / (3 * self._levels[0].area)
 
     def _drawn(self, target: Tensor | None) -> tuple[Tensor, Tensor]:
         """Planes of the pictures, or all planes with the gradient of the error in place of the pictures."""
@@ -159,30 +167,6 @@ class Tiles:
             return
         with torch.cuda.device(self._device) if self._device.type == "cuda" else nullcontext():
             kernel[grid](*arguments, enable_fp_fusion=True, **options)
-
-
-def take_step(
-    values: Sequence[Tensor],
-    moments: Sequence[Tensor],
-    bits: Sequence[Tensor],
-    target: Tensor,
-    alike: Descent,
-    rate: float,
-) -> Tensor:
-    """Take a step of B fits, in place, as Backend does; return their mean squared errors [B] before it.
-
-    values: means [B, N, 2], factors and colours [B, N, 3], contiguous; zeros fill up pictures with fewer, and stay.
-    moments: first and second [B, N, 8] and bias [B, N, 2], as of protocol.Moments.
-    bits: quanta and prices [B], as of Descent, whose other fields are alike for all.
-    target: float32 [B, 3, height, width].
-    """
-    d, s = alike, alike.settings
-    tiles = Tiles(d.frame, *values)
-    errors, sums = tiles.compare(target)
-    rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
-    newton = s.newton_steps * d.values / (2 * math.pi)
-    tiles.step(sums, moments, bits, *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(d.width), float(d.height))
-    return errors
 
 
 @lru_cache(maxsize=64)

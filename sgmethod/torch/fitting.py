@@ -72,7 +72,9 @@ def fit(
     on_progress: called with the share that is done, 0 to 1; if it raises, the fits are abandoned.
 
     A batch of at least as many pictures as there are cores has one picture on each; a smaller one has all cores for one
-    picture after the other. Raises ImageError for anything that is no batch of pictures, and BudgetError.
+    picture after the other. On a GPU with Triton, pictures take their steps in one batch.
+
+    Raises ImageError for anything that is no batch of pictures, and BudgetError.
     """
     if tune != "psnr":
         raise BudgetError(f"fits of tensors can only be tuned for psnr, not {tune!r}")

@@ -103,7 +103,7 @@ def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, 
         *_, result = messages_of(real, what, saved(image))
         assert isinstance(result, Result), result
         assert result.figures.bytes == len(result.file)
-        how = {"tune": request.tune, "effort": request.effort, "time_limit_s": 600.0}
+        how = {"tune": request.tune, "effort": request.effort, "time_limit_s": request.time_limit_s}
         same = sgmethod.encode(saved(image), sgmethod.Budget(kind, value), "rd", **how, measure=True)
         assert result.file == same.data
         assert result.figures.psnr == same.stats.to_dict()["psnr"]
