@@ -30,7 +30,7 @@ from benchmarks.service.killed import ChaosService
 from benchmarks.service.measured import made_picture, png
 from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
 
-PAUSE_S = 4.0  # between two events, on average: an encode takes about two seconds of one core
+PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
 STUCK_AFTER_S = 180.0  # without any job that ends
 WEIGHTS = {
     "encoder killed": 4,
