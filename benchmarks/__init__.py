@@ -4,11 +4,10 @@ python -m benchmarks              a small set of all, or with --full what docs/r
 python -m benchmarks.rd           rate and quality over a folder of pictures, beside other codecs
 python -m benchmarks.previews     the same from 32 to 4,096 bytes, beside placeholders and reduced pictures
 python -m benchmarks.perceptual   metrics that follow the eye, at equal bytes; .sheet draws crops to look at
-python -m benchmarks.convergence  error against run time, beside other methods and codecs
+python -m benchmarks.convergence  error against run time, beside other codecs
 python -m benchmarks.speed        time and memory by size, and of the kernels; growth: large photographs beside AVIF
 python -m benchmarks.gpu          drawing, fits, batches and encodes on a GPU, and errors of the kernels there
 python -m benchmarks.ablation     profile rd with one part left out at a time, and the paper's ablations
-python -m benchmarks.others       I-NGP, NeuRBF, 2DGS and 3D-GS, fitted in plain torch for the same seconds
 python -m benchmarks.robustness   hard pictures (stiff), extreme Gaussians and bad starts (extremes), under rules
 python -m benchmarks.service      the service under load, attacked, and killed at random (chaos)
 python -m benchmarks.report       docs/results, its plots and the README's tables from the JSON

@@ -31,7 +31,7 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
     (stability.page, (), ("stiff", "stability")),
-    (paper.page, (), ("representation", "ablation", "rd/paper", "rd/kodak", "others")),
+    (paper.page, (), ("representation", "ablation", "rd/paper", "rd/kodak")),
     (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
 APART = {"stiff": "picture"}  # of the CSV, besides the usual

@@ -8,7 +8,6 @@ from typing import Any
 
 from benchmarks import published
 from benchmarks.ablation import report as ablation
-from benchmarks.others import report as others
 from benchmarks.published import quoted_values
 from benchmarks.rd.report import against_quoted, means
 from benchmarks.report.plots import style
@@ -37,7 +36,7 @@ NOTHING_DB = 0.05  # of one seed
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """The page from representation.json, ablation.json, rd/*.json and others.json, as far as there are."""
+    """The page from representation.json, ablation.json, rd/*.json, as far as there are."""
     lines = list(claims(contents))
     there = [line for line in lines if line[-1] == "yes"]
     fits = contents.get("representation")
@@ -60,12 +59,11 @@ def page(contents: Mapping[str, Content]) -> Page:
         "- DIV2K, which the paper also uses, and the times on its GPU.\n"
         "- Combined gains: parts were changed one at a time.\n"
         "- Files, in rows that name a number of Gaussians: those are fits in floating point.",
-        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only ablation,rd,others",
+        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only ablation,rd",
         contents=contents,
         panels=[partial(draw, rows=fits["rows"])] if fits else [],
         of="PSNR of N Gaussians, not coded; six pictures, 24 where quoted",
         appendix=[
-            *(others.summary(contents["others"]) if "others" in contents else []),
             *(ablation.summary(contents["ablation"]) if "ablation" in contents else []),
         ],
     )

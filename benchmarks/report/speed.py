@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from benchmarks.report.plots import style
 from benchmarks.report.section import MISSING, Content, Draw, Page, several, table
 from benchmarks.speed.growth import AXES, exponent, growth_table, means
@@ -26,12 +24,8 @@ METHODS = {
     ("jpegxl", "7"): "JPEG XL, effort 7",
     ("webp", "4"): "WebP, method 4",
     ("jpeg", "0"): "JPEG",
-    ("siren", ""): "SIREN, a network",
-    ("plain Adam", ""): "as many Gaussians, fitted by plain Adam, no file",
 }
-# Lines of the plot: methods that are fitted have a curve, others a point for each setting.
-FITTED = ("plain Adam", "siren")
-DRAWN = ("rd", "rd visual", "paper", "baseline", *FITTED, "avif", "jpegxl", "webp", "jpeg")
+DRAWN = ("rd", "rd visual", "paper", "baseline", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
 DECODERS = {"jpeg": "libjpeg-turbo", "avif": "AVIF"}
 GROWTH = (
@@ -63,13 +57,12 @@ def page(contents: Mapping[str, Content]) -> Page:
         ),
         limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
         "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
-        "- The search for the quality that fits a size, which other codecs' times leave out.\n"
-        "- Networks at their best: SIREN had 60 seconds of PyTorch on the CPU, and no GPU.",
+        "- The search for the quality that fits a size, which other codecs' times leave out.",
         command="python -m benchmarks --full --images KODAK --only speed,convergence\n"
         "python -m benchmarks.speed growth --images PHOTOGRAPHS --megapixels 0.75,3,12 --bytes 500,2000,10000,50000",
         contents=contents,
         panels=panels,
-        of="PSNR against seconds, means over five pictures",
+        of="PSNR against seconds, means over pictures of the size",
         appendix=[
             *([grows(speed["rows"])] if speed else []),
             *([GROWTH, *(growth_table(growth["rows"], growth["settings"], axis) for axis in AXES)] if growth else []),
@@ -105,7 +98,9 @@ def sizes_table(by_size: Mapping[float, Rows]) -> str:
         found = [at(rows, *key) for rows in by_size.values()]
         if any(found):
             lines.append([name, *(f"{one[0]:.2g} s, {one[1]:.1f} dB" if one else MISSING for one in found)])
-    return table(" | ".join(["method", *(f"{size:g} megapixels" for size in by_size)]), lines)
+    counts = {size: len({row["picture"] for row in rows}) for size, rows in by_size.items()}
+    titles = [f"{size:g} megapixels ({n} picture{'s' * (n > 1)})" for size, n in counts.items()]
+    return table(" | ".join(["method", *titles]), lines)
 
 
 def hurry(by_size: Mapping[float, Rows]) -> str:
@@ -154,25 +149,11 @@ def draw(axes: Any, rows: Rows, size: float) -> None:
         mine = [row for row in rows if row["method"] == method]
         if not mine:
             continue
-        if method in FITTED:
-            points, look = mean_curve([row["curve"] for row in mine]), {"marker": ""}
-        else:
-            settings = dict.fromkeys(row["setting"] for row in mine)
-            found = (at(mine, method, setting) for setting in settings)
-            points, look = (
-                sorted(point for point in found if point),
-                {"linestyle": "none"} if method in ("webp", "jpeg") else {},
-            )
+        settings = dict.fromkeys(row["setting"] for row in mine)
+        points = sorted(point for setting in settings if (point := at(mine, method, setting)))
+        look = {"linestyle": "none"} if method in ("webp", "jpeg") else {}
         axes.plot(*zip(*points, strict=True), **style(k) | look | {"label": LABELS.get(method, method)})
         lows.append(max(db for _, db in points))
     axes.set(
         xscale="log", xlabel=f"seconds, {size:g} megapixels", ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None)
     )
-
-
-def mean_curve(curves: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, float]]:
-    """The mean of the errors at each time at which one was looked at, from the first time that all have one."""
-    start = max(curve[0][0] for curve in curves)
-    times = sorted({seconds for curve in curves for seconds, _ in curve if seconds >= start})
-    levels = [np.interp(times, [s for s, _ in curve], [db for _, db in curve]) for curve in curves]
-    return list(zip(times, np.mean(levels, axis=0).tolist(), strict=True))

@@ -20,9 +20,9 @@ pytestmark = pytest.mark.thorough
 COMMANDS: dict[str, tuple[str, str, list[object]]] = {
     "rd": ("--images {small} --bpp 2 --effort 1", "codec", ["rd effort 1", "rd visual effort 1"]),
     "convergence": (
-        "--images {small} --megapixels 0.002 --bpp 4 --few --methods rd,siren --seconds 0.3 --limits 0.3",
+        "--images {small} --megapixels 0.002 --bpp 4 --few --methods rd --limits 0.3",
         "setting",
-        ["", "0.3 s", "effort 1", "effort 3", "effort 7", ""],
+        ["", "0.3 s", "effort 1", "effort 3", "effort 7"],
     ),
     "speed": ("--megapixels 0.01 --repeats 1 --steps 10 --rounds 1", "what", ["size", "kernel"]),
     "speed growth": (
@@ -35,11 +35,6 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "--images {small} --gaussians 60 --steps 60 --methods paper,random-start",
         "method",
         ["paper", "random-start"],
-    ),
-    "others": (
-        "--images tests/data/photographs --most 1 --sides 96,72 --seconds 0.2 --bpp 2.5",
-        "method",
-        ["paper", "ingp", "neurbf", "2dgs", "3dgs", "rd"],
     ),
     "robustness stiff": ("--pictures pixel-1x1,row-300x1 --seeds 1 --only bpp", "value", [0.1, 0.3, 1, 2, 4, 8]),
     "robustness extremes": (

@@ -1,15 +1,13 @@
-"""Error against run time: one curve for each method on one clock, and other codecs as points.
+"""Error against run time, on one clock: files of each profile under time limits and at each effort, and other codecs.
 
     python -m benchmarks.convergence --images FOLDER [--most 5] [--pictures kodim05] [--megapixels 0.4]
                                      [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--paper-limits 1,3,10,30]
                                      [--methods rd,jpeg] [--few]
 
-The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
-and baseline: the trace of one encode, whose last point is the file, and a file under each time limit; rd again with
-each effort. rd visual: tuned for the eye, where rd is tuned for PSNR. plain Adam: as many Gaussians as rd's file has,
-never coded. siren: as many bytes as the budget, in half precision. Other codecs: each speed or effort at the best
-quality within the budget. --seconds: for all but rd and other codecs, where no limit is shorter. --few: two or three
-settings of each other codec, three efforts of rd.
+The clock is wall time since the method got the pixels. rd, paper and baseline: one encode, and one under each time
+limit; rd again with each effort. rd visual: tuned for the eye, where rd is tuned for PSNR. Other codecs: each speed or
+effort at the best quality within the budget. --seconds: for paper and baseline, where no limit is shorter. --few: two
+or three settings of each other codec, three efforts of rd.
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import numbers, some_of
-from benchmarks.convergence.learned import Shown, plain_adam, siren
 from benchmarks.machine import RUNS, Record, found
 from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
 from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, versions
@@ -34,7 +31,6 @@ VISUAL = "rd visual"
 WARMED_ON = 64  # pixels along a side, by profile paper
 OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
 FEW_EFFORTS = (1, 3, 7)
-Start = Callable[[Pixels, float, int], Shown]
 # Every setting, and a few: the quickest first, since its quality is where the search of the next one begins.
 RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
@@ -42,31 +38,23 @@ RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]
     "avif": (AvifForPsnr, tuple(range(10, -1, -1)), (10, 6, 4)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
-METHODS = (*OURS, VISUAL, "plain Adam", "siren", *RIVALS)
+METHODS = (*OURS, VISUAL, *RIVALS)
 Row = dict[str, Any]
 
 
 def ours(
     pixels: Pixels, profile: str, bpp: float, limit_s: float | None, effort: int = DEFAULT_EFFORT, tune: Tune = "psnr"
 ) -> Row:
-    """Encode once; the curve is the trace, in seconds and dB."""
-    encoded = encode(pixels, Budget("bpp", bpp), profile, tune=tune, effort=effort, time_limit_s=limit_s)
-    stats, curve = encoded.stats, [[point.seconds, point.psnr] for point in encoded.trace]
-    figures = {"bytes": stats.bytes, "gaussians": stats.gaussians, "seconds": stats.seconds, "psnr": stats.psnr}
-    return figures | {"curve": curve}
-
-
-def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int | None) -> Row:
-    """The curve of the pictures that a method shows. amount: what it has, Gaussians or bytes; size: bytes, if any."""
-    curve = [[round(run_s, 4), round(psnr(*look), 4)] for run_s, look in start(pixels, seconds, amount)]
-    return {"bytes": size, "gaussians": None, "seconds": curve[-1][0], "psnr": curve[-1][1], "curve": curve}
+    """Encode once."""
+    stats = encode(pixels, Budget("bpp", bpp), profile, tune=tune, effort=effort, time_limit_s=limit_s).stats
+    return {"bytes": stats.bytes, "gaussians": stats.gaussians, "seconds": stats.seconds, "psnr": stats.psnr}
 
 
 def point(rival: Rival, near: float | None, pixels: Pixels, bpp: float) -> Row:
     """Another codec's file within the budget; the seconds are those of its encode. near: as Rival.best takes it."""
     file = rival.best(pixels, bpp, near)
     row: Row = {"bytes": len(file.data), "gaussians": None, "quality": file.quality, "seconds": file.encode_s}
-    return row | {"psnr": psnr(rival.decode(file.data), pixels), "curve": None}
+    return row | {"psnr": psnr(rival.decode(file.data), pixels)}
 
 
 class Run:
@@ -83,7 +71,6 @@ class Run:
         # What the first of a process takes counts nowhere, and of rd what the first of a size takes.
         encode(pixels, bpp=o.bpp, tune="psnr")
         encode(pixels[:WARMED_ON, :WARMED_ON], gaussians=50, profile="paper", time_limit_s=0.1)
-        size = int(o.bpp * pixels.shape[0] * pixels.shape[1] / 8)
 
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
             key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
@@ -99,18 +86,10 @@ class Run:
         for effort in FEW_EFFORTS if o.few else OTHER_EFFORTS:
             once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, effort))
             once(VISUAL, f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, effort, "visual"))
-        if gaussians := self._gaussians(picture, megapixels):
-            once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None))
-        once("siren", "", partial(learned, siren, pixels, o.seconds, size, size))
         for method, (make, every, few) in RIVALS.items():
             for setting in few if o.few else every:
                 near = self._quality(method, picture, megapixels)
                 once(method, str(setting), partial(point, make(setting), near, pixels, o.bpp))
-
-    def _gaussians(self, picture: str, megapixels: float) -> int | None:
-        """The number of Gaussians in rd's file of the picture."""
-        row = found({"method": "rd", "setting": "", "picture": picture, "megapixels": megapixels}, self.record.rows)
-        return row["gaussians"] if row else None
 
     def _quality(self, method: str, picture: str, megapixels: float) -> float | None:
         """The quality of another codec's last setting."""
