@@ -46,7 +46,7 @@ FULL = {
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
-    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25 --kinds visual avif 'avif grain'",
+    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25 --kinds visual avif",
     "convergence/kodak": f"convergence {KODAK} --most 3 --megapixels 0.4 --few --paper-limits 3,10",
     "convergence/2-megapixels": f"convergence {KODAK} --most 2 --megapixels 2 --few --paper-limits 10",
     "convergence/12-megapixels": f"convergence {KODAK} --most 1 --megapixels 12 --few --limits 2,8 --paper-limits 30",

@@ -32,7 +32,7 @@ from tests.rd.short import requested
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
 TEXTURE = RD.objective.texture
-ALL_GIVEN = replace(TEXTURE, given=1.0, most_levels=1000.0)
+UNLIMITED = replace(TEXTURE, most_levels=1000.0)
 STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
 
 
@@ -112,7 +112,7 @@ def levels_of(source: NDArray[np.float64]) -> Pixels:
 def estimated(source: NDArray[np.float64]) -> Codes | None:
     """For a picture of which the Gaussians draw no detail."""
     pixels = levels_of(source)
-    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), ALL_GIVEN)
+    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), UNLIMITED)
 
 
 def noise(spread: float, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
@@ -294,5 +294,5 @@ def test_files_are_compared_without_their_texture() -> None:
 def test_the_strength_of_noise_is_found_again(octave: int) -> None:
     size = (512, 512)
     pixels = decode(file_of(codes_of(9 * (octave == 0), 9 * (octave == 1), size), grey=True, size=size))
-    found = estimate(pixels, np.full_like(pixels, 128), ALL_GIVEN)
+    found = estimate(pixels, np.full_like(pixels, 128), UNLIMITED)
     assert found is not None and (found[octave] == 9).all()

@@ -32,6 +32,7 @@ ROWS = {
     "Decoding, ms ↓": ("decode_ms", ".1f", False, 1, 1),
     "Encoding, ms ↓": ("encode_s", ",.0f", False, 1, 1000),
 }
+LIBRARIES = ("libavif-", "libjxl-", "libwebp-", "libjpeg_turbo-")
 # Published codecs that the README names, with what their readers know them by.
 RIVALS = {"VTM": "VTM (H.266)", "ELIC": "ELIC", "Cool-Chic 5.0": "Cool-Chic 5.0"}
 
@@ -77,7 +78,15 @@ def figures(results: Path) -> str:
     if change is not None and change < 0:
         times = f"{100 / (100 + change):.0f} times"
         notes.append(f"At the same PSNR, {rate.ANCHOR} needs {times} our bits, by its published figures.")
-    return "\n\n".join([made, *([textwrap.fill(" ".join(notes), WIDTH, break_long_words=False)] if notes else [])])
+    notes.append(f"Measured with {versions(results)}.")
+    return f"{made}\n\n{textwrap.fill(' '.join(notes), WIDTH, break_long_words=False, break_on_hyphens=False)}"
+
+
+def versions(results: Path) -> str:
+    """The libraries behind the other columns, such as "libwebp 1.6.0"."""
+    named = (load(results, "rd/kodak") or {"settings": {"codecs": []}})["settings"]["codecs"]
+    found = [name.partition(" ")[0].partition("/")[0] for name in sorted(named) if name.startswith(LIBRARIES)]
+    return several([name.replace("-", " ").replace("_", "-") for name in found])
 
 
 def slow(results: Path) -> str:

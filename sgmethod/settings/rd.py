@@ -246,8 +246,7 @@ class TextureSettings:
     quantile: float = 0.4  # of a cell's blocks, ordered by energy: the strength of its grain
     floor: float = 0.3  # levels of 8 bits: the spread between two rounded pictures
     excess: float = 8.0  # weight of texture that is too strong in a block, in multiples of that of too weak
-    given: float = 0.5  # part of the missing energy that noise has: all of it looks too coarse on grass and snow
-    most_levels: float = 4.0  # of 8 bits, which its spread approaches: louder, pebbles and leaves become noise
+    most_levels: float = 3.0  # of 8 bits, which the noise's spread approaches: louder, pebbles and leaves become noise
     share: float = 0.05  # most of a budget of bytes
 
 
