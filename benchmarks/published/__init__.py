@@ -7,6 +7,8 @@ Means at one rate for all look better against them than they are: the two are ne
 kodak-cool-chic-5.0.tsv: Cool-Chic 5.0, results/v5.0 (BSD-3-Clause), each picture and point. The sounder comparison: a
 difference in rate for each picture, then the mean over pictures.
 
+seen.json: a learned codec whose decoder is trained for the eye, LPIPS (AlexNet) and DISTS as measured here.
+
 paper.json: the tables of "Structure-Guided Allocation of 2D Gaussians for Image Representation and Compression".
 """
 
@@ -36,6 +38,13 @@ def cool_chic() -> dict[str, list[tuple[float, float]]]:
         for row in csv.DictReader(file, delimiter="\t"):
             points.setdefault(row["seq_name"], []).append((float(row["rate_bpp"]), float(row["psnr_db"])))
     return points
+
+
+@cache
+def seen() -> dict[str, Any]:
+    """A codec trained for the eye: source, what it says of itself, and points with bpp, psnr (dB), lpips, dists."""
+    content: dict[str, Any] = json.loads((HERE / "seen.json").read_text())
+    return content
 
 
 @cache
