@@ -67,8 +67,8 @@ def test_each_aim_has_its_own_value(page: Chromium, web: Service) -> None:
 def test_a_width_typed_before_the_original_is_there(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.hold_back(".webp")
-    page.click("#sample-coffee")
-    page.says(COFFEE_SAYS, "#figures")
+    page.click("#sample-cat")
+    page.says("5.4 kB", "#right-label")
     assert not page.is_seen("#left-label")
     page.run("document.getElementById('width').value = 321")
     page.run("goOn()")
@@ -191,14 +191,14 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
     page.click("#link")
     page.says("The link is in the clipboard", "#taken")
     page.click("#save-sg")
-    page.says("Downloaded astronaut.sg, 4.7 kB.", "#taken")
+    page.says("Downloaded coffee.sg, 9.0 kB.", "#taken")
     page.click("#save-picture")
-    page.says("Downloaded astronaut.png", "#taken")
-    assert page.run("return window.saved") == "astronaut.png"
+    page.says("Downloaded coffee.png", "#taken")
+    assert page.run("return window.saved") == "coffee.png"
     for width in (1, 20_000):
         page.run(f"document.getElementById('width').value = {width}")
         page.click("#save-picture")
-        page.says("the width must lie between 7 and 8660 pixels", "#taken")
+        page.says("the width must lie between 10 and 8660 pixels", "#taken")
         page.run("document.getElementById('taken').textContent = ''")
     page.run("Object.defineProperty(navigator, 'clipboard', { value: undefined })")  # as over plain HTTP
     page.click("#link")
@@ -210,7 +210,7 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
 def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
     page.open_page(web)
     name = "'my \"cup\" & <b>.webp'"
-    snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [432, 288], name: {name} }})"
+    snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [600, 400], name: {name} }})"
     html = page.imported("snippet.js", snippet)
     assert len(html) < 200_000
     alone = tmp_path / "alone.html"

@@ -25,7 +25,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
 ) -> None:
     """The steps of JPEG's quality are large in small files, those of WebP from 0 to 1 even more."""
     page.open_blank(web)
-    wanted = list(range(2400, 7000, 350))
+    wanted = list(range(4800, 14000, 700))
     sizes = page.run(f"""
         return (async () => {{
             const {{ Remote }} = await import("/static/parts.js");
@@ -41,7 +41,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
     for size, want in zip(sizes, wanted, strict=True):
         assert size >= 0.97 * want
         assert size < nearest * want or size == min(sizes)  # no file is smaller
-    assert sizes[-1] > 6000
+    assert sizes[-1] > 12_000
 
 
 def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service) -> None:
@@ -69,7 +69,8 @@ def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service)
     def steps() -> int:
         return int((np.abs(np.diff(page.settled(), axis=0)).sum(1) > 0).sum())
 
-    page.open_page(web)
+    page.open(f"{web.url}/#astronaut")  # in which there is something everywhere
+    page.says("Original", "#left-label")
     page.zoom_in()
     width = len(page.settled())
     most = width // 64 + 2  # whole pixels of 64 each
@@ -94,7 +95,7 @@ def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Servi
     assert "too few for more than a rough idea" in page.text("#rate-words")
     assert "SSIM" not in page.text("#figures")
     job_id = page.queued(PHOTOGRAPH, "coffee.webp")
-    page.says("about 1,400 Gaussians.", "#rate-words")
+    page.says("about 2,800 Gaussians.", "#rate-words")
     web.publish(job_id, COFFEE)
     page.says("SSIM 0.", "#figures")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
