@@ -1,7 +1,6 @@
 // What is said of a picture: its labels, its state, its row in the list.
 
 import { $, element, refill } from "./parts.js";
-import { drawTrace } from "./watching.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
 
 export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
@@ -57,10 +56,10 @@ export function showWork(item) {
   else if (item.state === "done") say(`${item.name} is done: ${size(item.sg.length)}`);
   else say(item.words);
   const trace = item.job?.tune === "psnr" ? item.trace : [];
-  drawTrace(trace, item.state === "done" ? (item.job?.result?.psnr ?? null) : null);
-  const isTraced = !$("chart").hasAttribute("hidden");
-  $("chart-card").hidden = !isTraced;
-  $("figures").hidden = !item.decoded;
+  const end = item.state === "done" ? (item.job?.result?.psnr ?? null) : null;
+  $("chart-card").hidden = !trace.length;
+  if (trace.length) import("./watching.js").then(({ drawTrace }) => drawTrace(trace, end));
+  $("figures-field").hidden = !item.decoded;
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }
 

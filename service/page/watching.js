@@ -24,8 +24,7 @@ export function drawTrace(trace, end = null) {
   const chart = $("chart");
   // The last points are of the file's rounded numbers; the file itself has its own dot.
   const points = trace.filter((point) => point.psnr !== null && point.phase !== "done");
-  chart.toggleAttribute("hidden", points.length < 2);
-  $("chart-words").hidden = points.length < 2;
+  $("chart-card").hidden = points.length < 2;
   if (points.length < 2) return;
   const all = [...points.map((point) => point.psnr), ...(end === null ? [] : [end])];
   const last = Math.max(trace.at(-1).seconds, 0.1);

@@ -30,6 +30,7 @@ def largest_step(page: Chromium) -> int:
 
 def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     page.open("about:blank")
+    page.tell("Network.clearBrowserCache")
     page.open_page(web)
     page.says("AVIF", "#verdict")
     sizes = page.run("return performance.getEntriesByType('resource').map((one) => [one.name, one.transferSize])")
