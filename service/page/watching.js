@@ -84,7 +84,8 @@ export function stateOf(job, stopping, paceS = null) {
   const last = job.trace.at(-1);
   if (!last) return { words: "Starting the encoder", done: null };
   if (stopping) return { words: "Finishing early", done: null };
-  const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
+  const whole = Math.min(last.seconds / job.progress, job.time_limit_s);
+  const left = job.progress > 0.05 ? Math.max(whole - last.seconds, 0) : null;
   const rest = left === null ? "" : `, about ${seconds(left)} left`;
   return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };
 }

@@ -16,7 +16,8 @@ from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
 
-JOB = {"state": "running", "progress": 0.5, "trace": [{"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}]}
+POINT = {"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}
+JOB = {"state": "running", "progress": 0.2, "trace": [POINT]}
 
 
 @pytest.mark.parametrize(("codec", "nearest"), [("image/webp", 1.03), ("image/jpeg", 1.2)])
@@ -111,8 +112,9 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert "dB" not in page.text("#status")
     assert not page.is_seen("#chart-card")
     page.cancel()
-    said = page.imported("watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
-    assert said == "Fitting 250 Gaussians, about 2 s left"
+    for limit, left in ((60, 8), (5, 3)):
+        said = page.imported("watching.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
+        assert said == f"Fitting 250 Gaussians, about {left} s left"
 
 
 def test_the_curve_stays_within_its_axes(page: Chromium, web: Service) -> None:
