@@ -167,6 +167,10 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     screen = {"width": 390, "height": 664, "deviceScaleFactor": 1, "mobile": True}
     page.tell("Emulation.setDeviceMetricsOverride", **screen)
     page.open_page(web)
+    page.tell("Page.setInterceptFileChooserDialog", enabled=True)
+    page.click("#choose")
+    assert page.run("return scrollY") == 0
+    assert page.run("return document.getElementById('tools').getBoundingClientRect().height") < 90  # two rows
     page.queued(see_through(), "clear.png")
     row = page.settled()
     assert row[len(row) // 3].tolist() == [255, 255, 255]
