@@ -66,6 +66,7 @@ function refresh(item) {
   }
   const hasNothing = !viewer.left && !viewer.right && item.state in TITLES;
   $("stage").hidden = $("tools").hidden = hasNothing;
+  $("stage").classList.toggle("empty", !viewer.left && !viewer.right);
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
   fillContents(file);

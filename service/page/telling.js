@@ -3,6 +3,7 @@
 import { $, element, refill } from "./parts.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
 
+const SHARED = "Shared: the original is not part of the link, so there is nothing to compare with.";
 export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
 /** For screen readers, and not more often than something really is new. */
@@ -35,7 +36,8 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
   const unseen = item.source && !item.original && item.state !== "failed" && "This browser cannot show the original.";
   const laid = item.wasTransparent && "Transparent areas are shown on white here, and stay transparent in the file.";
-  $("note").textContent = item.note || unseen || laid || "";
+  const linked = item.id && !item.source && (item.decoded || item.soFar) && SHARED;
+  $("note").textContent = item.note || unseen || laid || linked || "";
   $("note").hidden = !$("note").textContent;
 }
 

@@ -112,6 +112,20 @@ def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Ser
     web.clear()
 
 
+def test_a_link_of_somebody_else(page: Chromium, web: Service) -> None:
+    """There is no original, neither while its job waits nor afterwards."""
+    job_id = web.submitted()
+    page.open(f"{web.url}/#{job_id}")
+    page.says("in the queue")
+    assert page.text("#zoom") == ""
+    web.publish(job_id, COFFEE)
+    page.says("Shared: the original is not part of the link", "#note")
+    assert page.text("#zoom").endswith("%")
+    assert not page.is_seen("#divider")
+    assert page.run("return document.getElementById('blink').disabled")
+    web.clear()
+
+
 def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.give("drop", COFFEE, "my coffee.sg")
