@@ -129,12 +129,12 @@ def test_a_link_of_somebody_else(page: Chromium, web: Service) -> None:
 def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.give("drop", COFFEE, "my coffee.sg")
-    page.says(COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#prefix-words")
     address = page.run("return location.href")
     time.sleep(0.5)  # the browser keeps it
     page.open("about:blank")
     page.open(address)
-    page.says(COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#prefix-words")
     assert page.run("return location.href") == address
     for unknown, words in (("file-unknown", "no longer has this file"), ("5f1c0e9a", "No picture has this address")):
         page.open("about:blank")

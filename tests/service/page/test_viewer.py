@@ -181,6 +181,7 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
 
 def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
     page.open_page(web)
+    page.click("#figures-field summary")
     # It is told for a while only, and of frames without long pauses between them, which a busy machine may make.
     text = wait_until(
         lambda: page.run("""
