@@ -64,6 +64,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
 @pytest.mark.parametrize("way", ["paste", "sample"])
 def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: str) -> None:
     page.open_page(service)
+    page.run("document.getElementById('effort').value = '1'")
     if way == "paste":
         page.give("paste", SMALL, "pasted.png")
     else:
