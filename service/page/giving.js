@@ -8,6 +8,7 @@ const AIMS = { bytes: ["Bytes", 20000], psnr: ["dB", 32] };
 
 /** Call `given` with the files, however they come. */
 export function listen(given) {
+  $("choose").addEventListener("click", () => $("file").click()); // a label would scroll to the field
   $("file").addEventListener("change", () => {
     given([...$("file").files]);
     $("file").value = ""; // so that the same file can be picked again

@@ -3,7 +3,6 @@
 import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
 import { keep, kept } from "./keeping.js";
 import { Remote, sleep } from "./parts.js";
-import { paceOf, stateOf } from "./watching.js";
 import { size } from "./words.js";
 
 const POLL_MS = 400;
@@ -141,6 +140,7 @@ export class Item {
   }
 
   async #follow() {
+    const { paceOf, stateOf } = await import("./watching.js"); // which the first look does without
     for (let tries = 0; ; ) {
       let job;
       try {
@@ -168,7 +168,7 @@ export class Item {
       await this.#look(job);
       if (job.state === "queued") {
         this.stopping = false; // what it had was lost
-        if (job.position !== this.job?.position) this.paceS = await this.#pace();
+        if (job.position !== this.job?.position) this.paceS = await this.#pace(paceOf);
       }
       this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
       await sleep(POLL_MS);
@@ -176,7 +176,7 @@ export class Item {
   }
 
   /** Seconds between two jobs of the queue. Without it, nothing is missing. */
-  async #pace() {
+  async #pace(paceOf) {
     const jobsIn = async (state) => (await json(`jobs?limit=20&state=${state}`, { signal: this.#asking.signal })).jobs;
     return Promise.all(["done", "running"].map(jobsIn)).then(([done, running]) => paceOf(done, running), () => null);
   }

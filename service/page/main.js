@@ -8,7 +8,7 @@ import { Viewer } from "./viewer/viewer.js";
 import { budget, listen, rememberBudget, sayRate } from "./giving.js";
 import { draw, imageOf, Item } from "./items.js";
 import { $, element, Remote } from "./parts.js";
-import { openSample, SAMPLES, showSamples } from "./samples.js";
+import { openSample, SAMPLES, showSamples, THUMBNAIL_WIDTH } from "./samples.js";
 import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./taking.js";
 import { TITLES, showLabels, showRows, showWork, trouble } from "./telling.js";
 import { size } from "./words.js";
@@ -66,6 +66,7 @@ function refresh(item) {
   }
   const hasNothing = !viewer.left && !viewer.right && item.state in TITLES;
   $("stage").hidden = $("tools").hidden = hasNothing;
+  $("stage").classList.toggle("empty", !viewer.left && !viewer.right);
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
   fillContents(file);
@@ -264,8 +265,8 @@ requestAnimationFrame(() =>
     begin();
     const thumbnails = new Remote("static/decoder_worker.js");
     showSamples(sample, async (bytes) => {
-      await thumbnails.ask("open", { key: 0, bytes });
-      return thumbnails.ask("draw", { key: 0, scale: 0.5 });
+      const { width } = await thumbnails.ask("open", { key: 0, bytes });
+      return thumbnails.ask("draw", { key: 0, scale: THUMBNAIL_WIDTH / width });
     });
     viewer.gpu = openGpu();
     viewer.redraw();

@@ -3,7 +3,8 @@
 import { $, element } from "./parts.js";
 import { size } from "./words.js";
 
-export const SAMPLES = ["astronaut", "coffee", "cat"];
+export const SAMPLES = ["coffee", "astronaut", "cat"];
+export const THUMBNAIL_WIDTH = 216;
 const at = (name, suffix) => `static/samples/${name}.${suffix}`;
 
 /** Fill an item with a sample: first the .sg file, which is the smallest. */
@@ -17,7 +18,7 @@ export async function openSample(item, sample) {
 /** The buttons: each picture is drawn from its .sg file, a few kilobytes. */
 export async function showSamples(opened, thumbnail) {
   const buttons = SAMPLES.map((sample) => {
-    const canvas = element("canvas", { width: 216, height: 144 });
+    const canvas = element("canvas", { width: THUMBNAIL_WIDTH, height: 144 });
     const words = element("span", {}, sample);
     const button = element("button", { type: "button", id: `sample-${sample}` }, canvas, words);
     button.addEventListener("click", () => opened(sample));

@@ -1,9 +1,9 @@
 // What is said of a picture: its labels, its state, its row in the list.
 
 import { $, element, refill } from "./parts.js";
-import { drawTrace } from "./watching.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
 
+const SHARED = "Shared: the original is not part of the link, so there is nothing to compare with.";
 export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
 /** For screen readers, and not more often than something really is new. */
@@ -26,17 +26,19 @@ function label(id, seen, name, ...words) {
  * whether its texture is left out. */
 export function showLabels(item, leftName, isLeft, part, smooth) {
   const rival = item.rivals?.[leftName];
-  if (rival && isLeft) label("left-label", true, leftName, size(rival.bytes), decibels(rival.psnr));
+  if (rival && isLeft) label("left-label", true, leftName, size(rival.bytes));
   else label("left-label", isLeft, "Original", size(item.originalBytes ?? 0));
   const bytes = item.sg && size(item.sg.length);
-  const psnr = item.measured?.psnr ?? item.job?.result?.psnr;
   if (item.soFar) label("right-label", true, "So far", size(item.soFar.bytes));
   else if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
   else if (smooth) label("right-label", item.decoded, "Gaussians", bytes, "without texture");
-  else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
+  else label("right-label", item.decoded, "Gaussians", bytes);
+  $("outcome").textContent = item.decoded ? outcomeOf(item) : "";
+  $("outcome").hidden = item.busy || Boolean(item.opened);
   const unseen = item.source && !item.original && item.state !== "failed" && "This browser cannot show the original.";
   const laid = item.wasTransparent && "Transparent areas are shown on white here, and stay transparent in the file.";
-  $("note").textContent = item.note || unseen || laid || "";
+  const linked = item.id && !item.source && (item.decoded || item.soFar) && SHARED;
+  $("note").textContent = item.note || unseen || laid || linked || "";
   $("note").hidden = !$("note").textContent;
 }
 
@@ -57,21 +59,29 @@ export function showWork(item) {
   else if (item.state === "done") say(`${item.name} is done: ${size(item.sg.length)}`);
   else say(item.words);
   const trace = item.job?.tune === "psnr" ? item.trace : [];
-  drawTrace(trace, item.state === "done" ? (item.job?.result?.psnr ?? null) : null);
-  const isTraced = !$("chart").hasAttribute("hidden");
-  $("chart-card").hidden = !isTraced;
-  $("figures").hidden = !item.decoded;
+  const end = item.state === "done" ? (item.job?.result?.psnr ?? null) : null;
+  $("chart-card").hidden = !trace.length;
+  if (trace.length) import("./watching.js").then(({ drawTrace }) => drawTrace(trace, end));
+  $("figures-field").hidden = !item.decoded;
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }
 
-function figuresOf({ sg, file, size: [width, height], originalBytes, job, measured }) {
+/** How the file came out, for people. */
+function outcomeOf({ sg, originalBytes, measured }) {
+  if (!originalBytes) return "";
+  const words = `${smaller(originalBytes, sg.length)} than the original`;
+  return sentence(measured?.ssim ? `${words}; ${closeness(measured.ssim)}` : words);
+}
+
+function figuresOf({ sg, file, size: [width, height], job, measured }) {
   const gaussians = file?.count ?? job?.result?.gaussians;
+  const psnr = measured?.psnr ?? job?.result?.psnr;
   const parts = [`${width} × ${height} pixels`];
   if (gaussians) parts.push(`${count(gaussians)} Gaussians`);
   parts.push(`${size(sg.length)}, ${((8 * sg.length) / (width * height)).toFixed(2)} bits per pixel`);
-  if (originalBytes) parts.push(smaller(originalBytes, sg.length));
-  const close = measured?.ssim ? ` SSIM ${measured.ssim.toFixed(2)}: ${closeness(measured.ssim)}.` : "";
-  return `${parts.join(" · ")}.${close}`;
+  if (psnr) parts.push(`PSNR ${decibels(psnr)}`);
+  if (measured?.ssim) parts.push(`SSIM ${measured.ssim.toFixed(2)}`);
+  return `${parts.join(" · ")}.`;
 }
 
 function stateInShort({ state, sg, done }) {

@@ -24,8 +24,7 @@ export function drawTrace(trace, end = null) {
   const chart = $("chart");
   // The last points are of the file's rounded numbers; the file itself has its own dot.
   const points = trace.filter((point) => point.psnr !== null && point.phase !== "done");
-  chart.toggleAttribute("hidden", points.length < 2);
-  $("chart-words").hidden = points.length < 2;
+  $("chart-card").hidden = points.length < 2;
   if (points.length < 2) return;
   const all = [...points.map((point) => point.psnr), ...(end === null ? [] : [end])];
   const last = Math.max(trace.at(-1).seconds, 0.1);
@@ -85,7 +84,8 @@ export function stateOf(job, stopping, paceS = null) {
   const last = job.trace.at(-1);
   if (!last) return { words: "Starting the encoder", done: null };
   if (stopping) return { words: "Finishing early", done: null };
-  const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
+  const whole = Math.min(last.seconds / job.progress, job.time_limit_s);
+  const left = job.progress > 0.05 ? Math.max(whole - last.seconds, 0) : null;
   const rest = left === null ? "" : `, about ${seconds(left)} left`;
   return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };
 }

@@ -10,7 +10,7 @@ export const count = (n) => n.toLocaleString("en");
 
 export function smaller(from, to) {
   const times = from / to;
-  if (times < 1.05) return "not smaller than your file";
+  if (times < 1.05) return "not smaller";
   return `${times < 10 ? times.toFixed(1) : Math.round(times)} times smaller`;
 }
 

@@ -120,7 +120,7 @@ class Page(ABC):
 
     def zoom_in(self) -> None:
         """As far as it goes."""
-        wheel = "{ deltaY: -2000, clientX: 300, clientY: 300, cancelable: true }"
+        wheel = "{ deltaY: -3000, clientX: 300, clientY: 300, cancelable: true }"
         self.run(f"document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', {wheel}))")
 
     def imported(self, module: str, expression: str) -> Any:

@@ -17,7 +17,7 @@ export class Tools {
   constructor(viewer, changed) {
     this.#viewer = viewer;
     this.changed = changed;
-    viewer.moved = () => ($("zoom").textContent = `${Math.round(100 * viewer.zoom)} %`);
+    viewer.moved = () => this.#showZoom();
     viewer.timed = (ms) => {
       const perSecond = Math.round(1000 / ms);
       $("frame").textContent = `${ms.toFixed(1)} ms a frame, ${perSecond} a second`;
@@ -47,8 +47,15 @@ export class Tools {
     this.#file = this.#viewer.file = file;
     $("overlays").hidden = $("prefix-field").hidden = !file;
     $("texture-field").hidden = !file?.texture;
+    $("blink").disabled = !this.#viewer.left || !this.#viewer.right;
+    this.#showZoom();
     this.#showOverlay();
     this.#showPrefix();
+  }
+
+  #showZoom() {
+    const { left, right, zoom } = this.#viewer;
+    $("zoom").textContent = left || right ? `${Math.round(100 * zoom)} %` : "";
   }
 
   #bytesInPart() {

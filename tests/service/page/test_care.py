@@ -67,8 +67,8 @@ def test_each_aim_has_its_own_value(page: Chromium, web: Service) -> None:
 def test_a_width_typed_before_the_original_is_there(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.hold_back(".webp")
-    page.click("#sample-coffee")
-    page.says(COFFEE_SAYS, "#figures")
+    page.click("#sample-cat")
+    page.says("5.4 kB", "#right-label")
     assert not page.is_seen("#left-label")
     page.run("document.getElementById('width').value = 321")
     page.run("goOn()")
@@ -112,15 +112,29 @@ def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Ser
     web.clear()
 
 
+def test_a_link_of_somebody_else(page: Chromium, web: Service) -> None:
+    """There is no original, neither while its job waits nor afterwards."""
+    job_id = web.submitted()
+    page.open(f"{web.url}/#{job_id}")
+    page.says("in the queue")
+    assert page.text("#zoom") == ""
+    web.publish(job_id, COFFEE)
+    page.says("Shared: the original is not part of the link", "#note")
+    assert page.text("#zoom").endswith("%")
+    assert not page.is_seen("#divider")
+    assert page.run("return document.getElementById('blink').disabled")
+    web.clear()
+
+
 def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.give("drop", COFFEE, "my coffee.sg")
-    page.says(COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#prefix-words")
     address = page.run("return location.href")
     time.sleep(0.5)  # the browser keeps it
     page.open("about:blank")
     page.open(address)
-    page.says(COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#prefix-words")
     assert page.run("return location.href") == address
     for unknown, words in (("file-unknown", "no longer has this file"), ("5f1c0e9a", "No picture has this address")):
         page.open("about:blank")
@@ -167,6 +181,10 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     screen = {"width": 390, "height": 664, "deviceScaleFactor": 1, "mobile": True}
     page.tell("Emulation.setDeviceMetricsOverride", **screen)
     page.open_page(web)
+    page.tell("Page.setInterceptFileChooserDialog", enabled=True)
+    page.click("#choose")
+    assert page.run("return scrollY") == 0
+    assert page.run("return document.getElementById('tools').getBoundingClientRect().height") < 90  # two rows
     page.queued(see_through(), "clear.png")
     row = page.settled()
     assert row[len(row) // 3].tolist() == [255, 255, 255]
@@ -191,14 +209,14 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
     page.click("#link")
     page.says("The link is in the clipboard", "#taken")
     page.click("#save-sg")
-    page.says("Downloaded astronaut.sg, 4.7 kB.", "#taken")
+    page.says("Downloaded coffee.sg, 9.0 kB.", "#taken")
     page.click("#save-picture")
-    page.says("Downloaded astronaut.png", "#taken")
-    assert page.run("return window.saved") == "astronaut.png"
+    page.says("Downloaded coffee.png", "#taken")
+    assert page.run("return window.saved") == "coffee.png"
     for width in (1, 20_000):
         page.run(f"document.getElementById('width').value = {width}")
         page.click("#save-picture")
-        page.says("the width must lie between 7 and 8660 pixels", "#taken")
+        page.says("the width must lie between 10 and 8660 pixels", "#taken")
         page.run("document.getElementById('taken').textContent = ''")
     page.run("Object.defineProperty(navigator, 'clipboard', { value: undefined })")  # as over plain HTTP
     page.click("#link")
@@ -210,7 +228,7 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
 def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
     page.open_page(web)
     name = "'my \"cup\" & <b>.webp'"
-    snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [432, 288], name: {name} }})"
+    snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [600, 400], name: {name} }})"
     html = page.imported("snippet.js", snippet)
     assert len(html) < 200_000
     alone = tmp_path / "alone.html"

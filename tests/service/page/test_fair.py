@@ -16,7 +16,8 @@ from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
 
-JOB = {"state": "running", "progress": 0.5, "trace": [{"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}]}
+POINT = {"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}
+JOB = {"state": "running", "progress": 0.2, "trace": [POINT]}
 
 
 @pytest.mark.parametrize(("codec", "nearest"), [("image/webp", 1.03), ("image/jpeg", 1.2)])
@@ -25,7 +26,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
 ) -> None:
     """The steps of JPEG's quality are large in small files, those of WebP from 0 to 1 even more."""
     page.open_blank(web)
-    wanted = list(range(2400, 7000, 350))
+    wanted = list(range(4800, 14000, 700))
     sizes = page.run(f"""
         return (async () => {{
             const {{ Remote }} = await import("/static/parts.js");
@@ -41,7 +42,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
     for size, want in zip(sizes, wanted, strict=True):
         assert size >= 0.97 * want
         assert size < nearest * want or size == min(sizes)  # no file is smaller
-    assert sizes[-1] > 6000
+    assert sizes[-1] > 12_000
 
 
 def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service) -> None:
@@ -69,7 +70,8 @@ def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service)
     def steps() -> int:
         return int((np.abs(np.diff(page.settled(), axis=0)).sum(1) > 0).sum())
 
-    page.open_page(web)
+    page.open(f"{web.url}/#astronaut")  # in which there is something everywhere
+    page.says("Original", "#left-label")
     page.zoom_in()
     width = len(page.settled())
     most = width // 64 + 2  # whole pixels of 64 each
@@ -92,11 +94,11 @@ def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Servi
     page.open_page(web)
     page.queued(SMALL, "small.png")
     assert "too few for more than a rough idea" in page.text("#rate-words")
-    assert "SSIM" not in page.text("#figures")
+    assert page.text("#outcome") == ""
     job_id = page.queued(PHOTOGRAPH, "coffee.webp")
-    page.says("about 1,400 Gaussians.", "#rate-words")
+    page.says("about 2,800 Gaussians.", "#rate-words")
     web.publish(job_id, COFFEE)
-    page.says("SSIM 0.", "#figures")
+    page.says("times smaller than the original; ", "#outcome")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
         assert words in page.imported("words.js", f"it.closeness({ssim})")
     web.clear()
@@ -110,8 +112,9 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert "dB" not in page.text("#status")
     assert not page.is_seen("#chart-card")
     page.cancel()
-    said = page.imported("watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
-    assert said == "Fitting 250 Gaussians, about 2 s left"
+    for limit, left in ((60, 8), (5, 3)):
+        said = page.imported("watching.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
+        assert said == f"Fitting 250 Gaussians, about {left} s left"
 
 
 def test_the_curve_stays_within_its_axes(page: Chromium, web: Service) -> None:

@@ -31,7 +31,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#rivals"))
     (job,) = service.client.get("/jobs").json()["jobs"]
-    assert f"{job['result']['gaussians']} Gaussians" in page.text("#figures")
+    page.says(f"all {job['result']['gaussians']} Gaussians", "#prefix-words")
     assert (job["tune"], job["effort"]) == ("visual", 1)
     assert page.run("return location.hash") == f"#{job['id']}"
     assert not page.is_seen("#work")
@@ -49,7 +49,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.says("Gaussians", "#right-label")
     page.says("Original", "#left-label")  # the browser has kept it
     page.give("drop", COFFEE, "coffee.sg")
-    page.says(COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#prefix-words")
     assert_as_python(page.decoded(COFFEE), COFFEE)
     assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
     page.click("#rows li:first-child .pick")
@@ -64,13 +64,14 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
 @pytest.mark.parametrize("way", ["paste", "sample"])
 def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: str) -> None:
     page.open_page(service)
+    page.run("document.getElementById('effort').value = '1'")
     if way == "paste":
         page.give("paste", SMALL, "pasted.png")
     else:
         assert page.text("#again") == "Encode this one"
         page.click("#again")
     job_id = wait_until(lambda: len(job := page.run("return location.hash.slice(1)")) == 32 and job)
-    page.says(f"{service.wait(job_id)['result']['gaussians']:,} Gaussians", "#figures")
+    page.says(f"{service.wait(job_id)['result']['gaussians']:,} Gaussians", "#prefix-words")
     assert page.text("#left-label").startswith("Original")
     assert page.complaints() == []
 
@@ -98,7 +99,7 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
     assert not page.is_seen("#work")
     job = service.job(job_id)
     assert job["state"] == "done"
-    assert f"{job['result']['gaussians']:,} Gaussians" in page.text("#figures")
+    page.says(f"all {job['result']['gaussians']:,} Gaussians", "#prefix-words")
     assert page.complaints() == []
 
 
@@ -107,6 +108,7 @@ def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
     """Given, chosen, or gone back to, whatever ends last."""
     page.open_page(web)
     first = page.run("return location.hash")
+    page.click("#figures-field summary")
     page.hold_back("cat.webp")
     page.click("#sample-cat")
     page.says("5.4 kB", "#right-label")
@@ -117,12 +119,12 @@ def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
     wait_until(lambda: page.run(f"return performance.getEntriesByName('{original}').length"))
     page.run("return new Promise((done) => setTimeout(done, 300))")
     assert "40 × 56 pixels" in page.text("#figures")
-    for step, words, where in ((-1, "5.4 kB", "#right-label"), (-1, "4.7 kB", "#right-label"), (2, "40 ×", "#figures")):
+    for step, words, where in ((-1, "5.4 kB", "#right-label"), (-1, "9.0 kB", "#right-label"), (2, "40 ×", "#figures")):
         page.run(f"history.go({step})")
         page.says(words, where)
     # The address is another one before the page is told of it. What then becomes new must not take it back.
     page.run(f"location.hash = '{first}'; document.querySelector('#rows [aria-pressed=true]').click()")
-    page.says("4.7 kB", "#right-label")
+    page.says("9.0 kB", "#right-label")
     assert page.run("return location.hash") == first
 
 
@@ -240,7 +242,7 @@ def test_with_a_key(page: Chromium, start_service: StartService) -> None:
     page.says("in the queue")
     page.open("about:blank")
     page.open(f"{web.url}/#{web.published(COFFEE, 'ann')}")  # the key is remembered until the window is closed
-    page.says(COFFEE_SAYS, "#figures")
+    page.says(COFFEE_SAYS, "#prefix-words")
 
 
 @pytest.mark.thorough
