@@ -60,14 +60,15 @@ export function sayRate(item) {
     return;
   }
   const bpp = rate();
-  const words = [`${bpp.toFixed(2)} bits per pixel`];
   if (item?.size && item.originalBytes) {
     const bytes = Math.round((bpp * item.size[0] * item.size[1]) / 8);
     $("rate").textContent = `about ${size(bytes)}`;
-    words.push(smaller(item.originalBytes, bytes), expected(bytes));
-  } else $("rate").textContent = `${size(Math.round((bpp / 8) * 1e6))} a megapixel`;
+    $("rate-words").textContent = `Estimated: ${smaller(item.originalBytes, bytes)}, ${expected(bytes)}.`;
+  } else {
+    $("rate").textContent = `${size(Math.round((bpp / 8) * 1e6))} a megapixel`;
+    $("rate-words").textContent = `${bpp.toFixed(2)} bits per pixel.`;
+  }
   $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
-  $("rate-words").textContent = `${words.join(", ")}.`;
 }
 
 export function rememberBudget(changed) {

@@ -66,7 +66,6 @@ function refresh(item) {
   }
   const hasNothing = !viewer.left && !viewer.right && item.state in TITLES;
   $("stage").hidden = $("tools").hidden = hasNothing;
-  $("stage").classList.toggle("empty", !viewer.left && !viewer.right);
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
   fillContents(file);
@@ -80,7 +79,8 @@ function refresh(item) {
   $("snippet").hidden = !file;
   $("link").hidden = !item.id && !item.sample;
   $("again").hidden = !item.source || item.busy || item.refused || Boolean(item.sample && !decoded);
-  $("again").textContent = item.sample ? "Encode this one" : item.isUnread ? "Send it anyway" : "Encode again";
+  $("again").classList.toggle("button", !item.sample);
+  $("again").textContent = item.sample ? "Encode this sample again" : item.isUnread ? "Send it anyway" : "Encode again";
   sayRate(item);
 }
 

@@ -68,7 +68,7 @@ def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: 
     if way == "paste":
         page.give("paste", SMALL, "pasted.png")
     else:
-        assert page.text("#again") == "Encode this one"
+        assert page.text("#again") == "Encode this sample again"
         page.click("#again")
     job_id = wait_until(lambda: len(job := page.run("return location.hash.slice(1)")) == 32 and job)
     page.says(f"{service.wait(job_id)['result']['gaussians']:,} Gaussians", "#prefix-words")
