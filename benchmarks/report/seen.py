@@ -77,10 +77,10 @@ def page(contents: Mapping[str, Content]) -> Page:
         table=tabled(contents, TABLE, bpp),
         conclusion=" ".join(sentence(SETS[name], content) for name, content in contents.items()),
         limits=f"{trained(bpp)}"
-        "- Human judgement: no panel of viewers was asked. Three readers of this project picked without names at 0.2 bpp, "
-        "from twelve parts each. Ours in six of hard grainy crops, seven of grainy parts of Kodak, eight "
-        "of other photographs, and nine of faces, lettering, buildings and sky; AVIF's in the others "
-        "([which](../notebook/eye.md#how-loud-may-noise-be)). [A sheet of crops at twice their "
+        "- Human judgement: no panel of viewers was asked. Three readers of this project picked without names at 0.2 "
+        "bpp, from twelve parts each: ours in five of hard grainy crops, four of grainy parts of Kodak, five of other "
+        "photographs, and all of faces, lettering, buildings and sky; AVIF's in the others "
+        "([which](../notebook/eye.md#should-faint-grain-come-back-whole)). [A sheet of crops at twice their "
         "size](../seen.webp) shows the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` "
         "generates it.\n"
         "- The current noise: its strength was changed after this was measured, as that entry says.\n"

@@ -2,7 +2,7 @@
 
 Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a smooth area look
 broken. So what the fit does not reach of a cell's grain is removed from its target, and the decoder's noise has the
-spread that is then missing, or, of what is louder than a few levels, a part.
+energy that is then missing, up to a spread of a few levels.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ MARGIN = 4  # rows, more than reduction and enlargement reach; even, so that row
 def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Codes | None:
     """Texture codes [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None if all are 0.
 
-    In each block, the noise gives the energy that the decoded picture lacks in an octave; in each cell, its spread grows
-    with a logarithm beyond settings.loud. Blocks of drawings or lettering count as free of noise.
+    In each block, the noise gives the energy that the decoded picture lacks in an octave; in each cell, its spread
+    approaches settings.most_levels. Blocks of drawings or lettering count as free of noise.
     """
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
@@ -49,7 +49,8 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
         for octave, (whole, part) in enumerate(zip(_energies(wanted), _energies(drawn), strict=True)):
             missing[octave, here] = np.maximum(whole - part - settings.floor**2, 0)
         missing[:, here] *= _noisy(wanted)
-    spreads = [settings.loud * np.log1p(_strengths(np.sqrt(one), settings) / settings.loud) for one in missing]
+    most = settings.most_levels
+    spreads = [most * np.tanh(_strengths(np.sqrt(one), settings) / most) for one in missing]
     codes = _codes(np.stack([spread / shown for spread, shown in zip(spreads, SHOWN, strict=True)]))
     return codes if codes.any() else None
 

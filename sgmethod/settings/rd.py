@@ -246,9 +246,7 @@ class TextureSettings:
     quantile: float = 0.4  # of a cell's blocks, ordered by energy: the strength of its grain
     floor: float = 0.3  # levels of 8 bits: the spread between two rounded pictures
     excess: float = 8.0  # weight of texture that is too strong in a block, in multiples of that of too weak
-    # Levels of 8 bits from which on noise grows with the logarithm of the spread that is missing: with all of it,
-    # pebbles, leaves and sand become noise.
-    loud: float = 2.5
+    most_levels: float = 3.0  # of 8 bits, which the noise's spread approaches: louder, pebbles and leaves become noise
     share: float = 0.05  # most of a budget of bytes
 
 
