@@ -85,7 +85,9 @@ def test_every_format_but_ppm_says_srgb() -> None:
     pixels = np.full((16, 16, 3), SRGB_ALREADY, np.uint8)
     for kind in ("JPEG", "WebP"):
         data = encode_picture(pixels, kind)
-        assert b"sRGB" in Image.open(io.BytesIO(data)).info["icc_profile"].replace(b"\0", b"")
+        profile = Image.open(io.BytesIO(data)).info["icc_profile"]
+        assert b"sRGB" in profile.replace(b"\0", b"")
+        assert int.from_bytes(profile[:4], "big") == len(profile)
         assert data == encode_picture(pixels, kind)
     assert Image.open(io.BytesIO(encode_picture(pixels, "PNG"))).info["srgb"] == 0
     assert b"colrnclx\0\1\0\r" in encode_picture(pixels, "AVIF")  # the code points of sRGB: 1 and 13
