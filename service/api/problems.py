@@ -37,6 +37,7 @@ PROBLEM: dict[str, Any] = {
     "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
+FULL_DISK = ("disk is full", "No space left")  # words of SQLite, and of the system and PostgreSQL
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
     **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
@@ -110,6 +111,9 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
             return ProblemError(error.status_code, error.detail, headers=error.headers)
         case ClientDisconnect():
             return ProblemError(400, "the request ended before its body did", reason="cut")
+        case JobTableError() | OSError() if any(words in str(error) for words in FULL_DISK):
+            log_seldom(log, "the disk is full: %s", error)
+            return ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
         case JobTableError():
             return _unreachable("the job table", "table", error)
         case SandboxGoneError():
