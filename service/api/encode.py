@@ -129,6 +129,8 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> 
     """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError."""
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
+    if context.streams.full:  # too many wait already
+        wait_s = 0
     if wait_s:
         headers["Preference-Applied"] = f"wait={wait_s}"
     ended = await job_within(request, job, wait_s, context) if wait_s else None
