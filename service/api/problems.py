@@ -144,11 +144,11 @@ def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
 
 def _allowed_methods(request: Request) -> set[str]:
     """Methods of all routes at this path; the exception knows those of the first alone."""
-    methods: set[str] = set()
+    methods = set()
     for method in METHODS:
         scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
             methods.add(method)
     if "GET" in methods and not request.url.path.endswith("/events"):
         methods.add("HEAD")
-    return methods
+    return methods or {"GET", "HEAD"}  # of a static file, which is no route

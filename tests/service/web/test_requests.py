@@ -44,6 +44,7 @@ def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert answer.headers["allow"] == "DELETE, GET, HEAD"
     assert web.client.put(f"/decode/{GOOD_ID}.png").headers["allow"] == "GET, HEAD"
     assert_problem(web.client.get("/encode"), 405)
+    assert web.client.put("/static/main.js").headers["allow"] == "GET, HEAD"
 
 
 def test_a_waiting_job_has_a_place_and_no_picture_yet(empty: Service) -> None:
