@@ -133,7 +133,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
         ("scale=1&height=5", "not both"),
         ("width=10&fit=crop", "needs both width and height"),
         ("quality=50", "quality does not apply"),
-        ("width=65535", "scale"),
+        ("width=65535", "width can be 1 to 3072, and height 1 to 2560"),
         ("scale=64", "exceed the limit"),
     ],
 )
