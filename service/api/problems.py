@@ -54,13 +54,7 @@ class ProblemError(Exception):
     """
 
     def __init__(
-        self,
-        status: int,
-        detail: str,
-        *,
-        reason: str = "",
-        headers: Mapping[str, str] | None = None,
-        **members: Any,
+        self, status: int, detail: str, *, reason: str = "", headers: Mapping[str, str] | None = None, **members: Any
     ) -> None:
         super().__init__(detail)
         self.status = status

@@ -119,8 +119,7 @@ class PictureOptions(BaseModel):
     width: Side = None
     height: Side = None
     fit: Annotated[
-        Fit,
-        Field(description="with width and height: fit inside them, cover them, or crop to them from the centre"),
+        Fit, Field(description="with width and height: fit inside them, cover them, or crop to them from the centre")
     ] = "contain"
     region: Annotated[
         str | None,
