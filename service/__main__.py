@@ -21,7 +21,7 @@ from service.process.loops import StopSignal
 from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
-from service.settings import Settings, unknown_settings
+from service.settings import LONGEST_KEPT_S, Settings, unknown_settings
 from service.worker.sweeping import ORPHAN_AGE_S, sweep
 from sgmethod.errors import SgError
 
@@ -85,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--dry-run", action="store_true", help="report how many would be deleted, and delete nothing")
     sweep.add_argument(
         "--orphan-age-s",
-        type=float,
+        type=_age_s,
         default=ORPHAN_AGE_S,
         help="minimum age in seconds of an orphaned file (default: %(default)g); use 0 only while nothing else runs",
     )
@@ -94,6 +94,12 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--supervisor", type=int, help=argparse.SUPPRESS)
         command.add_argument("--sandbox", type=int, help=argparse.SUPPRESS)
     return parser
+
+
+def _age_s(text: str) -> float:
+    if not 0 <= (seconds := float(text)) <= LONGEST_KEPT_S:
+        raise argparse.ArgumentTypeError(f"must be 0 to {LONGEST_KEPT_S:g}")
+    return seconds
 
 
 def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:

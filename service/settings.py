@@ -26,13 +26,14 @@ MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
 LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the end is a date
+MOST_WORKERS = 64  # processes of one machine
 UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
 def default_workers() -> int:
     """One encoder for every four cores: an encode gains little beyond four threads."""
-    return max(1, native.available_cores() // 4)
+    return min(max(1, native.available_cores() // 4), MOST_WORKERS)
 
 
 def listed(text: str) -> list[str]:
@@ -59,13 +60,14 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
     data_dir: Path = Field(default=Path("data"), description="folder for the job table, sources and bitstreams")
-    workers: int = Field(default_factory=default_workers, ge=1, description="number of concurrent encodes")
+    workers: int = Field(
+        default_factory=default_workers, ge=1, le=MOST_WORKERS, description="number of concurrent encodes"
+    )
     api_keys_file: Path | None = Field(
         default=None, description="file of API keys, one name:SHA-256 per line; without keys the service is open to all"
     )
     trusted_proxies: str = Field(
-        default="",
-        description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted",
+        default="", description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted"
     )
     retention_s: float = Field(
         default=30 * 86_400, ge=0, le=LONGEST_KEPT_S, description="seconds until finished jobs are removed; 0 for never"

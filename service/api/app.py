@@ -86,7 +86,7 @@ async def _reload_keys(context: Context) -> None:
             try:
                 names = await to_thread.run_sync(context.settings.read_keys)
             except ValueError as error:
-                log_seldom(log, "kept the previous API keys: %s", error)
+                log_seldom(log, f"kept the previous API keys: {error}")
                 continue
             if context.keys.replace(names):
                 log.info("reloaded the API keys")

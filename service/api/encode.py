@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
-import logging
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -17,7 +17,7 @@ from service.api.context import Context, KnownJob, UseCaller, UseContext
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
 from service.api.pictures import PictureQuery, bitstream, open_image, picture
-from service.api.problems import RETRY_AFTER, ProblemError
+from service.api.problems import ProblemError
 from service.api.requests import (
     FORM_TYPE,
     IMAGE_FIELD,
@@ -31,18 +31,8 @@ from service.api.requests import (
     wanted_wait_s,
     wants_picture,
 )
-from service.jobs.job import (
-    Job,
-    KeyReusedError,
-    LimitError,
-    NewJob,
-    SourceImage,
-    new_job_id,
-)
-from service.logs import log_seldom
+from service.jobs.job import Job, KeyReusedError, LimitError, NewJob, SourceImage, new_job_id
 from service.storage.files import source_key
-
-log = logging.getLogger(__name__)
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
 FORM: dict[str, Any] = {"type": "object", "additionalProperties": False, "properties": OPTION_SCHEMAS}
@@ -121,8 +111,7 @@ def _accept(
     new = NewJob(new_job_id(), request, header, fingerprint.hexdigest(), key, owner, options.priority)
     free_bytes = context.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
-        log_seldom(log, "new jobs are refused, since the disk is full: %d bytes are free", free_bytes)
-        raise ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
+        raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
     context.storage.put(source_key(new.id), image)
     try:  # if the table fails, the image stays for the sweep: the row may have been written anyway
         job, is_new = context.table.submit(new)
@@ -140,6 +129,8 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> 
     """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError."""
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
+    if context.streams.full:  # too many wait already
+        wait_s = 0
     if wait_s:
         headers["Preference-Applied"] = f"wait={wait_s}"
     ended = await job_within(request, job, wait_s, context) if wait_s else None

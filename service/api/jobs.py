@@ -64,8 +64,6 @@ def jobs(
 
 async def job_within(request: Request, job: Job, seconds: int, context: Context) -> Job | None:
     """The job once it has ended, None if it has not in time. Raises ProblemError 409 if it is removed meanwhile."""
-    if context.streams.full:  # too many wait already
-        return None
     with context.streams.one():
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 

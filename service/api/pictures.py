@@ -81,10 +81,7 @@ class PreviewQuery(Parameters):
     """How large a preview may be."""
 
     bytes: int = Field(
-        default=200,
-        ge=LEAST_PREVIEW_BYTES,
-        le=MOST_PREVIEW_BYTES,
-        description="of the .sg file, 4 characters for 3",
+        default=200, ge=LEAST_PREVIEW_BYTES, le=MOST_PREVIEW_BYTES, description="of the .sg file, 4 characters for 3"
     )
 
 

@@ -37,6 +37,7 @@ PROBLEM: dict[str, Any] = {
     "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
+FULL_DISK = ("disk is full", "No space left")  # words of SQLite, and of the system and PostgreSQL
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
     **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
@@ -53,13 +54,7 @@ class ProblemError(Exception):
     """
 
     def __init__(
-        self,
-        status: int,
-        detail: str,
-        *,
-        reason: str = "",
-        headers: Mapping[str, str] | None = None,
-        **members: Any,
+        self, status: int, detail: str, *, reason: str = "", headers: Mapping[str, str] | None = None, **members: Any
     ) -> None:
         super().__init__(detail)
         self.status = status
@@ -110,6 +105,9 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
             return ProblemError(error.status_code, error.detail, headers=error.headers)
         case ClientDisconnect():
             return ProblemError(400, "the request ended before its body did", reason="cut")
+        case JobTableError() | OSError() if any(words in str(error) for words in FULL_DISK):
+            log_seldom(log, "the disk is full: %s", error)
+            return ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
         case JobTableError():
             return _unreachable("the job table", "table", error)
         case SandboxGoneError():
@@ -140,11 +138,11 @@ def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
 
 def _allowed_methods(request: Request) -> set[str]:
     """Methods of all routes at this path; the exception knows those of the first alone."""
-    methods: set[str] = set()
+    methods = set()
     for method in METHODS:
         scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
             methods.add(method)
     if "GET" in methods and not request.url.path.endswith("/events"):
         methods.add("HEAD")
-    return methods
+    return methods or {"GET", "HEAD"}  # of a static file, which is no route

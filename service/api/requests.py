@@ -25,7 +25,7 @@ VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
 
 IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # of a form, and of the query; the others are options
-MAX_FIELDS, MAX_FIELD_BYTES = 20, 256
+MAX_FIELDS, MAX_FIELD_BYTES = 20, 1 << 10  # whose refusal counts in kB
 MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes to a temporary file
 MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
 

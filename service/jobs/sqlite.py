@@ -82,7 +82,9 @@ class SqliteJobTable(JobTable):
         except sqlite3.Error as error:
             if db is not None:
                 db.close()
-            raise JobTableError(f"{self._path}: {error}") from error
+            # SQLite calls it an I/O error that there is no room for its shared memory.
+            words = "disk is full" if "SHMSIZE" in getattr(error, "sqlite_errorname", "") else error
+            raise JobTableError(f"{self._path}: {words}") from error
         except BaseException:
             if db is not None:
                 idle.put(db)

@@ -49,11 +49,7 @@ class Supervised:
         self._restart_at: float | None = None
         # A group of its own: Ctrl-C reaches the supervisor alone, which stops everything in order.
         self.process = subprocess.Popen(
-            self._command,
-            env=self._environment,
-            stdin=subprocess.DEVNULL,
-            pass_fds=self._descriptors,
-            process_group=0,
+            self._command, env=self._environment, stdin=subprocess.DEVNULL, pass_fds=self._descriptors, process_group=0
         )
 
     def keep_alive(self) -> None:
@@ -75,10 +71,6 @@ class Supervised:
         self._pause_s = FIRST_PAUSE_S if steady else min(2 * self._pause_s, LONGEST_PAUSE_S)
         self._restart_at = now + self._pause_s
         log.error("%s %s; next try in %.1f s", self.name, why, self._pause_s)
-
-    def terminate(self) -> None:
-        """Ask the process to stop."""
-        self.process.terminate()
 
     def stop(self, deadline: float) -> None:
         """Wait for the end until deadline (monotonic seconds), then force it."""
@@ -107,8 +99,8 @@ def supervise(
             process.keep_alive()
     log.info("stopping")
     listener.close()
-    for process in clients:
-        process.terminate()
+    for client in clients:
+        client.process.terminate()
     deadline = time.monotonic() + settings.stop_grace_s
     for process in (*clients, sandbox):
         process.stop(deadline)

@@ -119,8 +119,7 @@ class PictureOptions(BaseModel):
     width: Side = None
     height: Side = None
     fit: Annotated[
-        Fit,
-        Field(description="with width and height: fit inside them, cover them, or crop to them from the centre"),
+        Fit, Field(description="with width and height: fit inside them, cover them, or crop to them from the centre")
     ] = "contain"
     region: Annotated[
         str | None,
@@ -167,6 +166,9 @@ class Drawing:
         ratios = [want / have for want, have in zip(box, part[2:], strict=True) if want is not None]
         if ratios:
             scale = min(ratios) if options.fit == "contain" else max(ratios)
+            if not MIN_SCALE <= scale <= MAX_SCALE:
+                (w, h), most = part[2:], int(MAX_SCALE)
+                raise ViewError(f"width can be {-(-w // most)} to {w * most}, and height {-(-h // most)} to {h * most}")
         crop = box if options.fit == "crop" else (None, None)
         if crop[0] is not None and crop[1] is not None:
             part = _middle(part, crop[0] / scale, crop[1] / scale)

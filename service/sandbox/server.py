@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import select
 import selectors
 import signal
 import socket
@@ -85,16 +86,23 @@ class Server:
             print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
 
     def _take(self) -> bool:
+        """Give a task to a fork, and drop nonsense. False once all clients are gone."""
         line, descriptors, _, _ = socket.recv_fds(self._requests, TASK_BYTES, 2)
-        if not line:
+        if not line and _hung_up(self._requests):
             return False
-        answer, file = socket.socket(fileno=descriptors[0]), descriptors[1]
+        try:
+            number, file = descriptors
+            answer = socket.socket(fileno=number)
+        except (ValueError, OSError):
+            for descriptor in descriptors:
+                os.close(descriptor)
+            return True
         while self._waiting:
             fork = self._waiting.pop(0)
             try:
                 with fork.control:
                     socket.send_fds(fork.control, [line], [answer.fileno(), file])
-            except ConnectionError:  # it has died while it waited
+            except OSError:  # it has died while it waited
                 continue
             fork.answer = answer
             self._selector.register(answer, selectors.EVENT_READ, fork)
@@ -113,7 +121,7 @@ class Server:
             asked = answer.recv(CONTROL_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return
-        except ConnectionError:
+        except OSError:
             asked = b""
         os.kill(fork.number, END_EARLY if asked else signal.SIGKILL)
         if not asked:
@@ -137,7 +145,7 @@ class Server:
         except BlockingIOError:
             self._selector.modify(answer, selectors.EVENT_WRITE, fork)
             return
-        except ConnectionError:
+        except OSError:
             pass
         self._leave(fork, answer)
 
@@ -145,6 +153,13 @@ class Server:
         self._selector.unregister(answer)
         answer.close()
         fork.answer = None
+
+
+def _hung_up(connection: socket.socket) -> bool:
+    """Whether its other end is closed. Reading nothing does not prove it: a message may be empty."""
+    poll = select.poll()
+    poll.register(connection, 0)  # a hang-up is told unasked
+    return bool(poll.poll(0))
 
 
 def run_fork(control: int, parent: int) -> NoReturn:

@@ -23,7 +23,7 @@ from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
-from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
+from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
 from sgmethod.profiles import DEFAULT_EFFORT
 
@@ -158,10 +158,15 @@ def _name_of(error: SgError) -> Any:
 
 
 def _read_header(task: frames.ReadHeader, file: bytes, answer: Answer) -> None:
+    header = _header_of_still(file, task)
+    answer.say(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
+
+
+def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
     header = read_header(file, ImageLimits(task.max_pixels))
     if not header.still:
         raise ImageError(f"this {header.format} contains more than one picture; send a single still picture")
-    answer.say(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
+    return header
 
 
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
@@ -185,6 +190,7 @@ def _make_rival(task: frames.MakeRival, file: bytes, answer: Answer) -> None:
 def _make_preview(task: frames.MakePreview, file: bytes, answer: Answer) -> None:
     from sgmethod.previews.preview import preview
 
+    _header_of_still(file, task)
     made = preview(file, task.most_bytes, limits=ImageLimits(task.max_pixels))
     answer.say(frames.PreviewFigures.model_validate(made.to_dict()))
 

@@ -71,10 +71,7 @@ class Worker:
     def _sweep(self) -> None:
         settings = self._settings
         swept = sweep(
-            self._table,
-            self._storage,
-            retention_s=settings.retention_s,
-            source_retention_s=settings.source_retention_s,
+            self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
         )
         if swept != Swept(0, 0):
             log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
@@ -100,7 +97,7 @@ class Worker:
         try:
             attempt.conclude(self._encode(attempt))
         except ClaimLostError:
-            log.warning("job %s: attempt %d was taken over by another worker", claim.job_id, claim.attempt)
+            log.warning("job %s: attempt %d was deleted or taken over", claim.job_id, claim.attempt)
         except StoppedError:
             log.info("job %s: handed back", claim.job_id)
             self._table.release(claim)

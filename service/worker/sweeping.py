@@ -37,17 +37,17 @@ def sweep(
     With dry_run nothing is removed. Raises JobTableError, OSError.
     """
     expired = table.finished(retention_s) if retention_s else []
-    for job_id in [] if dry_run else expired:
-        _remove(table, storage, job_id)
     # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
     ended = table.finished(source_retention_s, with_image=True)
     keep = table.needed_keys()
     files = {*map(source_key, ended), *(key for key in storage.old(orphan_age_s) if key not in keep)}
-    for key in () if dry_run else files:
-        storage.delete(key)
-        folder, _, name = key.partition("/")
-        if folder == "sources":
-            table.source_removed(name)
+    if not dry_run:
+        for key in files:  # first: on a full disk, the job table cannot be written before
+            storage.delete(key)
+        for job_id in ended:
+            table.source_removed(job_id)
+        for job_id in expired:
+            _remove(table, storage, job_id)
     return Swept(len(expired), len(files))
 
 

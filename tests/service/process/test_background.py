@@ -32,9 +32,11 @@ def test_rounds_go_on() -> None:
     assert failures.total() == before + 1
 
 
-def test_keys_are_read_until_they_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever failed before."""
-    wrong = RuntimeError("nobody foresaw this"), ValueError("cannot be read")
+def test_keys_are_read_until_they_can_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever failed before, which is logged."""
+    wrong = RuntimeError("nobody foresaw this"), ValueError("cannot be read"), ValueError("key 1 is none")
     read_keys = failing(lambda: {digest("a key"): "ann"}, *wrong)
     monkeypatch.setattr(app, "KEYS_POLL_S", 0.0)
     ring = KeyRing({})
@@ -49,6 +51,7 @@ def test_keys_are_read_until_they_can_be(tmp_path: Path, monkeypatch: pytest.Mon
 
     asyncio.run(follow())
     assert ring.owner_of("a key") == "ann"
+    assert all(str(error) in caplog.text for error in wrong)
 
 
 def test_what_comes_again_and_again_is_logged_once_a_minute(

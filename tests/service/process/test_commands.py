@@ -91,6 +91,9 @@ def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
         result = run_command("sweep", *arguments, data_dir=settings.data_dir)
         assert (result.status, result.stdout) == (0, f"{verb} finished jobs: 0, files that no job needs: {files}\n")
     assert set(storage.old(-5)) == {needed}
+    for age in ("nan", "-1", "inf"):
+        with pytest.raises(SystemExit, match="2"):
+            run_command("sweep", f"--orphan-age-s={age}", data_dir=settings.data_dir)
 
 
 def test_a_check_that_nobody_reads_to_its_end(tmp_path: Path) -> None:

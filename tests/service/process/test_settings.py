@@ -47,18 +47,18 @@ def test_limits_never_exceed_what_the_encoder_reads() -> None:
         Settings(max_pixels=bound + 1)
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3, 100])
+@pytest.mark.parametrize("workers", [1, 2, 3, 64])
 def test_threads_of_all_workers_stay_within_the_cores(workers: int) -> None:
     threads = Settings(workers=workers).encode_threads
     assert threads >= 1
     assert threads * workers <= max(native.available_cores(), workers)
 
 
-@pytest.mark.parametrize("cores", [1, 2, 8])
+@pytest.mark.parametrize("cores", [1, 2, 8, 1000])
 def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
     """Which the kernels count; their own tests try quotas (tests/native/core/cores.cpp)."""
     monkeypatch.setattr(native, "available_cores", lambda: cores)
-    assert Settings().workers == max(1, cores // 4)
+    assert Settings().workers == min(max(1, cores // 4), 64)
 
 
 @pytest.mark.parametrize("command", ["serve", "web", "worker", "check", "sweep"])
@@ -72,7 +72,7 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
 
 BAD = {
     "SG_PORT": ("x", "70000"),
-    **{"SG_WORKERS": ("0",), "SG_LEASE_S": ("nan",), "SG_STOP_GRACE_S": ("inf",), "SG_DECODE_TIME_S": ("0",)},
+    **{"SG_WORKERS": ("0", "65"), "SG_LEASE_S": ("nan",), "SG_STOP_GRACE_S": ("inf",), "SG_DECODE_TIME_S": ("0",)},
     **{"SG_JOB_MEMORY_BYTES": ("9" * 30,), "SG_MAX_PIXELS": ("9" * 30,), "SG_RETENTION_S": ("1e300",)},
     **{"SG_API_KEYS_FILE": ("/dev/null/keys",), "SG_DATA_DIR": ("\udcff",), "SG_STORAGE_URL": ("s3://b u", "ftp://x")},
     "SG_DATABASE_URL": ("mysql://x",),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import signal
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,19 @@ def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
         wait_until(lambda what=what: encoder_of(what.job_id) is None)
         with pytest.raises(TaskError, match="crashed"):
             asked(taken_over, what, program.encode())
+
+
+def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
+    """It ended the sandbox, and every task with it."""
+    program = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)"
+    with file_of(program) as file, taken_over.start(task(), file) as running, socket.socket() as unconnected:
+        wait_until(lambda: running.read(0.1) or running.begun)
+        for message in (b"", b"nonsense"):
+            for things in ([], [file], [file, file], [unconnected], [unconnected, file]):
+                socket.send_fds(taken_over._requests, [message], [thing.fileno() for thing in things])
+        assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
+        running.end_early()
+        assert list(until_end(running)) == [Ended(status=0)]
 
 
 def test_a_client_that_reads_nothing_holds_nobody_up(taken_over: Sandbox) -> None:

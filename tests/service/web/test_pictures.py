@@ -20,6 +20,7 @@ from tests.harness.service import Service, StartService, assert_problem
 
 TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
+ANIMATION = saved(Image.new("RGB", (8, 8)), "GIF", save_all=True, append_images=[Image.new("RGB", (8, 8), "red")])
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +133,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
         ("scale=1&height=5", "not both"),
         ("width=10&fit=crop", "needs both width and height"),
         ("quality=50", "quality does not apply"),
-        ("width=65535", "scale"),
+        ("width=65535", "width can be 1 to 3072, and height 1 to 2560"),
         ("scale=64", "exceed the limit"),
     ],
 )
@@ -170,6 +171,7 @@ def test_a_preview_is_answered_at_once_and_decoded_from_its_text(web: Service) -
         ("", b"hello", 415, "not a PNG"),
         ("", b"", 422, "empty"),
         ("", PHOTOGRAPH[:-500], 422, "truncated"),
+        ("", ANIMATION, 422, "more than one picture"),
         ("?bytes=11", PHOTOGRAPH, 422, "bytes"),
         ("?bytes=4097", PHOTOGRAPH, 422, "bytes"),
         ("?size=100", PHOTOGRAPH, 422, "query.size: unknown query parameter"),

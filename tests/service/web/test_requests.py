@@ -44,6 +44,7 @@ def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert answer.headers["allow"] == "DELETE, GET, HEAD"
     assert web.client.put(f"/decode/{GOOD_ID}.png").headers["allow"] == "GET, HEAD"
     assert_problem(web.client.get("/encode"), 405)
+    assert web.client.put("/static/main.js").headers["allow"] == "GET, HEAD"
 
 
 def test_a_waiting_job_has_a_place_and_no_picture_yet(empty: Service) -> None:
@@ -134,7 +135,7 @@ def test_forms_that_are_refused(web: Service) -> None:
     assert_problem(post("/encode", files={"image": ("a.png", SMALL), "bpp": ("b.txt", b"1")}), 400)
     assert_problem(post("/encode", files={"bpp": ("b.txt", b"1")}), 422, "image is missing")
     assert_problem(post("/encode", files=image, data={"bpp": ["1", "1"]}), 422, "twice")
-    assert_problem(post("/encode", files=image, data={"bpp": "1" * 1000}), 400)
+    assert_problem(post("/encode", files=image, data={"bpp": "1" * 2000}), 400, "maximum size of 1KB")
     key = {"Idempotency-Key": "with space"}
     assert_problem(post("/encode", files=image, data={"bpp": "1"}, headers=key), 400, "Idempotency-Key")
 

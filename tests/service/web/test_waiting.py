@@ -114,7 +114,8 @@ def test_places_to_wait_or_watch(start_service: StartService) -> None:
             stream = crowd.enter_context(web.connect())
             stream.sendall(f"GET /jobs/{job['id']}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
         wait_for(taken=Settings.max_streams)
-        assert web.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
+        answer = web.client.post("/encode?wait=300", content=SMALL, headers=BODY)
+        assert (answer.status_code, answer.headers.get("preference-applied")) == (202, None)
         assert_problem(web.client.get(f"/jobs/{job['id']}/events"), 503, "streams")
     wait_for(taken=0)
 

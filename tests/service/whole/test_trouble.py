@@ -21,7 +21,7 @@ from tests.harness.pictures import noisy_png, saved
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, running_encoder, wait_until, worker_of
 from tests.harness.s3_server import S3Server
-from tests.harness.service import STAND_IN, StartService, assert_problem
+from tests.harness.service import STAND_IN, RunCommand, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
@@ -82,6 +82,19 @@ def test_full_disk_while_finishing(small_disk: Path, start_service: StartService
     job = service.wait(job_id)
     assert (job["state"], job["attempt"]) == ("done", 1)
     wait_until(lambda: service.files() == [f"bitstreams/{job_id}.1.sg"])
+
+
+def test_full_disk_in_words(small_disk: Path, start_service: StartService, run_command: RunCommand) -> None:
+    """The job table was unreachable, or had an I/O error."""
+    web = start_service("web", max_upload_bytes=ROOM_BYTES)
+    done = web.published(PICTURE)
+    fill(small_disk)
+    assert_problem(web.client.delete(f"/jobs/{done}"), 503, "the disk is full")
+    assert web.stop() == 0
+    fill(small_disk)
+    result = run_command("sweep", data_dir=small_disk)
+    assert (result.status, result.stdout) == (1, "")
+    assert "disk is full" in result.stderr
 
 
 def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgres: PostgresServer) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.job import EncodeResult, new_job_id
+from service.jobs.job import EncodeResult, JobTableError, new_job_id
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
@@ -18,7 +18,7 @@ from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
 from tests.harness import job_table
 from tests.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
-from tests.harness.processes import wait_until
+from tests.harness.processes import failing, wait_until
 
 AT_ONCE_S = -5.0
 
@@ -63,6 +63,22 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed | orphans
     assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == Swept(0, 4)
     assert stored(storage) == needed
+
+
+def test_files_go_even_if_a_full_disk_leaves_no_room_for_the_job_table(
+    open_job_table: OpenTable, storage: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = open_job_table(LONG_S, source_retention_s=60.0)
+    ended, orphan = submitted(table, storage), source_key(new_job_id())
+    assert table.fail(claimed(table), REFUSED)
+    storage.put(orphan, b"left over")
+    assert stored(storage) == {source_key(ended), orphan}
+    monkeypatch.setattr(table, "_transaction", failing(table._transaction, JobTableError("disk is full")))
+    with pytest.raises(JobTableError):
+        sweep(table, storage, retention_s=AT_ONCE_S, source_retention_s=AT_ONCE_S, orphan_age_s=AT_ONCE_S)
+    assert stored(storage) == set()
+    assert sweep(table, storage, retention_s=AT_ONCE_S, source_retention_s=AT_ONCE_S) == Swept(1, 1)
+    assert table.page(10) == []
 
 
 def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage: Storage) -> None:
