@@ -1,6 +1,7 @@
-"""Whether an installed sgmethod decodes: python tests/wheels/smoke.py, by the Python that it is installed for.
+"""Whether an installed sgmethod works: python tests/wheels/smoke.py, by the Python that it is installed for.
 
-Every golden file, and one by the command line, must come out with its pixels. numpy and Pillow are enough for it.
+Every golden file, and one by the command line, must come out with its pixels, and a picture is encoded, without any
+extra.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ def main() -> None:
     assert Path(sgmethod.__file__).parent != ROOT / "sgmethod", "sgmethod is not installed"
     for name, data in GOLDEN.items():
         assert is_golden(name, sgmethod.decode(data)), f"{name} has other pixels"
-    assert "torch" not in sys.modules, "decoding imports torch"
+    picture = sgmethod.decode(golden_path("v2-color.sg"))
+    assert sgmethod.encode(picture, gaussians=20).stats.psnr > 15, "an encode is poor"
+    assert "torch" not in sys.modules, "torch is imported"
     command = shutil.which("sgmethod", path=sysconfig.get_path("scripts"))
     assert command is not None, "the command line is missing"
     with tempfile.TemporaryDirectory() as folder:
-        picture = Path(folder) / "color.png"
-        subprocess.run([command, "decode", str(golden_path("v2-color.sg")), str(picture), "--quiet"], check=True)
-        with Image.open(picture) as opened:
+        path = Path(folder) / "color.png"
+        subprocess.run([command, "decode", str(golden_path("v2-color.sg")), str(path), "--quiet"], check=True)
+        with Image.open(path) as opened:
             assert is_golden("v2-color", np.asarray(opened)), "the command line gives other pixels"
     print(
         f"sgmethod {version('sgmethod')}, Python {platform.python_version()}, {platform.platform()}:"
