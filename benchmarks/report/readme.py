@@ -71,8 +71,8 @@ def figures(results: Path) -> str:
     notes = []
     if ours.get("dists") and grain.get("dists"):
         notes.append(
-            f"With film grain switched on, AVIF reaches an LPIPS of {number(grain['lpips'], '.2f')} and beats us in "
-            f"DISTS, a similar measure: {number(grain['dists'], '.2f')} against {number(ours['dists'], '.2f')}."
+            f"With film grain switched on, AVIF reaches an LPIPS of {number(grain['lpips'], '.2f')} and has a "
+            f"better DISTS, a similar measure: {number(grain['dists'], '.2f')} against {number(ours['dists'], '.2f')}."
         )
     change = against_quoted(average, "rd", rate.ANCHOR)
     if change is not None and change < 0:
