@@ -60,9 +60,10 @@ def answering(load: Rows, attacks: Rows, allowed: Mapping[str, float]) -> str:
         worst = max(row["spreads"][DECODE]["p99_ms"] for row in load)
         parts.append(f"During an encode, 99 % of pictures are served within {worst:.0f} ms")
     if attacks:
-        met, failed = sum(row["met"] for row in attacks), sum(row["others_failed"] for row in attacks)
+        met = [row["met"] for row in attacks if row["attack"] != "none"]
+        failed = sum(row["others_failed"] for row in attacks)
         worst_ms = f"{attacks[0]['others_worst_p99_ms']:,.0f} ms (limit: {allowed['p99_ms']:,})"
-        kept = f"all limits hold in {met} of {len(attacks)} attacks"
+        kept = f"all limits hold in {sum(met)} of {len(met)} attacks"
         parts.append(
             f"Under attack, others' p99 is at most {worst_ms}, {failed or 'none'} of their requests fail, and {kept}"
         )
