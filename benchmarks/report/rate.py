@@ -143,6 +143,7 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
         f"{published if others else ''}- Single pictures, which differ from the mean{spread}, and pictures unlike "
         "Kodak's: text, screenshots, drawings.\n"
         "- Human judgement: these are metrics ([what people see](seen.md)).\n"
+        "- The current noise: what is tuned for the eye was measured before its strength was changed.\n"
         "- Exact ratios of times: rows were not measured side by side, and our times include the search for the "
         "quality that fits, while those of other codecs do not ([speed](speed.md)). A dash marks rows that were "
         "measured while the machine did other work."
