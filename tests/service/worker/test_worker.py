@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JobTa
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
+from service.sandbox.frames import TASK_BYTES
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from service.worker import attempt as attempt_module
@@ -19,7 +22,7 @@ from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
 from tests.harness.job_table import LONG_S, claimed, job_of, submitted
-from tests.harness.processes import failing
+from tests.harness.processes import PATIENCE_S, failing
 
 
 class Unsteady(SqliteJobTable):
@@ -207,3 +210,27 @@ def test_a_source_that_is_gone(
     assert job.error is not None
     assert (job.state, job.error.detail) == ("failed", "the source image is gone")
     assert not worker.run_one()
+
+
+def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim) -> None:
+    """As one that its image has taken over. It is that job's failure, and the worker goes on."""
+    assert table.release(claim)
+    requests, sandbox = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+    def answer() -> None:
+        for _ in range(4):
+            _, (number, file), _, _ = socket.recv_fds(sandbox, TASK_BYTES, 2)
+            os.close(file)
+            with socket.socket(fileno=number) as told:
+                told.sendall(b"nonsense")
+
+    encoder = threading.Thread(target=answer)
+    encoder.start()
+    with requests, sandbox:
+        worker = Worker(Settings(), table, storage, Sandbox(requests), stop)
+        assert [worker.run_one() for _ in range(5)] == [True] * 4 + [False]
+        encoder.join(PATIENCE_S)
+    job = job_of(table, claim.job_id)
+    assert job.error is not None
+    assert (job.state, job.error.code) == ("failed", "crashed")
+    assert job.error.detail.startswith("the encoder spoke nonsense: a frame")
