@@ -185,8 +185,10 @@ def test_a_task_that_is_killed_harms_nobody(start_service: StartService, crowded
     """It is tried again; a file that its reader dies of twice is given up."""
     web = start_service("web", decode_time_s=NEVER_S)
     assert web.client.post("/decode", content=PICTURE).status_code == 200
-    for number in forks_of(web, "waits for a task"):
+    waiting = forks_of(web, "waits for a task")
+    for number in waiting:
         os.kill(number, 9)
+    wait_until(lambda: not {*waiting} & processes().keys())  # else the next task is given to one that is dying
     assert web.client.post("/decode", content=PICTURE).status_code == 200
 
     def killed_twice() -> httpx.Response | None:
