@@ -196,7 +196,9 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.cancel()
         page.switch_to(first)
         page.says("has deleted it")
-        assert len(web.client.get("/jobs").json()["jobs"]) == 1
+        (left,) = web.client.get("/jobs?limit=1").json()["jobs"]
+        assert left["tune"] == "psnr"
+        assert web.client.get(f"/jobs/{address.rpartition('#')[2]}").status_code == 404
     finally:
         page.switch_to(second)
         page.run("localStorage.clear()")

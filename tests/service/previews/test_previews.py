@@ -116,8 +116,9 @@ def test_a_bad_text_is_a_warning(page: Chromium, web: Service) -> None:
     wait_until(lambda: page.run(STATE)["loaded"])
     state = page.run(STATE)
     assert state["drawn"] == 0
-    (warning,) = page.complaints()
-    assert "sg-img has no preview" in warning
+    warnings = wait_until(page.complaints)
+    assert len(warnings) == 1
+    assert "sg-img has no preview" in warnings[0]
 
 
 # Each answers with what it sees of a new <sg-img>. Tag and property names are those of an <img>, which is the model.
