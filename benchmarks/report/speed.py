@@ -62,7 +62,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         "python -m benchmarks.speed growth --images PHOTOGRAPHS --megapixels 0.75,3,12 --bytes 500,2000,10000,50000",
         contents=contents,
         panels=panels,
-        of="PSNR against seconds, means over pictures of the size",
+        of="PSNR against seconds, means over the pictures of each size",
         appendix=[
             *([grows(speed["rows"])] if speed else []),
             *([GROWTH, *(growth_table(growth["rows"], growth["settings"], axis) for axis in AXES)] if growth else []),
