@@ -24,7 +24,9 @@ RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
 RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes that is told nothing else
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
-CODE = ("sgmethod", "service", "benchmarks", ":!benchmarks/results", ":!benchmarks/report")  # that measures
+# What measures: not its results, the pages made of them, and the list of what to measure.
+NOT_CODE = (":!benchmarks/results", ":!benchmarks/report", ":!benchmarks/__main__.py")
+CODE = ("sgmethod", "service", "benchmarks", *NOT_CODE)
 
 
 def origin() -> dict[str, object]:

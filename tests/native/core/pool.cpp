@@ -224,10 +224,16 @@ TEST(scratch_is_handed_on) {
 }
 
 TEST(scratch_serves_a_child_forked_while_others_use_it) {
-  std::atomic<bool> stop{false};
+  std::atomic<bool> warm{false}, stop{false};
   std::thread other([&] {
-    while (!stop) own_memory(5000, 1);
+    while (!stop) {
+      own_memory(5000, 1);
+      warm = true;
+    }
   });
+  // Its first round allocates. GCC 12's thread sanitizer does not hold its allocator's locks while it forks, so that a
+  // child born meanwhile would wait for them without an end.
+  while (!warm) std::this_thread::yield();
   for (int k = 0; k < 20; ++k) {
     const pid_t child = fork();
     if (child == 0) {
