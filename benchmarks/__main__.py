@@ -40,7 +40,7 @@ SMALL = {
     "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
 }
 FULL = {
-    "rd/kodak": f"rd {SEEN} {RATES} --rivals",
+    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --rivals",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/patient": f"rd {SEEN} --profiles '' --bpp 0.25 --rivals 'avif tune=psnr speed 0'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",

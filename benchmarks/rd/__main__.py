@@ -2,7 +2,7 @@
 
     python -m benchmarks.rd --images FOLDER [--most N] [--pictures kodim05] [--profiles rd,paper,baseline]
                             [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--rivals [NAME ...]]
-                            [--weights FOLDER]
+                            [--weights FOLDER [--seen-bpp 0.25]]
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
@@ -11,7 +11,8 @@ small, the smallest that its codec makes. Profile rd comes twice, tuned for PSNR
 codecs, set as rivals.py says.
 
 --quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
-compared with such. --weights: a folder as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS too.
+compared with such. --weights: a folder as benchmarks.perceptual takes it, for LPIPS and DISTS too, which take longer
+than all else.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         bpp=8 * size / (pixels.shape[0] * pixels.shape[1]),
         psnr=db if math.isfinite(db) else None,
         ms_ssim=ms_ssim(decoded, pixels),
+        ssimulacra2=ssimulacra2(decoded, pixels),
         gaussians=made.gaussians,
         encode_s=round(made.encode_s, 3),
         decode_ms=round(statistics.median(times), 3),
@@ -72,8 +74,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         row = replace(row, max_bpp=None, quality=aim) if codec.one_quality else row
     if networks is None or min(pixels.shape[:2]) < MIN_SIDE:
         return row
-    seen = networks(decoded, pixels)
-    return replace(row, ssimulacra2=ssimulacra2(decoded, pixels), lpips=seen["lpips"], dists=seen["dists"])
+    return replace(row, **networks(decoded, pixels))
 
 
 def codecs_of(options: argparse.Namespace) -> list[Codec]:
@@ -121,9 +122,14 @@ def main() -> None:
         "--rivals", nargs="*", choices=RIVALS, help="the usual ones, with one setting each, where none is named"
     )
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
+    parser.add_argument("--seen-bpp", type=numbers, help="of --bpp, those with LPIPS and DISTS; all")
     parser.add_argument("--out", type=Path, default=RUNS / "rd" / "kodak.json")
     options = checked(parser)
-    settings: dict[str, Any] = {"codecs": versions() if options.rivals else [], "seen": options.weights is not None}
+    settings: dict[str, Any] = {
+        "codecs": versions() if options.rivals else [],
+        "seen": options.weights is not None,
+        "seen_bpp": options.seen_bpp,
+    }
     networks = Networks(options.weights) if options.weights else None
     record = Record(options.out, "benchmarks.rd", settings)
     kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
@@ -135,7 +141,8 @@ def main() -> None:
             for aim in options.quality or options.bpp:
                 key = codec.name, aim, path.name
                 if key not in kept:
-                    kept[key] = measure(codec, path.name, pixels, aim, networks)
+                    is_seen = options.seen_bpp is None or aim in options.seen_bpp
+                    kept[key] = measure(codec, path.name, pixels, aim, networks if is_seen else None)
                     record.add(asdict(kept[key]))
                 wanted.append(kept[key])
     print(f"\n{means_table(means(wanted))}")

@@ -33,8 +33,8 @@ class Row:
     decode_ms: float | None
     quality: float | None = None  # of profile rd, in place of max_bpp
     effort: int | None = None  # of profile rd
-    ssimulacra2: float | None = None  # None where no weights were given, as lpips and dists
-    lpips: float | None = None
+    ssimulacra2: float | None = None  # None for pictures too small for it
+    lpips: float | None = None  # None where networks had no weights, or were not asked; dists too
     dists: float | None = None
 
     @property

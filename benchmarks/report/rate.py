@@ -76,8 +76,8 @@ def page(contents: Mapping[str, Content]) -> Page:
     rows = rows_of(*at_rates)
     average = means(rows)
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
-    if any(row.lpips is not None for row in rows):
-        panels.append(lambda axes: draw_lpips(axes, average))
+    if any(row.ssimulacra2 is not None for row in rows):
+        panels.append(lambda axes: draw_ssimulacra2(axes, average))
     return Page(
         name="rate",
         title="Rate against quality",
@@ -143,7 +143,6 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
         f"{published if others else ''}- Single pictures, which differ from the mean{spread}, and pictures unlike "
         "Kodak's: text, screenshots, drawings.\n"
         "- Human judgement: these are metrics ([what people see](seen.md)).\n"
-        "- The current noise: what is tuned for the eye was measured before its strength was changed.\n"
         "- Exact ratios of times: rows were not measured side by side, and our times include the search for the "
         "quality that fits, while those of other codecs do not ([speed](speed.md)). A dash marks rows that were "
         "measured while the machine did other work."
@@ -189,11 +188,10 @@ def draw_psnr(axes: Any, average: Means) -> None:
     axes.set(xlabel="bits per pixel", ylabel="PSNR, dB")
 
 
-def draw_lpips(axes: Any, average: Means) -> None:
-    """LPIPS against bits per pixel, of what has it, the best at the top as in the other panel."""
+def draw_ssimulacra2(axes: Any, average: Means) -> None:
+    """SSIMULACRA 2 against bits per pixel, of what has it."""
     for codec, how in lines_of(average).items():
-        found = sorted((m["bpp"], m["lpips"]) for (name, _), m in average.items() if name == codec and m["lpips"])
-        if found:
+        found = sorted((m["bpp"], m["ssimulacra2"]) for (name, _), m in average.items() if name == codec)
+        if found and all(value is not None for _, value in found):
             axes.plot(*zip(*found, strict=True), **how)
-    axes.set(xlabel="bits per pixel", ylabel="LPIPS, better upwards")
-    axes.invert_yaxis()
+    axes.set(xlabel="bits per pixel", ylabel="SSIMULACRA 2")
