@@ -74,7 +74,8 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         row = replace(row, max_bpp=None, quality=aim) if codec.one_quality else row
     if networks is None or min(pixels.shape[:2]) < MIN_SIDE:
         return row
-    return replace(row, **networks(decoded, pixels))
+    seen = networks(decoded, pixels)
+    return replace(row, lpips=seen["lpips"], dists=seen["dists"])
 
 
 def codecs_of(options: argparse.Namespace) -> list[Codec]:
