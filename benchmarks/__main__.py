@@ -42,7 +42,7 @@ SMALL = {
 FULL = {
     "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --rivals",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
-    "rd/patient": f"rd {SEEN} --profiles '' --bpp 0.25 --rivals 'avif tune=psnr speed 0'",
+    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --rivals 'avif tune=psnr speed 0' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",

@@ -6,6 +6,7 @@ decoder of JPEG XL faster, by a sixth.
 
 from __future__ import annotations
 
+import copy
 import importlib
 import importlib.util
 import io
@@ -26,6 +27,7 @@ from benchmarks.rd.codecs import Run
 from sgmethod.native import native
 
 LEAST_BPP = 0.25  # to which a picture is reduced
+QUICK = 6  # the speed of AVIF at which its search begins
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,14 @@ class TunedAvif(Avif):
     def __init__(self, speed: int = 4) -> None:
         self.settings = {"speed": speed, "max_threads": native.thread_count()}
 
+    def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
+        """The search begins where that of a quick speed ends."""
+        if near is None and self.settings["speed"] < QUICK:
+            quick = copy.copy(self)
+            quick.settings = {**self.settings, "speed": QUICK}
+            near = quick.best(pixels, aim).quality
+        return super().best(pixels, aim, near)
+
     def encode(self, pixels: Pixels, quality: float) -> bytes:
         file = io.BytesIO()
         more = {"subsampling": self.subsampling, "advanced": self.advanced}
@@ -260,14 +270,9 @@ class PatientAvif(AvifForPsnr):
     def __init__(self) -> None:
         super().__init__(speed=0)
 
-    def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
-        """The search begins where that of a quick speed ends."""
-        near = AvifForPsnr(speed=6).best(pixels, aim).quality if near is None else near
-        return super().best(pixels, aim, near)
 
-
-USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes, AvifWithGrain)
-SELDOM = (PatientAvif, AvifForSsimulacra)
+USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes)
+SELDOM = (PatientAvif, AvifWithGrain, AvifForSsimulacra)
 RIVALS: dict[str, Callable[[], Rival]] = {rival.name: rival for rival in (*USUAL, *SELDOM)}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
 

@@ -22,7 +22,7 @@ from tests.harness.data import ROOT
 
 # Each page, the JSON that it cannot do without, and further ones.
 MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tuple[str, ...]], ...] = (
-    (rate.page, ("rd/kodak",), ("rd/effort", "rd/patient", "rd/quality")),
+    (rate.page, ("rd/kodak",), ("rd/effort", "rd/avif", "rd/quality")),
     (
         speed.page,
         ("convergence/kodak",),

@@ -72,7 +72,7 @@ def name_of(codec: str) -> str:
 
 def page(contents: Mapping[str, Content]) -> Page:
     """The page from rd/*.json, as far as there are."""
-    at_rates = [contents[f"rd/{n}"] for n in ("kodak", "effort", "patient") if f"rd/{n}" in contents]
+    at_rates = [contents[f"rd/{n}"] for n in ("kodak", "effort", "avif") if f"rd/{n}" in contents]
     rows = rows_of(*at_rates)
     average = means(rows)
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]

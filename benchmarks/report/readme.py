@@ -58,7 +58,8 @@ def bullet(title: str, text: str) -> str:
 
 def figures(results: Path) -> str:
     """What the codec wins and loses at 0.25 bits per pixel; the best of each row is bold."""
-    average = means(rate.rows_of(load(results, "rd/kodak") or {"rows": []}))
+    loaded = [load(results, name) or {"rows": []} for name in ("rd/kodak", "rd/avif")]
+    average = means(rate.rows_of(*loaded))
     lines = []
     for title, (name, form, more, tuned, factor) in ROWS.items():
         values = [average.get((codecs[tuned], BPP), {}).get(name) for codecs in CODECS.values()]
