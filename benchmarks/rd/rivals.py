@@ -157,7 +157,7 @@ class Avif(Rival):
     name, qualities = "avif", range(100)
 
     def __init__(self, speed: int = 4) -> None:
-        self.settings = {"speed": speed, "pixelformat": "420", "numthreads": native.thread_count()}
+        self.settings: dict[str, Any] = {"speed": speed, "pixelformat": "420", "numthreads": native.thread_count()}
 
     def encode(self, pixels: Pixels, quality: float) -> bytes:
         return bytes(imagecodecs().avif_encode(pixels, level=int(quality), **self.settings))
