@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks import published
 from benchmarks.perceptual import local
-from benchmarks.perceptual.means import BETTER_IF_LOWER, WHOLE, means, rates, worse
+from benchmarks.perceptual.means import BETTER_IF_LOWER, means, rates, worse
 from benchmarks.rd.report import TITLES
 from benchmarks.report.plots import style
 from benchmarks.report.section import Content, Draw, Page, number, several, table
@@ -34,16 +34,15 @@ TABLE = ("psnr", "ssimulacra2", "lpips", "dists", "wasserstein", "spread_luma_fi
 PLOTTED = ("ssimulacra2", "lpips", "dists")
 
 
-def tabled(contents: Mapping[str, Content], wanted: Sequence[str], bpp: float | None = None) -> str:
-    """A table of means of those figures that were measured, with the rate in each line if none is given."""
+def tabled(contents: Mapping[str, Content], wanted: Sequence[str], bpp: float) -> str:
+    """A table of means of those figures that were measured."""
     figures, found = measured(contents, wanted), []
     for name, content in contents.items():
-        for rate in [bpp] if bpp else rates(content["rows"]):
-            for kind, mean in means(content["rows"], rate).items():
-                if kind in KINDS:
-                    cells = [number(mean[figure], FORMS[figure]) for figure in figures]
-                    found.append([SETS[name], *([] if bpp else [f"{rate:g}"]), KINDS[kind], *cells])
-    return table(" | ".join(["pictures", *([] if bpp else ["bpp"]), "file", *map(TITLES.__getitem__, figures)]), found)
+        for kind, mean in means(content["rows"], bpp).items():
+            if kind in KINDS:
+                cells = [number(mean[figure], FORMS[figure]) for figure in figures]
+                found.append([SETS[name], KINDS[kind], *cells])
+    return table(" | ".join(["pictures", "file", *map(TITLES.__getitem__, figures)]), found)
 
 
 def measured(contents: Mapping[str, Content], figures: Sequence[str]) -> list[str]:
@@ -61,10 +60,12 @@ def middle(content: Content) -> float:
 def page(contents: Mapping[str, Content]) -> Page:
     """The page from perceptual/kodak.json and perceptual/photographs.json, as far as there are."""
     bpp = middle(next(iter(contents.values())))
-    more = (("Every rate", WHOLE), ("Local statistics over the source's", local.FIGURES))
-    appendix = [f"{title}:\n\n{tabled(contents, of)}" for title, of in more if measured(contents, of)]
-    panels: list[Draw] = [partial(draw, contents=contents, figure=figure) for figure in PLOTTED]
-    texture = [f"{100 * share:.1f} % at {bpp:g} bpp" for bpp, share in textures(contents).items()]
+    appendix = []
+    if measured(contents, local.FIGURES):
+        appendix = [f"Local statistics over the source's:\n\n{tabled(contents, local.FIGURES, bpp)}"]
+    panels: list[Draw] = [partial(draw, contents=contents, figure=figure, bpp=bpp) for figure in PLOTTED]
+    first = means(next(iter(contents.values()))["rows"], bpp)
+    texture = f"{100 * first['visual']['texture']:.1f} %" if "visual" in first else "a few"
     return Page(
         name="seen",
         title="What people see",
@@ -83,12 +84,10 @@ def page(contents: Mapping[str, Content]) -> Page:
         "([which](../notebook/eye.md#should-faint-grain-come-back-whole)). [A sheet of crops at twice their "
         "size](../seen.webp) shows the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` "
         "generates it.\n"
-        "- The current noise: its strength was changed after this was measured, as that entry says.\n"
         "- Artefacts that no metric detects well, such as streaks and dots in smooth areas.\n"
         "- Pictures that AVIF (as built into imagecodecs) cannot compress this far: no mean includes them. A codec "
         "that cannot with another picture has no row.\n"
-        f"{gaps(contents)}"
-        f"- Texture on its own: it takes {several(texture)} of the bytes, and PSNR counts it as an error.\n"
+        f"- Texture on its own: it takes {texture} of the bytes, and PSNR counts it as an error.\n"
         "- Photographs that never influenced the codec: constants were chosen on other photographs from the same "
         "packages (`python -m benchmarks.perceptual.photographs` fetches both sets), and some settings of texture were "
         "tried on these too.",
@@ -96,7 +95,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         contents=contents,
         panels=panels,
         appendix=appendix,
-        of="means over the pictures; solid: Kodak, open marks: other photographs",
+        of="each mark is a picture; right of the line ours is better",
     )
 
 
@@ -108,25 +107,6 @@ def trained(bpp: float) -> str:
         f"an LPIPS of {at['lpips']:.3f}, a DISTS of {at['dists']:.3f} and {at['psnr']:.1f} dB at {at['bpp']:.2f} bpp, "
         "by its published figures; a decode takes a network, and seconds.\n"
     )
-
-
-def gaps(contents: Mapping[str, Content]) -> str:
-    """A line on sets of which not every picture was measured at every rate; empty if there are none."""
-    told = []
-    for name, content in contents.items():
-        images = {
-            bpp: {row["image"] for row in content["rows"] if row["max_bpp"] == bpp} for bpp in rates(content["rows"])
-        }
-        if len({*map(len, images.values())}) > 1:
-            told.append(f"of {SETS[name]} {several([f'{len(found)} at {bpp:g} bpp' for bpp, found in images.items()])}")
-    return f"- The same pictures at every rate: {several(told)}.\n" if told else ""
-
-
-def textures(contents: Mapping[str, Content]) -> dict[float, float]:
-    """The share of texture in the bytes of files tuned for the eye, by rate, of the first set."""
-    rows = next(iter(contents.values()))["rows"]
-    found = {bpp: means(rows, bpp).get("visual") for bpp in rates(rows)}
-    return {bpp: mine["texture"] for bpp, mine in found.items() if mine}
 
 
 def sentence(name: str, content: Content) -> str:
@@ -147,16 +127,15 @@ def sentence(name: str, content: Content) -> str:
     )
 
 
-def draw(axes: Any, contents: Mapping[str, Content], figure: str) -> None:
-    """One figure against bits per pixel."""
-    for k, kind in enumerate(KINDS):
-        for name, content in contents.items():
-            found = [(bpp, means(content["rows"], bpp).get(kind)) for bpp in rates(content["rows"])]
-            points = [(bpp, of[figure]) for bpp, of in found if of]
-            is_first = name == next(iter(contents))
-            look = style(k) | ({"label": KINDS[kind].replace("`", "")} if is_first else {"fillstyle": "none"})
-            if points:
-                axes.plot(*zip(*points, strict=True), **look)
-    axes.set(xlabel="bits per pixel", ylabel=TITLES[figure] + ("" if figure == "ssimulacra2" else ", better upwards"))
-    if figure != "ssimulacra2":
-        axes.invert_yaxis()
+def draw(axes: Any, contents: Mapping[str, Content], figure: str, bpp: float) -> None:
+    """One figure of AVIF's files against that of ours, picture by picture, on axes from bad to good."""
+    for k, (name, content) in enumerate(contents.items()):
+        rows = [row for row in content["rows"] if row["max_bpp"] == bpp]
+        ours, avif = ({r["image"]: r[figure] for r in rows if r["kind"] == kind} for kind in ("visual", "avif"))
+        both = [(ours[image], avif[image]) for image in ours if image in avif]
+        if both:
+            axes.plot(*zip(*both, strict=True), **style(k) | {"linestyle": "none", "label": SETS[name]})
+    ends = min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
+    good_last = ends if figure == "ssimulacra2" else ends[::-1]
+    axes.plot(ends, ends, color="0.6", linewidth=0.8)
+    axes.set(xlim=good_last, ylim=good_last, xlabel=f"{TITLES[figure]} of ours, better to the right", ylabel="of AVIF")
