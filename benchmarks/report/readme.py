@@ -73,7 +73,7 @@ def figures(results: Path) -> str:
     if ours.get("dists") and grain.get("dists"):
         notes.append(
             f"With film grain switched on, AVIF reaches an LPIPS of {number(grain['lpips'], '.2f')} and has a "
-            f"better DISTS, a similar measure: {number(grain['dists'], '.2f')} against {number(ours['dists'], '.2f')}."
+            f"better DISTS, a similar measure: {number(grain['dists'], '.3f')} against {number(ours['dists'], '.3f')}."
         )
     change = against_quoted(average, "rd", rate.ANCHOR)
     if change is not None and change < 0:
