@@ -45,23 +45,11 @@ SHOWN = (
     *("heic", "jpegxl", "jpeg2000", "webp", "mozjpeg", "jpeg"),
 )
 PLOTTED = ("rd", "rd visual", AVIF, AVIF_FOR_EYES, "heic", "jpegxl", "webp", "jpeg")
-UNTIMED = {"encode_s": None, "decode_ms": None}
 
 
 def rows_of(*contents: Content) -> list[Row]:
-    """The rows of all; without times where a command had not all threads, or another processor than the first."""
-    found = []
-    for content in contents:
-        is_alone = not content.get("command", "").startswith("SG_THREADS=")
-        is_timed = is_alone and processor(content) == processor(contents[0])
-        found += [Row(**(row | ({} if is_timed else UNTIMED))) for row in content["rows"]]
-    return found
-
-
-def processor(content: Content) -> str | None:
-    """The processor it was measured on."""
-    name: str | None = content.get("machine", {}).get("processor")
-    return name
+    """The rows of all."""
+    return [Row(**row) for content in contents for row in content["rows"]]
 
 
 def name_of(codec: str) -> str:
@@ -144,8 +132,7 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
         "Kodak's: text, screenshots, drawings.\n"
         "- Human judgement: these are metrics ([what people see](seen.md)).\n"
         "- Exact ratios of times: rows were not measured side by side, and our times include the search for the "
-        "quality that fits, while those of other codecs do not ([speed](speed.md)). A dash marks rows that were "
-        "measured while the machine did other work."
+        "quality that fits, while those of other codecs do not ([speed](speed.md))."
     )
 
 
