@@ -269,11 +269,13 @@ def _read_groups(data: memoryview, position_bits: int, counts: list[tuple[int, i
 
 def _read_records(data: memoryview, at: int, widths: tuple[int, ...], out: NDArray[np.uint16]) -> None:
     """Fill out [n, 7] with the elements of the records that begin at bit `at`."""
-    end = at + len(out) * sum(widths)
-    bits = np.unpackbits(np.frombuffer(data[at // 8 : -(-end // 8)], np.uint8))
-    rows = bits[at % 8 :][: end - at].reshape(len(out), -1)
-    start = 0
+    length = sum(widths)
+    end = at + len(out) * length
+    # An element of 16 bits lies in three bytes, for which the last one needs two more behind it.
+    read = np.frombuffer(bytes(data[at // 8 : -(-end // 8)]) + bytes(2), np.uint8).astype(np.uint32)
+    first = at % 8 + length * np.arange(len(out))
     for column, width in enumerate(widths):
-        weights = (1 << np.arange(width)[::-1]).astype(np.float32)  # float: a fast product, exact to 2^24
-        out[:, column] = rows[:, start : start + width] @ weights
-        start += width
+        byte, bit = first >> 3, first & 7
+        three = read[byte] << 16 | read[byte + 1] << 8 | read[byte + 2]
+        out[:, column] = three >> (24 - width - bit) & ((1 << width) - 1)
+        first += width
