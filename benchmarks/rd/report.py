@@ -50,7 +50,7 @@ class Row:
         return self.codec, self.aim, self.image
 
 
-Point = tuple[float, float]  # bits per pixel, PSNR
+Point = tuple[float, float]  # bits per pixel, PSNR or another figure
 Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
 FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
@@ -116,10 +116,10 @@ def means(rows: Sequence[Row]) -> Means:
     return result
 
 
-def curve(average: Means, codec: str) -> list[Point]:
-    """The mean bits per pixel and PSNR of a codec, at each rate."""
-    found = [(m["bpp"], m["psnr"]) for (name, _), m in average.items() if name == codec]
-    return [(bpp, db) for bpp, db in found if bpp is not None and db is not None]
+def curve(average: Means, codec: str, figure: str = "psnr") -> list[Point]:
+    """The mean bits per pixel and PSNR, or another figure, of a codec at each rate that has both."""
+    found = [(m["bpp"], m[figure]) for (name, _), m in average.items() if name == codec]
+    return [(bpp, value) for bpp, value in found if bpp is not None and value is not None]
 
 
 def against(rows: Sequence[Row], codec: str, anchor: str) -> float | None:

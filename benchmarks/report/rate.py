@@ -178,7 +178,6 @@ def draw_psnr(axes: Any, average: Means) -> None:
 def draw_ssimulacra2(axes: Any, average: Means) -> None:
     """SSIMULACRA 2 against bits per pixel, of what has it."""
     for codec, how in lines_of(average).items():
-        found = sorted((m["bpp"], m["ssimulacra2"]) for (name, _), m in average.items() if name == codec)
-        if found and all(value is not None for _, value in found):
+        if found := sorted(curve(average, codec, "ssimulacra2")):
             axes.plot(*zip(*found, strict=True), **how)
     axes.set(xlabel="bits per pixel", ylabel="SSIMULACRA 2")

@@ -46,23 +46,34 @@ class Page:
         return JOIN(
             [
                 *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),
-                *(self.table, *self.more, f"## What this does not show\n\n{self.limits}"),
+                *(self.table, *self.more, f"## What this does not show\n\n{self.limits}{self.mixed()}"),
                 f"## Reproduce it\n\n```sh\n{self.command}\n```",
                 *([folded] if self.appendix else []),
                 f"---\n\n{self.footer()}",
             ]
         )
 
+    def machines(self) -> list[str]:
+        """What the rows were measured on."""
+        found = (content["machine"] for content in self.contents.values())
+        return [*dict.fromkeys(f"{machine['processor']}, {machine['cores']} cores" for machine in found)]
+
+    def mixed(self) -> str:
+        """A line where one machine did not measure all; empty otherwise."""
+        if len(self.machines()) == 1:
+            return ""
+        return "\n- One machine: times are of several processors, named below, and compare only within one JSON."
+
     def footer(self) -> str:
         """One line: rows as CSV and JSON, and when and on what they were measured."""
         files = [f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json))" for name in self.contents]
         where = self.contents.values()
         dates = sorted(content["date"][:10] for content in where)
-        machines = dict.fromkeys(f"{c['machine']['processor']}, {c['machine']['cores']} cores" for c in where)
         commits = dict.fromkeys(content["commit"] for content in where)
         when = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
+        machines = "; ".join(self.machines())
         return (
-            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commit {', '.join(commits)}. "
+            f"<sub>Data: {', '.join(files)}. Measured {when} on {machines}, commit {', '.join(commits)}. "
             "The JSON files also record remarks and the versions of all libraries.</sub>"
         )
 

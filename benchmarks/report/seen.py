@@ -65,7 +65,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         appendix = [f"Local statistics over the source's:\n\n{tabled(contents, local.FIGURES, bpp)}"]
     panels: list[Draw] = [partial(draw, contents=contents, figure=figure, bpp=bpp) for figure in PLOTTED]
     first = means(next(iter(contents.values()))["rows"], bpp)
-    texture = f"{100 * first['visual']['texture']:.1f} %" if "visual" in first else "a few"
+    texture = f"{100 * first['visual']['texture']:.1f} %" if "visual" in first else "some"
     return Page(
         name="seen",
         title="What people see",

@@ -271,7 +271,7 @@ def _read_records(data: memoryview, at: int, widths: tuple[int, ...], out: NDArr
     """Fill out [n, 7] with the elements of the records that begin at bit `at`."""
     length = sum(widths)
     end = at + len(out) * length
-    # An element of 16 bits lies in three bytes, for which the last one needs two more behind it.
+    # Up to 16 bits lie within three bytes, wherever they begin; the last element may need two bytes past the end.
     read = np.frombuffer(bytes(data[at // 8 : -(-end // 8)]) + bytes(2), np.uint8).astype(np.uint32)
     first = at % 8 + length * np.arange(len(out))
     for column, width in enumerate(widths):
