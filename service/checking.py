@@ -89,5 +89,5 @@ def _sandbox(settings: Settings) -> str:
     absent = " and ".join(absent_layers())
     if absent and settings.require_sandbox:
         raise CheckError(f"this system does not offer {absent}, and SG_REQUIRE_SANDBOX is set")
-    found = f"this system does not offer {absent}" if absent else " and ".join(LAYERS)
+    found = f"this system does not offer {absent}" if absent else ", ".join(LAYERS)
     return f"{found}{'; runs as root' if os.geteuid() == 0 else ''}"

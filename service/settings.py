@@ -211,9 +211,11 @@ class Settings(BaseSettings):
         try:
             for parts in map(urlsplit, listed(text)):
                 _ = parts.port
+                if parts.username is not None:
+                    raise ValueError
                 (parts.hostname or "").encode("idna")
         except ValueError:  # its message may hold a password
-            raise ValueError("an address has a host or a port that cannot be one") from None
+            raise ValueError("an address has a user, or a host or a port that cannot be one") from None
         return text
 
     @cached_property

@@ -7,6 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from service.api.problems import ProblemError
+
 
 class _Making:
     """A file that is being made. waiting: how many requests it is for."""
@@ -35,12 +37,17 @@ class PictureCache:
         if etag in self._files:
             self._files.move_to_end(etag)
             return self._files[etag]
-        if etag not in self._making:
+        is_mine = etag not in self._making
+        if is_mine:
             self._making[etag] = _Making(make())
         making = self._making[etag]
         making.waiting += 1
         try:
             file = await asyncio.shield(making.task)
+        except ProblemError:
+            if is_mine:
+                raise
+            return await self.get_or_make(etag, make)  # the refusal may be another client's alone
         finally:
             making.waiting -= 1
             if making.task.done() or not making.waiting:

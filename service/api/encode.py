@@ -74,6 +74,8 @@ async def encode(
     decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
     check_image_type(request)
+    if wait_s and wants_picture(request):
+        accepted_format(request)
     await to_thread.run_sync(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
         options = read_options(fields)
@@ -91,6 +93,8 @@ async def encode_again(
     """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
+    if wait_s and wants_picture(request):
+        accepted_format(request)
     options = read_options(await fields_alone(request))
     await to_thread.run_sync(context.table.check_queue, caller.owner, key)
     async with context.accepting.turn(caller.client):

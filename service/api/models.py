@@ -57,7 +57,7 @@ EXAMPLE_JOB: dict[str, Any] = {
 class AcceptedView(BaseModel):
     """The answer to POST /encode."""
 
-    id: str = Field(description="32 hexadecimal digits; anyone who knows them can read the job")
+    id: str = Field(description="32 hexadecimal digits; without API keys, anyone who knows them can read the job")
     status_url: str
     decode_url: str
     bitstream_url: str

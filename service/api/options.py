@@ -84,7 +84,7 @@ class EncodeOptions(BaseModel):
         "budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60
     )
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
-    quality: Number = _positive("budget: round everything this finely, above 0 and up to 100; profile rd only", 50)
+    quality: Number = _positive("budget: quantisation quality, above 0 and up to 100; profile rd only", 50)
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
     profile: Annotated[str, AfterValidator(checked_profile)] = Field(
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}

@@ -52,7 +52,7 @@ from sgmethod.errors import BitstreamError
 log = logging.getLogger(__name__)
 
 LATE_S = 60.0
-MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: a few kilobytes can hold millions of equal ones
+MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: equal ones take an eighth of a byte each
 LEAST_PREVIEW_BYTES, MOST_PREVIEW_BYTES = 12, 4096
 # No slashes, control characters or ends of lines, and no dot first: systems hide such files.
 FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"

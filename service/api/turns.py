@@ -22,7 +22,7 @@ from sgmethod.io.formats import is_read
 RETRY_SOON = {"Retry-After": "1"}
 FORMAT_BYTES = 256  # of a file, which tell its format
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.
-HEADERS_AT_ONCE = 3
+HEADERS_AT_ONCE, MOST_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
 
@@ -81,10 +81,11 @@ class Turns:
             raise
 
     def _forget(self, client: str, place: asyncio.Future[None]) -> None:
-        line = self._lines[client]
-        line.remove(place)
-        if not line:
-            del self._lines[client]
+        line = self._lines.get(client)
+        if line and place in line:  # or it was passed over already
+            line.remove(place)
+            if not line:
+                del self._lines[client]
 
     def _leave(self, client: str) -> None:
         self._running[client] -= 1
@@ -98,10 +99,12 @@ class Turns:
             if client is None or self._running[client] >= self._own_places:
                 return
             line = self._lines.pop(client)
-            line.popleft().set_result(None)
-            self._running[client] += 1
+            place = line.popleft()
             if line:
                 self._lines[client] = line
+            if not place.cancelled():  # its task may be about to leave
+                place.set_result(None)
+                self._running[client] += 1
 
 
 class Streams:
@@ -138,7 +141,7 @@ class ClientTasks:
     def __init__(self, settings: Settings, sandbox: Sandbox, metrics: Metrics) -> None:
         self._sandbox = sandbox
         self._metrics = metrics
-        self._headers = Turns(HEADERS_AT_ONCE, settings.max_streams)
+        self._headers = Turns(HEADERS_AT_ONCE, MOST_WAITING_HEADERS)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
         self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
             "memory_bytes": settings.job_memory_bytes // 4,

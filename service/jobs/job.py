@@ -15,7 +15,7 @@ import json
 import re
 import secrets
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
@@ -34,7 +34,7 @@ _JOB_ID = re.compile(r"[0-9a-f]{32}")
 
 
 def new_job_id() -> str:
-    """128 random bits: anyone with the id may read the job, so ids cannot be guessed."""
+    """128 random bits: without API keys anyone with the id may read the job, so ids cannot be guessed."""
     return secrets.token_hex(16)
 
 
@@ -202,11 +202,11 @@ class Census:
     jobs: Mapping[JobState, int]
     waiting_s: float | None
     stored_bytes: int
-    workers: Mapping[str, float] = field(default_factory=dict)
-    failures: Mapping[str, int] = field(default_factory=dict)
-    notices: int = 0
-    notice_waits_s: float = 0.0
-    totals: Mapping[str, float] = field(default_factory=dict)
+    workers: Mapping[str, float]
+    failures: Mapping[str, int]
+    notices: int
+    notice_waits_s: float
+    totals: Mapping[str, float]
 
     @property
     def silent_s(self) -> float | None:

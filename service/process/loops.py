@@ -34,7 +34,7 @@ class StopSignal:
         os.write(self._write_end, b"!")
 
     def wait(self, timeout_s: float) -> bool:
-        """Sleep for so many seconds, or until stopping is requested. Returns whether it is."""
+        """Sleep for that many seconds, or until stopping is requested. Returns whether it is."""
         if not self.requested:
             select.select([self._read_end], [], [], timeout_s)
         return self.requested

@@ -39,10 +39,6 @@ class TaskError(Exception):
     """A task came to nothing through no fault of the service: one sentence."""
 
 
-class TooMuchError(TaskError):
-    """The task takes more memory or time than it may."""
-
-
 class RefusedError(TaskError):
     """The file, or what is asked of it, was refused. kind: the class of the error, of sgmethod.errors."""
 
@@ -72,7 +68,7 @@ class Sandbox:
     async def ask(self, task: Task, file: BinaryIO) -> Result:
         """The result of a task, which ends when the caller is cancelled.
 
-        Raises RefusedError, TooMuchError, TaskError, SandboxGoneError.
+        Raises RefusedError, TaskError, SandboxGoneError.
         """
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
@@ -81,7 +77,7 @@ class Sandbox:
                 except TimeoutError:
                     if not running.begun:
                         raise SandboxGoneError("the sandbox cannot be started") from None
-                    raise TooMuchError("it exceeds the time limit") from None
+                    raise TaskError("it exceeds the time limit") from None
                 except SandboxGoneError:
                     if left:
                         continue
@@ -90,11 +86,11 @@ class Sandbox:
                 case Result():
                     return outcome
                 case Refused(error="MemoryError", detail=detail):
-                    raise TooMuchError(detail)
+                    raise TaskError(detail)
                 case Refused(error=name, detail=detail):
                     raise RefusedError(getattr(errors, name), detail)
                 case Ended(status=status) if status == -signal.SIGPROF:
-                    raise TooMuchError("it exceeds the time limit")
+                    raise TaskError("it exceeds the time limit")
         raise TaskError("its decoder crashed")
 
 

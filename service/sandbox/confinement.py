@@ -13,7 +13,6 @@ made here, as no library that is kept up makes them.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import math
 import os
@@ -28,8 +27,7 @@ from service.sandbox import filter as calls
 
 # Where programs and libraries are looked for, languages, memory. Not what may be a secret.
 KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES")
-NAME_LENGTH = 15  # of a process
-LAYERS = ("Landlock", "seccomp")  # which a system may lack
+LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may lack
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use
 MOST_THREADS = 8192  # of the user: a bomb of threads would take memory of the system's own
@@ -70,7 +68,7 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
 
 
 def confine(memory_bytes: int, cpu_s: float, parent: int) -> list[str]:
-    """Confine this process, for good; names the layers that the system does not offer, such as "Landlock".
+    """Confine this process, for good; returns the LAYERS that the system does not offer.
 
     memory_bytes: more than it has; cpu_s: seconds of a core until it ends by SIGPROF; parent: with which it ends.
     """
@@ -88,32 +86,37 @@ def confine(memory_bytes: int, cpu_s: float, parent: int) -> list[str]:
         }
     )
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
-    if os.geteuid() == 0:
-        _become_nobody()
-        end_with(parent)  # which a change of user takes back
+    is_other = os.geteuid() != 0 or _become_nobody()
+    end_with(parent)  # which a change of user takes back
     seccomp = _refuse_calls()  # last, as it allows none of the above
-    return [name for name, holds in zip(LAYERS, (landlock, seccomp), strict=True) if not holds]
+    return [name for name, holds in zip(LAYERS, (landlock, seccomp, is_other), strict=True) if not holds]
 
 
 def absent_layers() -> list[str]:
-    """The layers that this system does not offer, found out by a fork of this process, which has one thread still."""
+    """The layers that this system does not offer, found out by a fork of this process, which has one thread still.
+
+    Raises SandboxError if it cannot be confined at all.
+    """
     told, tell = os.pipe()
     parent = os.getpid()
     child = os.fork()
     if child == 0:
         try:
             os.write(tell, ", ".join(confine(0, 1.0, parent)).encode())
-        finally:
             os._exit(0)
+        finally:
+            os._exit(1)
     os.close(tell)
     with os.fdopen(told) as pipe:
         absent = pipe.read()
-    os.waitpid(child, 0)
+    _, status = os.waitpid(child, 0)
+    if status:
+        raise SandboxError("what reads uploads cannot be confined on this system")
     return list(filter(None, absent.split(", ")))
 
 
 class SandboxError(Exception):
-    """The sandbox lacks a layer that must not be missing; one sentence."""
+    """The sandbox cannot be set up, or lacks a layer that must not be missing; one sentence."""
 
 
 def check_layers(*, required: bool) -> list[str]:
@@ -124,7 +127,7 @@ def check_layers(*, required: bool) -> list[str]:
     if absent and required:
         raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
-    return missing + ["the service runs as root; what reads uploads runs as nobody"] * (os.geteuid() == 0)
+    return missing + ["the service runs as root"] * (os.geteuid() == 0)
 
 
 def _limit(limits: Mapping[int, int]) -> None:
@@ -134,11 +137,14 @@ def _limit(limits: Mapping[int, int]) -> None:
         resource.setrlimit(what, (most, most))
 
 
-def _become_nobody() -> None:
-    with contextlib.suppress(OSError):  # as in a container that knows no such user
+def _become_nobody() -> bool:
+    try:
         os.setgroups([])
         os.setresgid(NOBODY, NOBODY, NOBODY)
         os.setresuid(NOBODY, NOBODY, NOBODY)
+    except OSError:  # as in a container that knows no such user
+        return False
+    return True
 
 
 def _refuse_files() -> bool:

@@ -124,7 +124,7 @@ class PreviewFigures(Figures):
 
 
 class MakePreview(Task):
-    """Make a preview of an image, of at most so many bytes."""
+    """Make a preview of an image, of at most this many bytes."""
 
     kind: Literal["preview"] = "preview"
     most_bytes: int

@@ -20,7 +20,7 @@ import sgmethod
 from service.sandbox import frames
 from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.budget import Budget
-from sgmethod.errors import ImageError, ImageWarning, SgError
+from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
@@ -170,7 +170,7 @@ def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
 
 
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
-    info = sgmethod.info(file, task.max_gaussians)  # a few kilobytes can hold millions of equal ones
+    info = sgmethod.info(file, task.max_gaussians)  # equal ones take an eighth of a byte each
     drawing = Drawing.of(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
     answer.send(frames.FILE, drawing.draw(file))
 
@@ -200,8 +200,7 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
     from sgmethod.codec import encode
 
     request = task.request
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ImageWarning)
+    with noted() as notes:
         pixels = read_input(file, keep_alpha=request.profile == "rd")
         encoded = encode(
             pixels,
@@ -217,7 +216,6 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
         )
         size, db = len(encoded.data), encoded.stats.psnr
         figures = {**encoded.stats.to_dict(), **advice(better_file(pixels, size, db), size, db)}
-    notes = [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
     figures |= {"source_bytes": len(file), **({"notes": notes} if notes else {})}
     answer.say(frames.EncodeFigures.model_validate(frames.finite(figures)))
     answer.send(frames.FILE, encoded.data)

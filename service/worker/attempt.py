@@ -6,13 +6,18 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable
+from concurrent import futures
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JobTableError, JsonObject
 from service.jobs.table import JobTable
 from service.logs import log_seldom
 from service.process.loops import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -98,7 +103,6 @@ class Attempt:
         self._store(encoded.bitstream)
         result = EncodeResult(self.key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
         if not self._insist(lambda: self._table.finish(self.claim, result)):
-            self._storage.delete(self.key)
             raise ClaimLostError
         log.info("job %s: done, %d bytes", self.claim.job_id, len(encoded.bitstream))
 
@@ -109,11 +113,21 @@ class Attempt:
         """
         while True:
             try:
-                self._storage.put(self.key, data)
+                self.beating(lambda: self._storage.put(self.key, data))
                 return
             except OSError as error:
                 log_seldom(log, "%s cannot be stored yet: %s", self.key, error)
             self.wait()
+
+    def beating(self, work: Callable[[], T]) -> T:
+        """The result of work that may be slow, such as a bucket's; the lease is renewed meanwhile. Raises
+        ClaimLostError, and what the work raises.
+        """
+        with ThreadPoolExecutor(1) as pool:
+            result = pool.submit(work)
+            while futures.wait([result], HEARTBEAT_S).not_done:
+                self.beat()
+            return result.result()
 
     def wait(self) -> None:
         """Wait for a storage in trouble, and keep the claim. Raises ClaimLostError, StoppedError."""

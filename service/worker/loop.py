@@ -129,7 +129,7 @@ class Worker:
         job_id, deadline = attempt.claim.job_id, time.monotonic() + MISSING_S
         while True:
             try:
-                return self._storage.open(source_key(job_id))
+                return attempt.beating(functools.partial(self._storage.open, source_key(job_id)))
             except FileNotFoundError:
                 if time.monotonic() >= deadline:
                     raise
@@ -162,7 +162,7 @@ class Worker:
                 elif time.monotonic() - shown >= PREVIEW_EVERY_S:
                     shown = time.monotonic()
                     with contextlib.suppress(OSError):  # nobody needs it
-                        self._storage.put(attempt.key, message.bitstream)
+                        attempt.beating(functools.partial(self._storage.put, attempt.key, message.bitstream))
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxGoneError("the sandbox cannot be started")

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from service.sandbox.confinement import NAME_LENGTH
 from service.sandbox.frames import END_EARLY
 from tests.harness.data import ROOT
 
@@ -20,6 +19,7 @@ T = TypeVar("T")
 Kind = Literal["web", "worker", "sandbox", "encoder"]
 
 PATIENCE_S = 120.0  # far more than anything takes, on a busy machine too
+NAME_LENGTH = 15  # of a process, as the system shows it
 POLL_S = 0.05  # seldom enough to take little of a core
 # Of command lines; the sandbox's forks have the sandbox's. An encoder has its job's id for a name.
 KINDS: dict[Kind, str] = {

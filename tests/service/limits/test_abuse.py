@@ -14,11 +14,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.sandbox.confinement import NAME_LENGTH
 from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
 from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
-from tests.harness.processes import processes, wait_until
+from tests.harness.processes import NAME_LENGTH, processes, wait_until
 from tests.harness.service import Service, StartService, assert_problem, bearer, keys_of
 
 pytestmark = pytest.mark.thorough

@@ -138,6 +138,22 @@ def test_who_goes_at_the_moment_of_being_served() -> None:
     asyncio.run(scenario())
 
 
+def test_who_goes_as_a_place_comes_free() -> None:
+    """The next in line is served, and nobody else hears of it."""
+
+    async def scenario() -> None:
+        crowd = Clients(Turns(1, 10))
+        await crowd.asks("eve1", "ann1", "ann2")
+        crowd._ends["eve1"].set()
+        crowd._tasks["ann1"].cancel()  # its task runs after that of eve
+        await settle()
+        assert crowd.running == ["ann2"]
+        await crowd.ends("eve1", "ann2")
+        assert crowd.turns.waiting == 0
+
+    asyncio.run(scenario())
+
+
 @pytest.mark.parametrize(
     ("peer", "client"),
     [

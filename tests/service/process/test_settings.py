@@ -79,7 +79,7 @@ BAD = {
     "SG_TRUSTED_PROXIES": ("proxy.example", "10.0.0.1/8"),
     "SG_CORS_ORIGINS": ("a.example", "*,https://a.example"),
     **{"SG_HOST_NAMES": ("https://a.example",), "SG_ROOT_PATH": ("sg/",)},
-    "SG_WEBHOOK_URLS": ("http://a.example:99999/", f"http://{'a' * 70}.example/"),
+    "SG_WEBHOOK_URLS": ("http://a.example:99999/", f"http://{'a' * 70}.example/", "http://ann:pw@a.example/"),
 }
 
 

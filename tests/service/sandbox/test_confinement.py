@@ -11,7 +11,7 @@ import pytest
 
 from service.sandbox import confinement
 from service.sandbox.frames import Ended, Preview
-from tests.harness.processes import encoder_of, processes, running_encoder, wait_until
+from tests.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
 from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
 from tests.harness.service import STAND_IN, RunCommand, StartService
 
@@ -201,7 +201,15 @@ def test_a_sandbox_that_is_required(
 
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confinement, "_refuse_files", lambda: False)
+    monkeypatch.setattr(confinement, "_become_nobody", lambda: False)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     absent, root = confinement.check_layers(required=False)
-    assert absent == "uploads are read without Landlock, which this system does not offer"
+    missing = "Landlock and a user other than root"
+    assert absent == f"uploads are read without {missing}, which this system does not offer"
     assert "runs as root" in root
+
+
+def test_a_system_that_cannot_confine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(confinement, "confine", failing(confinement.confine, OSError("not here")))
+    with pytest.raises(confinement.SandboxError, match="cannot be confined"):
+        confinement.absent_layers()

@@ -45,6 +45,8 @@ def test_formats_that_are_not_made(web: Service, done: str) -> None:
     assert_problem(web.client.get(f"/decode/{done}", headers={"Accept": "image/gif"}), 406, "image/png")
     assert_problem(web.client.post("/decode", content=PICTURE, headers={"Accept": "text/html"}), 406)
     assert_problem(web.client.post("/decode.gif", content=PICTURE), 404)
+    waiting = {"Accept": "image/gif", "Content-Type": "image/png", "Prefer": "wait=5"}
+    assert_problem(web.client.post("/encode", content=b"never read", headers=waiting), 406)  # before there is a job
 
 
 def test_names_to_save_under(web: Service, done: str) -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 import sgmethod
 from service.api.cache import PictureCache
 from service.api.pictures import PictureQuery
+from service.api.problems import ProblemError
 from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from tests.harness.data import PICTURE
@@ -117,6 +118,28 @@ def test_the_cache_keeps_what_was_asked_for_last() -> None:
             assert await maker.get(name) == name.encode()
         assert maker.made == ["aaaa", "bbbb", "cccc", "larger than all"]
         assert ("aaaa" in maker.cache, "bbbb" in maker.cache, maker.cache.bytes) == (True, False, 8)
+
+    asyncio.run(scenario())
+
+
+def test_a_refusal_is_one_clients_own() -> None:
+    """Whoever waits for the same file then has it made in its own name."""
+
+    async def scenario() -> None:
+        cache = PictureCache(10)
+
+        async def refused() -> bytes:
+            await asyncio.sleep(0)
+            raise ProblemError(429, "too many are waiting", reason="own_turns")
+
+        async def made() -> bytes:
+            return b"a"
+
+        first, second = await asyncio.gather(
+            cache.get_or_make("a", refused), cache.get_or_make("a", made), return_exceptions=True
+        )
+        assert isinstance(first, ProblemError)
+        assert second == b"a"
 
     asyncio.run(scenario())
 

@@ -22,7 +22,7 @@ from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
 from tests.harness.job_table import LONG_S, claimed, job_of, submitted
-from tests.harness.processes import PATIENCE_S, failing
+from tests.harness.processes import PATIENCE_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):
@@ -124,6 +124,23 @@ def test_a_result_waits_for_space(
     stop.request()
     with pytest.raises(StoppedError):
         attempt.conclude(Encoded({}, b"data"))
+
+
+def test_the_lease_is_renewed_while_the_storage_is_slow(
+    table: Unsteady, attempt: Attempt, storage: Storage, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bucket may take a minute for one file, and a lease is shorter."""
+    monkeypatch.setattr(attempt_module, "HEARTBEAT_S", 0.01)
+    put, beats = storage.put, []
+
+    def slow(key: str, data: bytes) -> None:
+        wait_until(lambda: len(beats) > 3)
+        put(key, data)
+
+    monkeypatch.setattr(storage, "put", slow)
+    monkeypatch.setattr(attempt, "beat", lambda: beats.append(1))
+    attempt.conclude(Encoded({}, b"data"))
+    assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
 
 
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
