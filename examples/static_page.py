@@ -43,8 +43,8 @@ def write_site(photos: Path, site: Path) -> None:
         upright.save(target)
         preview = sgmethod.preview(upright, bytes=200)
         pictures.append(preview_element(preview, f"photos/{target.name}", path.stem))
-    (site / "index.html").write_text(PAGE.format(pictures="\n".join(pictures)))
-    (site / "style.css").write_text(STYLE)
+    (site / "index.html").write_text(PAGE.format(pictures="\n".join(pictures)), encoding="utf-8")
+    (site / "style.css").write_text(STYLE, encoding="utf-8")
     with as_file(files("sgmethod") / "javascript" / "src") as modules:  # or sg-img.js of the npm package
         shutil.copytree(modules, site / "sgmethod", dirs_exist_ok=True)
 
