@@ -1,6 +1,6 @@
 // How pictures come in: picked, dropped anywhere, pasted; and within what budget they are encoded.
 
-import { remembered } from "./keeping.js";
+import { local, remembered, session } from "./keeping.js";
 import { $ } from "./parts.js";
 import { expected, size, smaller } from "./words.js";
 
@@ -72,8 +72,8 @@ export function sayRate(item) {
 }
 
 export function rememberBudget(changed) {
-  for (const id of ["bpp", "aim", "tune", "effort", "time-limit"]) remembered($(id), localStorage);
-  remembered($("key"), sessionStorage);
+  for (const id of ["bpp", "aim", "tune", "effort", "time-limit"]) remembered($(id), local);
+  remembered($("key"), session);
   $("key-field").hidden = !$("key").value;
   const name = () => `sgmethod-aim-${$("aim").value}`;
   const showAim = () => {
@@ -81,10 +81,10 @@ export function rememberBudget(changed) {
     $("aim-field").hidden = !aim;
     if (!aim) return;
     $("aim-name").textContent = aim[0];
-    $("aim-value").value = localStorage.getItem(name()) ?? aim[1];
+    $("aim-value").value = local[name()] ?? aim[1];
   };
   $("aim").addEventListener("change", () => { showAim(); changed(); });
-  $("aim-value").addEventListener("input", () => localStorage.setItem(name(), $("aim-value").value));
+  $("aim-value").addEventListener("input", () => (local[name()] = $("aim-value").value));
   $("bpp").addEventListener("input", changed);
   showAim();
 }

@@ -8,7 +8,7 @@ import { size } from "./words.js";
 const POLL_MS = 400;
 const RETRY_MS = 2000;
 const RETRIES = 30;
-const unread = (format) => `This is a ${format} picture, which this service cannot read. Save or share it as JPEG first.`;
+const unread = (format) => `This service cannot read ${format} pictures. Save or share this one as JPEG first.`;
 
 const decoder = new Remote("static/decoder_worker.js");
 let keys = 0;
@@ -134,8 +134,9 @@ export class Item {
     try {
       await task();
     } catch (error) {
-      const words = error.message.includes("to read it") ? unread(this.format) : error.message;
-      this.tell({ state: "failed", words, done: null, soFar: null, refused: error.status === 415 });
+      const refused = error.status === 415;
+      const words = refused && this.format ? unread(this.format) : error.message;
+      this.tell({ state: "failed", words, done: null, soFar: null, refused });
     }
   }
 
@@ -150,7 +151,7 @@ export class Item {
         if (this.state === "cancelled") return;
         if (error.status === 404) throw new Error("The service has no such picture, or has deleted it.");
         if (!(error.status >= 500) || ++tries > RETRIES) throw error;
-        this.tell({ words: "The service does not answer, trying again" });
+        this.tell({ words: "The service does not answer; trying again" });
         await sleep(RETRY_MS);
         continue;
       }

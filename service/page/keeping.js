@@ -38,8 +38,17 @@ export async function kept(id) {
   }
 }
 
+/** The browser's storages. Where site data are blocked, reaching one throws or gives null; an object replaces it. */
+export const [local, session] = ["localStorage", "sessionStorage"].map((name) => {
+  try {
+    return window[name] ?? {};
+  } catch {
+    return {};
+  }
+});
+
 export function remembered(input, storage) {
   const name = `sgmethod-${input.id}`;
-  input.value = storage.getItem(name) ?? input.value;
-  input.addEventListener("input", () => storage.setItem(name, input.value));
+  input.value = storage[name] ?? input.value;
+  input.addEventListener("input", () => (storage[name] = input.value));
 }

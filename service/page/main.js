@@ -129,13 +129,15 @@ function added(name) {
   return item;
 }
 
-async function sample(name) {
-  const known = items.find((one) => one.sample === name);
-  const item = known ?? added(`${name}.webp`);
+function sample(name) {
+  const item = items.find((one) => one.sample === name) ?? added(`${name}.webp`);
   item.sample = name;
   show(item);
   tellRows();
-  if (!known) await openSample(item, name).catch((error) => trouble(error.message));
+  item.opening ??= openSample(item, name).catch((error) => {
+    item.opening = null; // the next click tries again
+    trouble(error.message);
+  });
 }
 
 async function give(files) {
@@ -167,7 +169,7 @@ async function give(files) {
         } else if (items.includes(item)) item.encode(budget());
       }
     } catch (error) {
-      item.tell({ state: "failed", words: `The file cannot be opened: ${error.message}.` });
+      item.tell({ state: "failed", words: `The file cannot be opened: ${error.message}` });
     }
   }
   tellRows();
@@ -183,12 +185,12 @@ async function again() {
 }
 
 /** What the address names. */
-async function begin() {
+function begin() {
   const wanted = location.hash.slice(1);
   address = wanted;
   const known = items.find((item) => item.place === wanted);
-  if (known) {
-    entered = known;
+  if (!wanted || SAMPLES.includes(wanted)) sample(wanted || SAMPLES[0]);
+  else if (known) {
     show(known);
     tellRows();
   } else if (/^[0-9a-f]{32}$/.test(wanted)) {
@@ -200,8 +202,7 @@ async function begin() {
     const item = added("file.sg");
     show(item);
     item.reopen(wanted);
-  } else if (!wanted || SAMPLES.includes(wanted)) await sample(wanted || SAMPLES[0]);
-  else {
+  } else {
     const item = added("photograph");
     show(item);
     item.tell({ state: "failed", words: "No picture has this address: it may have been cut off." });
@@ -216,7 +217,7 @@ async function copy(text) {
   area.select();
   const isDone = document.execCommand("copy");
   area.remove();
-  if (!isDone) throw new Error("this browser lets no page copy.");
+  if (!isDone) throw new Error("this browser does not let pages copy.");
 }
 
 /** Export something of the picture shown, and report the outcome. */

@@ -1,4 +1,4 @@
-// Elements of the page by their id, and a few ways to make new ones.
+// Elements of the page by their id, and a way to make new ones.
 
 export const $ = (id) => document.getElementById(id);
 
@@ -10,14 +10,6 @@ export function element(tag, properties = {}, ...children) {
     else made.setAttribute(name, value);
   }
   made.append(...children);
-  return made;
-}
-
-/** A new element of a drawing. */
-export function shape(tag, attributes = {}, text = "") {
-  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  made.textContent = text;
   return made;
 }
 

@@ -1,5 +1,6 @@
 // The pictures that come with the page: an original, its .sg file, and an AVIF that is as large.
 
+import { ask, bytesOf } from "./api.js";
 import { $, element } from "./parts.js";
 import { size } from "./words.js";
 
@@ -9,10 +10,10 @@ const at = (name, suffix) => `static/samples/${name}.${suffix}`;
 
 /** Fill an item with a sample: first the .sg file, which is the smallest. */
 export async function openSample(item, sample) {
-  const bytes = await (await fetch(at(sample, "sg"))).arrayBuffer();
+  const bytes = await bytesOf(at(sample, "sg"));
   Object.assign(item, { sample, url: at(sample, "sg"), rivalUrls: { avif: at(sample, "avif") } });
-  await item.setFile(new Uint8Array(bytes));
-  await item.setOriginal(await (await fetch(at(sample, "webp"))).blob());
+  await item.setFile(bytes);
+  await item.setOriginal(await (await ask(at(sample, "webp"))).blob());
 }
 
 /** The buttons: each picture is drawn from its .sg file, a few kilobytes. */
@@ -26,7 +27,7 @@ export async function showSamples(opened, thumbnail) {
   });
   $("samples").replaceChildren(...buttons.map(({ button }) => button));
   for (const { sample, canvas, words } of buttons) {
-    const bytes = new Uint8Array(await (await fetch(at(sample, "sg"))).arrayBuffer());
+    const bytes = await bytesOf(at(sample, "sg"));
     words.append(element("span", { className: "quiet" }, size(bytes.length)));
     const { data, width } = await thumbnail(bytes);
     canvas.getContext("2d").putImageData(new ImageData(data, width), 0, 0);

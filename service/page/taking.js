@@ -30,14 +30,14 @@ export function offerWidths(size) {
   [$("width").min, $("width").max] = widths(size);
 }
 
-/** Save a picture of some width: drawn here where that is possible, else by the service. */
+/** Save a picture of some width: drawn here if it is opaque and the browser can write it, else by the service. */
 export async function savePicture(item, kind, width, draw) {
   const [whole] = item.size;
   const [least, most] = widths(item.size);
   if (!(width >= least && width <= most)) throw new Error(`the width must lie between ${least} and ${most} pixels.`);
   const type = IN_BROWSER[kind];
   let blob = null;
-  if (item.file && type) {
+  if (item.file && type && !item.file.alpha) {
     const picture = await draw(item.file, { scale: width / whole });
     const canvas = new OffscreenCanvas(picture.width, picture.height);
     canvas.getContext("2d").putImageData(new ImageData(picture.data, picture.width), 0, 0);
@@ -47,7 +47,7 @@ export async function savePicture(item, kind, width, draw) {
   return save(blob, `${withoutSuffix(item.name)}${width === whole ? "" : `-${width}`}.${kind}`);
 }
 
-/** Lines that make exactly this file again, or fetch it. */
+/** Lines that make this file again, or fetch it. */
 export function fillLines(item) {
   const { href: service } = new URL(".", location);
   const file = `${withoutSuffix(item.name)}.sg`.replace(/[^\w.-]/g, "_");
@@ -70,7 +70,6 @@ export function fillLines(item) {
 
 /** A link to the page with this picture; with keys, one to its PNG that lasts an hour. */
 export async function linkOf(item) {
-  if (!item.id) return item.url ? new URL(`#${item.sample}`, location).href : null;
-  if (!hasKey()) return new URL(`#${item.id}`, location).href;
+  if (!item.id || !hasKey()) return new URL(`#${item.place}`, location).href;
   return location.origin + (await json(`jobs/${item.id}/links`, { method: "POST" })).decode_url;
 }

@@ -87,7 +87,7 @@ function figuresOf({ sg, file, size: [width, height], job, measured }) {
 function stateInShort({ state, sg, done }) {
   if (state === "done") return size(sg.length);
   if (state === "running") return `${Math.round(100 * (done ?? 0))} %`;
-  const short = { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled" };
+  const short = { sending: "sending", queued: "waiting", failed: "failed", cancelled: "cancelled" };
   return short[state] ?? "";
 }
 

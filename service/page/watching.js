@@ -1,10 +1,18 @@
 // A job on its way: place in the queue, seconds left, and the error against time.
 
-import { $, shape } from "./parts.js";
+import { $ } from "./parts.js";
 import { count, decibels, seconds, size } from "./words.js";
 
 const [WIDTH, HEIGHT] = [560, 240];
 const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
+
+/** A new element of a drawing. */
+function shape(tag, attributes, text = "") {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.textContent = text;
+  return made;
+}
 
 /** A round step, of which about `most` fit into a range. */
 function stepOf(range, most) {

@@ -14,11 +14,11 @@ export function smaller(from, to) {
   return `${times < 10 ? times.toFixed(1) : Math.round(times)} times smaller`;
 }
 
-export const decibels = (psnr) => (psnr === null || psnr === Infinity ? "no error" : `${psnr.toFixed(1)} dB`);
+export const decibels = (psnr) => (psnr === Infinity ? "no error" : `${psnr.toFixed(1)} dB`);
 
 export function seconds(s) {
-  if (s < 60) return `${Math.max(1, Math.round(s))} s`;
-  return `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
+  const whole = Math.max(1, Math.round(s));
+  return whole < 60 ? `${whole} s` : `${Math.floor(whole / 60)} min ${whole % 60} s`;
 }
 
 /** About how many Gaussians a file of this size holds: 2.4 to 4 bytes each were seen. How good the picture will be

@@ -31,7 +31,10 @@ async function measureNow(item, told) {
   item.measured = await worker.ask("measure", { image: item.decoded });
   told();
   for (const [name, type, suffix] of CODECS) {
-    const rival = (await worker.ask("encode", { type, bytes, least: (1 - NEAR) * bytes })) ?? (await fetched(item, suffix));
+    const rival = await worker
+      .ask("encode", { type, bytes, least: (1 - NEAR) * bytes })
+      .then((made) => made ?? fetched(item, suffix))
+      .catch((error) => ({ lacking: error.message }));
     item.rivals = { ...item.rivals, [name]: rival };
     told();
   }
@@ -42,13 +45,9 @@ async function fetched(item, suffix) {
   const isKept = item.job && Date.now() < Date.parse(item.job.image_expires_at);
   const url = item.rivalUrls?.[suffix] ?? (isKept && `${jobPath(item.id)}/rival.${suffix}`);
   if (!url) return { lacking: item.id ? "the service no longer has the picture" : "this browser cannot write it" };
-  try {
-    const blob = await (await ask(url)).blob();
-    const image = await createImageBitmap(blob, { premultiplyAlpha: "none" });
-    return { image, bytes: blob.size, ...(await worker.ask("measure", { image })) };
-  } catch (error) {
-    return { lacking: error.message };
-  }
+  const blob = await (await ask(url)).blob();
+  const image = await createImageBitmap(blob, { premultiplyAlpha: "none" });
+  return { image, bytes: blob.size, ...(await worker.ask("measure", { image })) };
 }
 
 const cell = (text) => element("td", {}, text);
@@ -70,7 +69,7 @@ export function fillTable(item, chosen, choose) {
     rows.push(element("tr", {}, pick("Original"), cell(size(item.originalBytes)), cell("—"), cell("—")));
   }
   if (item.measured) {
-    const name = element("th", { scope: "row", className: "ours" }, "Gaussians");
+    const name = element("th", { scope: "row" }, "Gaussians");
     rows.push(element("tr", { className: "ours" }, name, ...figures(item.sg.length, item.measured)));
   }
   for (const [name] of item.measured ? CODECS : []) {

@@ -56,8 +56,8 @@ const answers = {
     original = { image, data: pixels(image), width: image.width, height: image.height };
   },
   measure: ({ image }) => measured(image),
-  /** The finest file of a type within `most` bytes; the next larger, if that one has fewer than `least`. Null if the
-   * browser cannot write the type. */
+  /** The finest file of a type within `bytes`; the next larger, if that one has fewer than `least`. Null if the browser
+   * cannot write the type. */
   async encode({ type, bytes, least }) {
     const canvas = new OffscreenCanvas(original.width, original.height);
     canvas.getContext("2d").drawImage(original.image, 0, 0);

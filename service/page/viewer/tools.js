@@ -105,7 +105,7 @@ export class Tools {
     $("legend").textContent = {
       none: "",
       ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones remove it.",
-      heat: `Bits per pixel: dark is none, pale yellow ${file?.heat?.most.toFixed(1)} bits per pixel and more.`,
+      heat: `Bits per pixel: dark is none, pale yellow ${file?.heat?.most.toFixed(1)} bits per pixel or more.`,
     }[file ? overlay : "none"];
     $("legend").hidden = !$("legend").textContent;
     viewer.redraw();
@@ -133,9 +133,10 @@ export class Tools {
     $("blink").addEventListener("keyup", (event) => presses(event) && peek(null));
     for (const kind of ["pointerup", "pointerleave", "blur"]) $("blink").addEventListener(kind, () => peek(null));
     addEventListener("blur", () => peek(null));
-    const isBlink = ({ key, ctrlKey, metaKey, target }) =>
-      key?.toLowerCase() === "b" && !ctrlKey && !metaKey && !target.matches("select, input:not([type=range], [type=radio])");
-    addEventListener("keydown", (event) => isBlink(event) && !event.repeat && peek(viewer.peek === 1 ? 0 : 1));
-    addEventListener("keyup", (event) => isBlink(event) && peek(null));
+    const isBlink = ({ key, ctrlKey, metaKey }) => key?.toLowerCase() === "b" && !ctrlKey && !metaKey;
+    $("stage").addEventListener("keydown", (event) => {
+      if (isBlink(event) && !event.repeat && !$("blink").disabled) peek(viewer.peek === 1 ? 0 : 1);
+    });
+    addEventListener("keyup", (event) => isBlink(event) && peek(null)); // wherever the focus is by then
   }
 }

@@ -9,15 +9,15 @@ const FOLLOWS_MS = 50; // within which a frame belongs to the same movement as t
 const [FEWEST_FRAMES, MOST_FRAMES] = [4, 30]; // of which the time is told
 
 /**
- * Shows `left` and `right`: { image } each, an ImageBitmap of the whole picture, or null. `file` and `count` are the
- * Gaussians that the right one is drawn from; `draw` asks the worker for a view of them. `moved` is called when the
- * zoom may be another one, `timed` with the milliseconds from frame to frame of a movement.
+ * Shows `left` and `right`, each an ImageBitmap of the whole picture or null. `file` and `count` are the Gaussians that
+ * the right one is drawn from; `draw` asks the worker for a view of them. `moved` is called when the zoom may be
+ * another one, `timed` with the milliseconds from frame to frame of a movement.
  */
 export class Viewer {
   #pointers = new Map();
   #dragging = null;
   #frame = 0;
-  #part = null; // what the worker has drawn: { canvas, x, y, scale, count }
+  #part = null; // what the worker has drawn: what was wanted, and its image
   #settling = 0;
   #drawn = -Infinity; // when the last frame was finished
   #last = 0; // its time
@@ -246,7 +246,8 @@ export class Viewer {
       else this.fit();
     });
     divider.addEventListener("keydown", (event) => {
-      const steps = { ArrowLeft: -0.02, ArrowRight: 0.02, PageDown: -0.1, PageUp: 0.1, Home: -1, End: 1 };
+      const arrows = { ArrowLeft: -0.02, ArrowDown: -0.02, ArrowRight: 0.02, ArrowUp: 0.02 };
+      const steps = { ...arrows, PageDown: -0.1, PageUp: 0.1, Home: -1, End: 1 };
       if (!(event.key in steps)) return;
       event.preventDefault();
       event.stopPropagation();

@@ -8,7 +8,7 @@ const NOTES = [
     " suits it best; BlurHash and ThumbHash are as large as they get.",
   "Six of the photographs are Kodak's, released for unrestricted use.",
 ];
-const PLAIN = 1; // of the sizes, the one that is shown first
+const FIRST = 1; // of the sizes, the one that is shown first
 const blobs = new Map(); // addresses of pictures by their text
 
 /** The address of a picture that is there as text: the page's policy allows no data URIs. */
@@ -20,26 +20,26 @@ function addressOf(text) {
   return blobs.get(text);
 }
 
-const tile = (kind, shown, name, words) =>
-  element("figure", { className: kind }, shown, element("figcaption", {}, element("b", {}, name), ` ${words}`));
+const tile = (shown, name, words, className = "") =>
+  element("figure", { className }, shown, element("figcaption", {}, element("b", {}, name), ` ${words}`));
 
 function ours({ src, alt, previews }, size, isLoaded) {
   const shown = element("sg-img", { alt, preview: previews[size], width: 432, height: 288 });
   if (isLoaded) shown.setAttribute("src", `static/${src}`);
-  return tile("ours", shown, "sgmethod", `${previews[size].length} chars`);
+  return tile(shown, "sgmethod", `${previews[size].length} chars`, "ours");
 }
 
 function rival(name, webp, characters, { src }, isLoaded) {
   const shown = element("div", { className: "rival" });
   if (webp) shown.append(element("img", { src: addressOf(webp), alt: "" }));
-  else shown.append(element("p", { className: "none" }, "No file is so small"));
+  else shown.append(element("p", { className: "none" }, "No file is that small"));
   if (isLoaded) {
     const looks = { className: "photograph late", alt: "", loading: "lazy" };
     const photograph = element("img", { ...looks, src: `static/${src}` });
     photograph.addEventListener("load", () => photograph.classList.remove("late"));
     shown.append(photograph);
   }
-  return tile("other", shown, name, webp ? `${characters} chars` : "");
+  return tile(shown, name, webp ? `${characters} chars` : "");
 }
 
 function tilesOf(picture, size, isLoaded) {
@@ -56,7 +56,7 @@ function tilesOf(picture, size, isLoaded) {
 export async function showWall(place) {
   document.head.append(element("link", { rel: "stylesheet", href: "static/wall/wall.css" }));
   const { bytes, pictures } = await (await fetch("static/wall/wall.json")).json();
-  let size = PLAIN;
+  let size = FIRST;
   let isLoaded = false;
   const tiles = element("div", { className: "tiles" });
   const load = element("button", { type: "button", className: "button", id: "load-wall" });
@@ -78,6 +78,8 @@ export async function showWall(place) {
   });
   fill();
   const group = element("span", { className: "group", role: "radiogroup", ariaLabel: "Size of a preview" }, ...choices);
+  const hadFocus = place.contains(document.activeElement);
   place.replaceChildren(element("div", { className: "line" }, group, load), tiles);
   for (const words of NOTES) place.append(element("p", { className: "quiet small" }, words));
+  if (hadFocus) load.focus(); // the button that was pressed is gone
 }

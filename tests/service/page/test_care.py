@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 from pathlib import Path
 
@@ -11,11 +12,12 @@ from PIL import Image
 
 import sgmethod
 from tests.harness.browser import Chromium
+from tests.harness.data import golden
 from tests.harness.page import bytes_of
 from tests.harness.pictures import SMALL, saved
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, assert_open_to_all
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 pytestmark = pytest.mark.thorough
 
@@ -64,6 +66,55 @@ def test_each_aim_has_its_own_value(page: Chromium, web: Service) -> None:
         page.run("localStorage.clear()")
 
 
+def test_a_browser_that_blocks_site_data(page: Chromium, web: Service) -> None:
+    """To reach its storages throws."""
+    block = "Object.defineProperty(window, name, { get() { throw new DOMException('blocked', 'SecurityError'); } })"
+    source = f"for (const name of ['localStorage', 'sessionStorage']) {block};"
+    script = page.tell("Page.addScriptToEvaluateOnNewDocument", source=source)
+    try:
+        page.open_page(web)
+        page.choose("aim", "bytes")
+        page.choose("aim-value", "15000")
+        page.choose("aim", "psnr")
+        page.choose("aim", "bytes")
+        assert page.value_of("aim-value") == "15000"  # until the page is left
+        assert page.complaints() == []
+    finally:
+        page.tell("Page.removeScriptToEvaluateOnNewDocument", **script)
+
+
+def test_while_the_service_cannot_be_reached(page: Chromium, web: Service) -> None:
+    """It is said in one sentence, and a sample that did not come is asked for again."""
+    page.open_page(web)
+    page.says("5.4 kB", "#sample-cat")  # the last one whose button is drawn
+    page.run("""
+        const get = fetch;
+        window.fetch = (...given) => (window.isBack ? get(...given) : Promise.reject(new TypeError("gone")));
+    """)
+    page.give("drop", OTHER, "other.sg")
+    page.says("reached")
+    assert page.text("#status") == "The file cannot be opened: The service cannot be reached."
+    page.click("#sample-cat")
+    page.says("The service cannot be reached.", "#trouble")
+    page.run("window.isBack = true")
+    page.click("#sample-cat")
+    page.says("5.4 kB", "#right-label")
+    page.says("Original", "#left-label")
+
+
+def test_a_format_that_this_service_cannot_read(page: Chromium, web: Service) -> None:
+    """Who visits it cannot install what its answer asks for."""
+    page.open_page(web)
+    page.run("""
+        const get = fetch;
+        const refusal = () => Response.json({ detail: "reading HEIC files needs an extra package" }, { status: 415 });
+        window.fetch = async (url, options) => (String(url).endsWith("/encode") ? refusal() : get(url, options));
+    """)
+    page.give("drop", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "photo.heic")
+    page.says("This service cannot read HEIC pictures. Save or share this one as JPEG first.")
+    assert not page.is_seen("#again")
+
+
 def test_a_width_typed_before_the_original_is_there(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.hold_back(".webp")
@@ -88,6 +139,20 @@ def test_blinking_by_keyboard(page: Chromium, web: Service) -> None:
     page.press("blink", " ")
     page.run("dispatchEvent(new Event('blur'))")  # the window's, by the keys that change it
     assert page.run(seen) == "visible"
+    for part, state in (("stage", "hidden"), ("zoom-fit", "visible")):  # a letter alone is a key of the picture
+        page.run(f"document.getElementById('{part}').focus()")
+        page.tell("Input.dispatchKeyEvent", type="keyDown", key="b")
+        assert page.run(seen) == state
+        page.tell("Input.dispatchKeyEvent", type="keyUp", key="b")
+        assert page.run(seen) == "visible"
+
+
+def test_the_divider_by_keyboard(page: Chromium, web: Service) -> None:
+    page.open_page(web)
+    for key, place in (("ArrowUp", "52"), ("ArrowRight", "54"), ("ArrowDown", "52"), ("ArrowLeft", "50")):
+        page.press("divider", key)
+        page.settled()
+        assert page.run("return document.getElementById('divider').getAttribute('aria-valuenow')") == place
 
 
 def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Service) -> None:
@@ -173,6 +238,7 @@ def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     words = page.imported("watching.js", said)
     waiting = "Waiting: in the queue, 2 before it"
     assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
+    assert page.imported("words.js", "[0.2, 59.7, 119.7].map(it.seconds)") == ["1 s", "1 min 0 s", "2 min 0 s"]
     page.click("#cancel")
 
 
@@ -223,6 +289,22 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
     page.says("is in the clipboard", "#taken")
     page.click("#sample-cat")
     assert page.text("#taken") == ""
+
+
+def test_what_is_saved_stays_transparent(page: Chromium, web: Service) -> None:
+    data = golden(2)["v2-alpha"]
+    page.open_page(web)
+    page.give("drop", data, "clear.sg")
+    page.says(f"{len(data)} B", "#right-label")
+    page.run("""
+        HTMLAnchorElement.prototype.click = () => undefined;
+        const made = URL.createObjectURL;
+        URL.createObjectURL = (blob) => { window.blob = blob; return made(blob); };
+    """)
+    page.click("#save-picture")
+    page.says("Downloaded clear.png", "#taken")
+    png = page.run("return window.blob.arrayBuffer().then((buffer) => [...new Uint8Array(buffer)])")
+    assert_as_python(np.array(Image.open(io.BytesIO(bytes(png)))).astype(int), data)
 
 
 def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.give("drop", COFFEE, "coffee.sg")
     page.says(COFFEE_SAYS, "#prefix-words")
     assert_as_python(page.decoded(COFFEE), COFFEE)
-    assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
+    assert page.run("return performance.getEntriesByName(location.origin + '/decode.png').length") == 0
     page.click("#rows li:first-child .pick")
     page.says("my disc.png", "#rows")
     page.give("drop", COFFEE[:-1], "cut.sg")

@@ -140,6 +140,19 @@ def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
     assert page.complaints() == []
 
 
+def test_a_codec_that_fails_is_not_the_end(page: Chromium, web: Service) -> None:
+    page.open_page(web)
+    page.run("""
+        const tell = Worker.prototype.postMessage;
+        Worker.prototype.postMessage = function (message) {
+            tell.call(this, message.given.type === "image/webp" ? { ...message, name: "unknown" } : message);
+        };
+    """)
+    page.click("#sample-cat")
+    page.says("WebP answers[name] is not a function", "#rivals")
+    page.says("AVIF", "#verdict")
+
+
 def test_texture_on_and_off(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.give("drop", golden(2)["v2-color"], "smooth.sg")

@@ -259,9 +259,10 @@ def test_the_wall_on_a_phone(page: Chromium, web: Service) -> None:
     page.tell("Emulation.setDeviceMetricsOverride", **PHONE)
     page.open_page(web)
     loaded = page.run("return performance.getEntriesByType('resource').map((one) => one.name)")
-    assert [name for name in loaded if "/wall/" in name or "/preview/" in name] == []
-    page.run("document.getElementById('show-wall').click()")
+    assert [name for name in loaded if "/wall/" in name or "/sg-img.js" in name] == []
+    page.run("const button = document.getElementById('show-wall'); button.focus(); button.click()")
     wait_until(lambda: page.run(DRAWN) == len(WALL["pictures"]))
+    assert page.run("return document.activeElement.id") == "load-wall"
     assert page.run("return document.documentElement.scrollWidth") == PHONE["width"]
     text = page.text("#wall")
     for name in ("sgmethod", "WebP", "BlurHash", "ThumbHash"):
