@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io.pictures import encode_picture
 from sgmethod.metrics import psnr
+from sgmethod.scene import Pixels
 
-Pixels = NDArray[np.uint8]
 Kind = Literal["webp", "avif"]
 
 KINDS: tuple[Kind, ...] = ("webp", "avif")

@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgmethod.backend.devices import backend_on
 from sgmethod.backend.protocol import Backend
@@ -46,12 +45,12 @@ from sgmethod.rd import encode as rd
 from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.request import Request
+from sgmethod.scene import Pixels
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
 from sgmethod.settings.shared import Tune
 from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
-Pixels = NDArray[np.uint8]
 Measure = Callable[[Pixels, Pixels], float | None]  # (picture, source) -> figure
 
 REPORTED_MISS_DB = 0.005  # a smaller miss rounds to 0.00 dB
@@ -66,9 +65,9 @@ class Stats:
 
     psnr (dB), ms_ssim and ssimulacra2 (up to 100) describe the decoded file. ms_ssim and ssimulacra2 are None unless
     encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a budget
-    of looks. With alpha, all three compare the picture over black and over white. source_bytes: size of the image file,
-    None for arrays; psnr_missed_db, looks_missed: how far the file is below the requested PSNR or SSIMULACRA 2, None if
-    none was requested.
+    of looks. With alpha, all three compare the picture over black and over white. effort: None if encode() was given
+    settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, looks_missed: how far the file is
+    below the requested PSNR or SSIMULACRA 2, None if none was requested.
     """
 
     bytes: int
@@ -83,7 +82,7 @@ class Stats:
     height: int
     profile: str
     tune: str
-    effort: int
+    effort: int | None
     source_bytes: int | None = None
     psnr_missed_db: float | None = None
     looks_missed: float | None = None
@@ -187,9 +186,10 @@ def encode(
     budget = _only_budget(budget, kinds)
     profile = checked_profile(profile) if settings is None else profile_of(settings)
     tuned_for = tuning(tune, profile, budget)
-    effort, backend = checked_effort(effort), backend_on(device)
-    settings = settings_of(profile, effort) if settings is None else settings
+    named_effort = checked_effort(effort) if settings is None else None
+    settings, backend = settings or settings_of(profile, effort), backend_on(device)
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
+    source_bytes = _file_bytes(image)  # now, as the file may be gone later
     height, width, channels = pixels.shape
     if budget is DEFAULT_BUDGET:
         budget = default_budget(width, height, smallest_file(settings, has_alpha=channels == 4))
@@ -204,8 +204,8 @@ def encode(
         request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
     measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "looks" else []
-    encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort), measures)
-    stats = replace(encoded.stats, source_bytes=_file_bytes(image))
+    encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, named_effort), measures)
+    stats = replace(encoded.stats, source_bytes=source_bytes)
     if budget.kind == "psnr":
         stats = replace(stats, psnr_missed_db=max(budget.value - stats.psnr, 0.0))
     if budget.kind == "looks" and stats.ssimulacra2 is not None:
@@ -261,7 +261,7 @@ def _measured(
     data: builtins.bytes,
     steps: int,
     recorder: Recorder,
-    asked: tuple[str, Tune, int],
+    asked: tuple[str, Tune, int | None],
     measures: Sequence[Measure],
 ) -> Encoded:
     """Decode a file and measure it against pixels. asked: profile, tuning, effort; measures: in addition to PSNR."""

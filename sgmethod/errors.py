@@ -71,9 +71,9 @@ class ImageWarning(UserWarning):
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """Collect the warnings of a block instead of showing them: the list is filled when the block ends."""
+    """Collect a block's ImageWarnings instead of showing them, and drop others; filled when the block ends."""
     notes: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ImageWarning)
         yield notes
-    notes += [str(warning.message) for warning in caught]
+    notes += [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]

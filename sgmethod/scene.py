@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
+Pixels = NDArray[np.uint8]
 Floats = NDArray[np.floating]  # of any precision
 
 

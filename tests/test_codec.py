@@ -194,7 +194,7 @@ def test_few_steps_still_give_a_picture(profile: str) -> None:
     few = shortened(60, (36, 24))[profile]
     for size in (400, 1600):
         stats = encode(PHOTO, Budget("bytes", size), settings=few).stats
-        assert stats.profile == profile  # which the settings tell
+        assert (stats.profile, stats.effort) == (profile, None)  # which the settings tell
         assert stats.psnr > flat(PHOTO) + 2  # 4.9 seen
 
 
@@ -226,6 +226,8 @@ def test_the_figures_know_the_source_and_the_miss(tmp_path: Path) -> None:
     data = path.read_bytes()
     for image, size in ((path, len(data)), (str(path), len(data)), (bytearray(data), len(data)), (levels, None)):
         assert encode(image, bytes=400).stats.source_bytes == size
+    removed = encode(path, bytes=400, on_progress=lambda _: path.unlink(missing_ok=True))
+    assert (removed.stats.source_bytes, path.exists()) == (len(data), False)
     missed = encode(levels, psnr=60, time_limit_s=0.05).stats
     assert missed.psnr_missed_db == pytest.approx(60 - missed.psnr)
     assert missed.warnings[0].startswith("the requested PSNR is missed by")

@@ -143,6 +143,15 @@ def test_the_limit_of_pixels() -> None:
     assert info(huge).width == 65_535
 
 
+def test_the_limit_of_gaussians() -> None:
+    """Those of alpha count too; the message has the limit that was given."""
+    data = GOLDEN["v2-alpha"]  # 9, and 15 of alpha
+    assert info(data, 24).gaussians == 24
+    for most in (23, 8):
+        with pytest.raises(BitstreamError, match=f"limit of {most} Gaussians"):
+            info(data, most)
+
+
 HOSTILE = {
     "every Gaussian covers 100 megapixels": wide(40_000, 10_000, 10_000, scale_px=1e5),
     "every Gaussian spans all columns, and is seen in few": wide(

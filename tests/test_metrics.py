@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr, ssimulacra2
+from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
 
 AGREEMENT = 2e-6
 
@@ -57,7 +57,7 @@ def test_ms_ssim_at_its_ends() -> None:
     for pixels in (waves, np.zeros((161, 170, 3), np.uint8), np.full((161, 170, 3), 255, np.uint8)):
         assert ms_ssim(pixels, pixels) == pytest.approx(1, abs=1e-6)
     assert ms_ssim(waves, 255 - waves) == 0.0  # and not nan
-    assert MIN_SIDE == 161
+    assert MS_SSIM_SIDE == 161
     for shape in ((160, 400), (400, 160), (1, 4096)):
         assert ms_ssim(picture(*shape), picture(*shape)) is None
 

@@ -61,6 +61,18 @@ def test_compare_with_weights(run: Run, weights: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["lpips_vgg16.npz", "dists_alpha_beta.pt"])
+@pytest.mark.parametrize("size", [0, 3000])
+def test_weights_cut_short(weights: Path, tmp_path: Path, name: str, size: int) -> None:
+    for path in weights.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    (tmp_path / name).unlink()
+    with (weights / name).open("rb") as whole:
+        (tmp_path / name).write_bytes(whole.read(size))
+    with pytest.raises(ValueError, match="has the wrong weights"):
+        Networks(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["lpips_vgg16.npz", "dists_alpha_beta.pt"])
 def test_weights_of_something_else(weights: Path, tmp_path: Path, name: str) -> None:
     for path in weights.iterdir():
         (tmp_path / path.name).symlink_to(path)

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MAX_LEVEL, NARROWEST = 12, 1.4  # docs/format.md, version 2
+from sgmethod.native import native
+
+MAX_LEVEL, NARROWEST = native.MAX_LEVEL, native.NARROWEST
 MOST_PAIRS = 1 << 22  # pairs of Gaussian and sample at a time: about 300 MB
 
 

@@ -24,8 +24,8 @@ _MARGIN = tl.constexpr(0.01)  # samples by which an ellipse is widened, more tha
 _ROWS, _COLUMNS = tl.constexpr(8), tl.constexpr(16)  # samples of a Gaussian at a time
 
 _REACH = tl.constexpr(GRID_REACH)
-_MAX_SCALE, _MAX_SLANT, _MAX_AMPLITUDE = tl.constexpr(8192.0), tl.constexpr(2048.0), tl.constexpr(32.0)
-_FAINT_SQUARED = tl.constexpr(0.03**2)
+_MAX_SCALE, _MAX_SLANT = tl.constexpr(native.MAX_SCALE), tl.constexpr(native.MAX_SLANT)
+_MAX_AMPLITUDE, _FAINT = tl.constexpr(native.MAX_AMPLITUDE), tl.constexpr(native.FAINT)
 _COLOR_SCALE, _R_STEP = tl.constexpr(native.COLOR_SCALE), tl.constexpr(native.R_STEP)
 _GREY, _WARM, _GREEN = (tl.constexpr(row[0]) for row in native.COLOR_BASIS)  # times (1, 1, 1), (1, 0, -1), (1, -2, 1)
 _INVERSE_LN2 = tl.constexpr(1.4426950408889634)
@@ -416,7 +416,7 @@ def step(means, factors, colors, sums, first, second, bias, quanta, prices, tota
     tl.store(bias + 2 * g, bias1, mask=here)
     tl.store(bias + 2 * g + 1, bias2, mask=here)
     of_color = newton / (l1 * l3)
-    of_shape = of_color / tl.maximum(c1 * c1 + c2 * c2 + c3 * c3, _FAINT_SQUARED)
+    of_shape = of_color / tl.maximum(c1 * c1 + c2 * c2 + c3 * c3, _FAINT)
     m, s = first + _RECORD * g.to(tl.int64), second + _RECORD * g.to(tl.int64)
     d1 = _move(m, s, l1 * by_x + l2 * by_y, here, mean_rate, 2 * of_shape, beta1, beta2, bias1, bias2)
     d2 = _move(m + 1, s + 1, l3 * by_y, here, mean_rate, 2 * of_shape, beta1, beta2, bias1, bias2)

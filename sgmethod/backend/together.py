@@ -36,7 +36,7 @@ class _Asked:
 
 
 class Together(Tensors):
-    """A backend for so many threads, each of which calls leave() after its fit.
+    """A backend for a given number of threads, each of which calls leave() after its fit.
 
     Steps are taken once every thread that has not left asks for some.
     """

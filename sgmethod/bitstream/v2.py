@@ -208,12 +208,12 @@ class StreamV2:
     def _part(self, prefix: float) -> bytes:
         return self.payload[: math.ceil(prefix * len(self.payload))]
 
-    def gaussians(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Gaussians:
+    def gaussians(self, prefix: float = 1.0, limits: Limits = NO_LIMITS, others: int = 0) -> Gaussians:
         """Decode the Gaussians of the colours, largest first; with prefix < 1, those in that part of the payload.
 
-        Raises BitstreamError, also for more Gaussians than the limit.
+        Raises BitstreamError, also if they and the `others` are more than the limit.
         """
-        most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians}
+        most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians - others}
         try:
             return Gaussians(*native.rd_decode(self._parameters(), self._part(prefix), prefix < 1, **most))
         except RuntimeError as error:
@@ -245,8 +245,7 @@ class StreamV2:
         """Describe the file. Raises BitstreamError, also for more Gaussians than the limit."""
         gaussians = len(self.gaussians(limits=limits))
         if self.alpha is not None:
-            left = None if limits.max_gaussians is None else limits.max_gaussians - gaussians
-            gaussians += len(self.alpha.gaussians(limits=replace(limits, max_gaussians=left)))
+            gaussians += len(self.alpha.gaussians(limits=limits, others=gaussians))
         return InfoV2(
             bytes=file_bytes,
             bpp=8 * file_bytes / (self.width * self.height),

@@ -6,7 +6,7 @@ import argparse
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import Any, NoReturn
 
 BAD_INPUT = 2
@@ -15,7 +15,7 @@ BUDGET_HELP = {
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
     "looks": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
-    "quality": ("Q", "round everything this finely, up to 100; what it looks like differs from picture to picture"),
+    "quality": ("Q", "quantisation quality, up to 100; the visual result depends on the picture"),
     "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
@@ -301,7 +301,7 @@ def _path(text: str) -> str:
 def _size(text: str) -> float:
     """Parse a size in bytes: 20000, 20k, 20kB, 1.5MB, 20KiB or 1MiB."""
     if parts := SIZE.fullmatch(text):
-        with suppress(InvalidOperation):
+        with suppress(ArithmeticError):
             return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, so that 1.001k is whole
     raise argparse.ArgumentTypeError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
 

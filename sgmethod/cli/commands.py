@@ -79,27 +79,26 @@ Measured = float | str  # a figure, or the reason why there is none
 
 
 def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[str, Measured]:
-    from sgmethod.metrics import MIN_SIDE, looks, ms_ssim
+    from sgmethod.metrics import MS_SSIM_SIDE, looks, ms_ssim
 
     found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
-    smallest = {"ms_ssim": MIN_SIDE, "ssimulacra2": looks.SMALLEST_SIDE}
+    smallest = {"ms_ssim": MS_SSIM_SIDE, "ssimulacra2": looks.SMALLEST_SIDE}
     return {key: SMALL.format(smallest[key]) if one is None else one for key, one in found.items()}
 
 
 def _perceptual(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
+    if weights is None:
+        return dict.fromkeys(("lpips", "dists"), "needs --weights (docs/command_line.md)")
     try:
         from sgmethod.metrics import perceptual
     except ImportError:
         return dict.fromkeys(("lpips", "dists"), NEEDS_TORCH)
-    if min(source.shape[:2]) < perceptual.MIN_SIDE:
-        return dict.fromkeys(("lpips", "dists"), SMALL.format(perceptual.MIN_SIDE))
-    found: dict[str, Measured] = dict.fromkeys(("lpips", "dists"), "needs --weights (docs/command_line.md)")
-    if weights is not None:
-        try:
-            found |= perceptual.Networks(Path(weights))(picture, source)
-        except (OSError, ValueError) as error:
-            raise CommandError(f"cannot use the weights in {weights}: {error}") from error
-    return found
+    if min(source.shape[:2]) < perceptual.LPIPS_SIDE:
+        return dict.fromkeys(("lpips", "dists"), SMALL.format(perceptual.LPIPS_SIDE))
+    try:
+        return {**perceptual.Networks(Path(weights))(picture, source)}
+    except (OSError, ValueError) as error:
+        raise CommandError(f"cannot use the weights in {weights}: {error}") from error
 
 
 def _picture(path: str) -> NDArray[np.uint8]:

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
 
 def run_preview(arguments: argparse.Namespace) -> int:
     """Run sgmethod preview."""
-    Budget("bytes", arguments.bytes)  # fail once, not for each picture
+    from sgmethod.previews.preview import checked_bytes
+
+    checked_bytes(int(Budget("bytes", arguments.bytes).value))  # fail once, not for each picture
     if (arguments.html or arguments.element) and (STREAM in arguments.names or arguments.output_dir is not None):
-        raise CommandError("--html and --element name each picture, and print: they take no - and no --output-dir")
+        raise CommandError("--html and --element cannot be combined with - or --output-dir")
     if arguments.alt is not None and not (arguments.html or arguments.element):
         raise CommandError("--alt needs --html or --element")
     if arguments.output_dir is not None:

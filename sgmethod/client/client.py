@@ -9,7 +9,6 @@ that cannot be read, which is an OSError.
 
 from __future__ import annotations
 
-import math
 import secrets
 from collections.abc import Iterator
 from contextlib import suppress
@@ -98,7 +97,7 @@ class Client:
             else:
                 job = self.wait(job_id, on_progress)
                 data = self.bitstream(job_id)
-            trace = [_point(point) for point in job["trace"]]
+            trace = [TracePoint(**point) for point in job["trace"]]
             return RemoteEncoded(data, job["result"], trace, job["notes"])
         finally:
             self._remove_if_there(job_id)
@@ -167,7 +166,7 @@ class Client:
                     patience.renew()
                     if name == "trace" and on_progress is not None:
                         for point in data["trace"]:
-                            on_progress(_point(point))
+                            on_progress(TracePoint(**point))
                     if name == "done":
                         return self.job(job_id)
                     if name == "failed":
@@ -228,7 +227,3 @@ def _id_of(answer: httpx.Response) -> str:
     if "Location" not in answer.headers:
         raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")
     return str(answer.headers["Location"].rpartition("/")[2])
-
-
-def _point(point: Json) -> TracePoint:
-    return TracePoint(**{**point, "psnr": math.inf if point["psnr"] is None else point["psnr"]})

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from sgmethod.budget import DEFAULT_BUDGET, checked_integer
@@ -16,7 +17,7 @@ from sgmethod.client.client import Client
 from sgmethod.errors import ServerError
 from sgmethod.io.files import bytes_of
 from sgmethod.many.folder import Item, Made, into_folder, written
-from sgmethod.many.manifest import Row
+from sgmethod.many.manifest import Row, text_of
 from sgmethod.many.processes import MAX_JOBS
 from sgmethod.many.run import Finished, Make, OnRow, Tally, Task, caught
 
@@ -43,7 +44,7 @@ def encode_many(
     def make_row(folder: Path, task: Task[Row]) -> Row:
         def make(picture: Any) -> Made:
             image = bytes_of(picture, ServerError)
-            asked = f"{folder.resolve()} {task.row.name} {sorted(options.items())!r}"
+            asked = f"{folder.resolve()} {task.row.name} {text_of(options)}"
             key = hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
             encoded = client.encode(image, idempotency_key=key, **options)
             return encoded.data, encoded.figures, encoded.notes
@@ -57,11 +58,21 @@ def encode_many(
 
 
 def _in_threads(make: Make[Row], tasks: Iterator[Task[Row]], threads: int) -> Finished[Row]:
+    """Finish tasks in threads that nothing waits for after an error or Ctrl-C: a server may be busy for hours."""
+
+    def run(task: Task[Row], future: Future[Row]) -> None:
+        try:
+            future.set_result(make(task))
+        except BaseException as error:
+            future.set_exception(error)
+
     running: dict[Future[Row], Task[Row]] = {}
-    with ThreadPoolExecutor(threads, "sgmethod") as pool:
-        while True:
-            running |= {pool.submit(make, task): task for task in islice(tasks, threads - len(running))}
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future.result()
+    while True:
+        for task in islice(tasks, threads - len(running)):
+            future: Future[Row] = Future()
+            running[future] = task
+            Thread(target=run, args=(task, future), daemon=True).start()
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            yield running.pop(future), future.result()

@@ -20,7 +20,8 @@ from __future__ import annotations
 import io
 import os
 import re
-import zipfile
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,12 +55,17 @@ def write_npz(path: PathLike, gaussians: Gaussians) -> None:
 
 def read_npz(path: PathLike) -> Gaussians:
     """Read Gaussians from a file of write_npz(). Raises GaussiansError and OSError."""
+    data, wrong = checked_path(path).read_bytes(), f"{path} is not an .npz file with means, factors and colors"
+    return checked_gaussians(Gaussians(*arrays_of(data, ("means", "factors", "colors"), wrong).values()))
+
+
+def arrays_of(data: bytes, names: Sequence[str], wrong: str) -> dict[str, NDArray[Any]]:
+    """Read arrays of an .npz file by name. Raises GaussiansError with the message `wrong`."""
     try:
-        with np.load(io.BytesIO(checked_path(path).read_bytes()), allow_pickle=False) as file:
-            arrays = [file[name] for name in ("means", "factors", "colors")]
-    except (ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
-        raise GaussiansError(f"{path} is not an .npz file with means, factors and colors") from error
-    return checked_gaussians(Gaussians(*arrays))
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            return {name: file[name] for name in names}
+    except Exception as error:  # of NumPy, zipfile, zlib or tokenize, for a damaged file
+        raise GaussiansError(wrong) from error
 
 
 def write_ply(path: PathLike, gaussians: Gaussians) -> None:
@@ -107,12 +113,13 @@ def _vertices(data: bytes, name: str) -> NDArray[np.void]:
         raise GaussiansError(f"{name} is not a PLY file of Gaussians")
     if missing := sorted(NEEDED - {field for _, field in fields}):
         raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
-    count, body = int(vertex[1]), data[head.end() :]
+    body = data[head.end() :]
     try:
+        count = int(vertex[1])
         kind = np.dtype([(field, order + TYPES[kind]) for kind, field in fields])
         if order == "=":
             rows = [tuple(line.split()) for line in body.decode().splitlines()[:count]]
             return np.array(rows, kind) if len(rows) == count else np.frombuffer(b"", kind, count)
         return np.frombuffer(body, kind, count)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise GaussiansError(f"{name} is truncated, or not a PLY file") from error

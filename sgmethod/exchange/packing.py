@@ -125,9 +125,7 @@ class _Packing:
         parameters = Coding(*self._size, quantum, self._grey, is_upright(self._gaussians.factors, False)).parameters
 
         def clipped(some: Gaussians) -> bool:
-            before = native.rd_clipped_values()
-            native.rd_quantise(parameters, *some.arrays, *Gaussians.empty(len(some)).arrays)
-            return native.rd_clipped_values() > before
+            return native.rd_quantise(parameters, *some.arrays, *Gaussians.empty(len(some)).arrays) > 0
 
         if not clipped(self._gaussians):
             return
@@ -136,8 +134,9 @@ class _Packing:
             if clipped(one):
                 said = ", ".join(str(values[0].tolist()) for values in one.arrays)
                 raise GaussiansError(
-                    f"no file can hold a Gaussian with mean, factors and colour {said}: it must lie within about 1.6 "
-                    "of its sizes of the picture, be at most 8192 pixels long, and 2048 times as long as wide"
+                    f"no file can hold a Gaussian with mean, factors and colour {said}: its size sqrt(l1 l3) must be "
+                    "about 0.21 to 19,500 pixels, |l2| at most 4096 l3, its centre within about 1.6 sizes of the "
+                    "picture, and its colour at most 2^22 steps"
                 )
 
 

@@ -1,4 +1,7 @@
-"""Deadlines: how long an encode may take, and how much of the schedule fits. No other module reads a clock."""
+"""Deadlines: how long an encode may take, and how much of the schedule fits.
+
+No other module of the fit reads a clock.
+"""
 
 from __future__ import annotations
 

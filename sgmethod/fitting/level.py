@@ -25,6 +25,7 @@ from sgmethod.threads import in_parallel
 
 # Adds back the Laplacian lost to a blur with a variance of 1 / 16 along each axis.
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
+DAMPING = 0.01  # of colours by least squares
 
 
 class Histogram:
@@ -124,13 +125,11 @@ class Level:
             return missing
         return lambda first, end: amplitudes(visibility, missing(first, end), first, end)
 
-    def solve_colors(
-        self, shapes: Gaussians, steps: int, others: Gaussians | None = None, damping: float = 1e-2
-    ) -> Gaussians:
+    def solve_colors(self, shapes: Gaussians, steps: int, others: Gaussians | None = None) -> Gaussians:
         """Give shapes approximately least-squares colours; the image is linear in these.
 
-        Conjugate gradients from zero on the normal equations, preconditioned by the Gaussians' energies pi l1 l3, of
-        which `damping` is added to the diagonal. The target is this level's, minus the Gaussians `others`.
+        Conjugate gradients from zero on the normal equations, preconditioned by the Gaussians' energies pi l1 l3,
+        of which DAMPING is added to the diagonal. The target is this level's, minus the Gaussians `others`.
         """
         n, f = len(shapes), shapes.factors
         energy = np.maximum(np.float32(math.pi / self.frame.spacing**2) * f[:, :1] * f[:, 2:], np.float32(1e-12))
@@ -144,7 +143,7 @@ class Level:
         rz = (residual * z).sum(0)
         for _ in range(steps):
             product = self.backend.gram(Gaussians(shapes.means, f, direction), self.frame, self.visibility)
-            product += np.float32(damping) * energy * direction
+            product += np.float32(DAMPING) * energy * direction
             alpha = rz / np.maximum((direction * product).sum(0), np.float32(1e-30))
             colors += alpha * direction
             residual = residual - alpha * product

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import VISIBLE, Target, Visibility
 from sgmethod.bitstream.stream import Stream
@@ -16,11 +15,10 @@ from sgmethod.fitting.bands import Rows
 from sgmethod.fitting.moving_target import ExaggeratedTarget, MovingTarget, OvershootingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
-from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.scene import FloatArray, Gaussians, Pixels
 from sgmethod.settings.rd import Effort, ObjectiveSettings
 from sgmethod.settings.shared import Tune
 
-Pixels = NDArray[np.uint8]
 GREY = 128.0
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from sgmethod.backend.protocol import TARGET_WHITE, TEXTURE_CELL, TEXTURE_OCTAVES, TEXTURE_STRENGTHS, Target
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.scene import Pixels
 from sgmethod.settings.rd import TextureSettings
 
-Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 BLOCK = 8  # pixels along a side of the blocks whose energies are compared within a cell
 MOST_FLAT = 1 / 8  # most flat pixels in a block of noise

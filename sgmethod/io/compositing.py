@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Pixels = NDArray[np.uint8]
+from sgmethod.scene import Pixels
+
 BLACK, WHITE = 0, 255
 
 

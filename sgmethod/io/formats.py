@@ -42,7 +42,7 @@ READERS = {
     "QOI": ("PIL.QoiImagePlugin", "QoiImageFile"),
 }
 REFUSED = {
-    "an .sg file already": (b"\xd3\xc1", b"\xd3\xc2"),
+    "an .sg file already": tuple(bytes([0xD3, 0xC0 + version]) for version in range(1, 16)),
     "a big-endian BigTIFF": (b"MM\0+",),
     "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     "a PDF": (b"%PDF",),

@@ -50,8 +50,8 @@ class ImageHeader:
 class ImageLimits:
     """Limit on the size of a picture to read. A side never exceeds native.MAX_SIDE, the maximum of .sg and JPEG files.
 
-    max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB and needs 2.3
-    times that while working (RGBA, the worst kind measured).
+    max_pixels: width times height. 100 million covers nearly every camera; read_image_8_bit then returns 300 MB and
+    needs 2.8 GB while working (RGBA over white, the worst kind measured).
     """
 
     max_pixels: int = 100_000_000

@@ -1,6 +1,6 @@
 """Reading image files into arrays.
 
-read_header reads a header without decoding pixels; read_image decodes the picture. Both follow the same rules. A
+read_header reads a header without decoding pixels; read_image_8_bit decodes the picture. Both follow the same rules. A
 refused file raises an ImageError with one clear sentence, anything dropped an ImageWarning:
 
     formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
@@ -19,10 +19,10 @@ refused file raises an ImageError with one clear sentence, anything dropped an I
                    a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are expanded; CMYK
                    without a profile, YCbCr and LAB are converted by Pillow's plain formulas. QOI's flag for linear
                    light is ignored, because Pillow always sets it.
-    depth          16-bit grey and RGB(A) keep all their bits, also through colour conversion unless the profile uses
-                   tables; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's grey with alpha, TIFF's
-                   premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are
-                   refused, because they do not say which value is white.
+    depth          the result has 8 bits. 16-bit grey and RGB(A) are rounded last, after conversion of colours (before
+                   it, if the profile uses tables) and transparency; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's
+                   grey with alpha, TIFF's premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond
+                   16 bits are refused, because they do not say which value is white.
     transparency   kept in 8 bits if the caller wants it; else composited over white in sRGB values,
                    value * alpha + (1 - alpha), with a warning
     the rest       other metadata is dropped
@@ -50,14 +50,14 @@ from sgmethod.io.header import (
     open_file,
     warn,
 )
-from sgmethod.io.levels import Samples, Uint8Array, samples_of, values_of
+from sgmethod.io.levels import Samples, samples_of
+from sgmethod.scene import Pixels
 
-__all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
+__all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image_8_bit"]
 
 # Random bytes, none of them 0xFF, to append to a JPEG without end marker: pixels that depend on them are missing.
 RANDOM_TAILS = [bits.tobytes() for bits in np.random.default_rng(0).integers(0, 255, (4, 64), np.uint8)]
 
-Float32Array = npt.NDArray[np.float32]
 Values = TypeVar("Values", bound=npt.NDArray[Any])
 
 
@@ -78,28 +78,15 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
         return ImageHeader(kind, width, height, is_still(opened.reader, data))
 
 
-def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
-    """Decode an image file by the rules at the top of this module.
-
-    Returns float32 [H, W, 3] in [0, 1], sRGB, C-contiguous. Warns with ImageWarning of anything dropped.
-    Raises ImageError where read_header does, and if pixel data are damaged or missing.
-    """
-    samples, notes = _read(data, limits, keep_alpha=False)
-    warn(notes)
-    values: Float32Array = samples.levels
-    if values.dtype != np.float32:
-        values = values_of(samples.levels, samples.white)
-    return np.ascontiguousarray(np.broadcast_to(values, (*values.shape[:2], 3)))
-
-
 def read_image_8_bit(
     data: bytes, limits: ImageLimits | None = None, *, keep_alpha: bool = False, smaller: int = 1
-) -> Uint8Array:
-    """Decode an image file like read_image, to uint8 [H, W, 3]: all that an encode uses, in a quarter of the memory.
+) -> Pixels:
+    """Decode an image file by the rules at the top of this module, to uint8 [H, W, 3], sRGB, C-contiguous.
 
-    keep_alpha: return [H, W, 4] for a transparent picture instead of compositing it over white. More than 8 bits are
-    rounded. smaller: a JPEG may be decoded at 1/2, 1/4 or 1/8 of its size, but not below 1 / smaller, in a fraction of
-    the time.
+    keep_alpha: return [H, W, 4] for a transparent picture instead of compositing it over white. smaller: a JPEG may be
+    decoded at 1/2, 1/4 or 1/8 of its size, but not below 1 / smaller, in a fraction of the time.
+    Warns with ImageWarning of anything dropped. Raises ImageError where read_header does, and if pixel data are damaged
+    or missing.
     """
     samples, notes = _read(data, limits, keep_alpha, smaller)
     warn(notes)

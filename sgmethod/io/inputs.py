@@ -22,12 +22,13 @@ from sgmethod.io.header import (
     warn,
 )
 from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
-from sgmethod.io.levels import Samples, Uint8Array
+from sgmethod.io.levels import Samples
+from sgmethod.scene import Pixels
 
 Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
 
 
-def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
+def read_input(image: Input, *, keep_alpha: bool = False) -> Pixels:
     """Read an input as uint8 [H, W, 3], sRGB, C-contiguous.
 
     image: the path or bytes of an image file (rules: sgmethod/io/image.py), a Pillow image, or an array as in
@@ -48,7 +49,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     )
 
 
-def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
+def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Pixels:
     """Convert a Pillow image by the same rules: upright, in sRGB."""
     with only_image_errors():
         ImageLimits().check(*image.size)
@@ -61,7 +62,7 @@ def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
     return samples.in_8_bits()
 
 
-def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array:
+def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Pixels:
     """Convert an array: grey [H, W] or [H, W, 1], RGB [H, W, 3] or RGBA [H, W, 4].
 
     pixels: levels in uint8 or uint16, or floating-point values in [0, 1].

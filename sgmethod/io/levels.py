@@ -12,9 +12,9 @@ from PIL import Image
 
 from sgmethod.io import chunks, colour, formats
 from sgmethod.io.colour import Colour, Levels, Transform
+from sgmethod.scene import Pixels
 
 Float32Array = npt.NDArray[np.float32]
-Uint8Array = npt.NDArray[np.uint8]
 
 # TIFF tags, and a value
 BITS_PER_SAMPLE, PHOTOMETRIC = 258, 262
@@ -46,7 +46,7 @@ class Samples:
         values += 1 - part
         return Samples(values, 1)
 
-    def in_8_bits(self) -> Uint8Array:
+    def in_8_bits(self) -> Pixels:
         """Convert to levels 0 to 255, C-contiguous: [H, W, 3], or [H, W, 4] with alpha."""
         height, width = self.levels.shape[:2]
         colour = np.broadcast_to(self.levels, (height, width, 3))
@@ -63,7 +63,7 @@ def values_of(levels: npt.NDArray[Any], peak: int) -> Float32Array:
     return values
 
 
-def to_8_bit(levels: npt.NDArray[Any], peak: int = 1) -> Uint8Array:
+def to_8_bit(levels: npt.NDArray[Any], peak: int) -> Pixels:
     """Convert levels in [0, peak] to uint8, C-contiguous, row by row to save memory; uint8 is left as it is."""
     if levels.dtype == np.uint8:
         return np.ascontiguousarray(levels, np.uint8)

@@ -38,7 +38,7 @@ def encode_many(
     on_row: called with each finished picture's line of the manifest, and with the run so far.
     options: of encode().
 
-    A picture that cannot be encoded is a line with its error, and the rest goes on. Raises SgError for a name that is
+    A picture that cannot be encoded is recorded with its error; the rest continues. Raises SgError for a name that is
     invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
     jobs = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)

@@ -42,6 +42,11 @@ class Row:
     key: str = ""
 
 
+def text_of(options: Mapping[str, object]) -> str:
+    """Return options as text, without functions, whose text differs from process to process."""
+    return repr(sorted(option for option in options.items() if not callable(option[1])))
+
+
 class Manifest:
     """The manifest of a folder, for a run with these options.
 
@@ -50,7 +55,7 @@ class Manifest:
 
     def __init__(self, folder: str | os.PathLike[str], options: Mapping[str, object]) -> None:
         self._folder, self._path = Path(folder), Path(folder) / FILE
-        self._asked = f"{version('sgmethod')} {sorted(options.items())!r}"
+        self._asked = f"{version('sgmethod')} {text_of(options)}"
         self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
         # Each line is one write: if that is killed in the middle, no other line is touched.
         with self._saying():

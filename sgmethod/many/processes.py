@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context, parent_process
+from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import RawValue
 from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 KILLED = "its process was killed, perhaps because memory ran out"
 NONE_BEGINS = (
     "no process for a job can begin; stderr has its error. The system may allow no more processes or threads, or a "
-    """script asks for several: that must be a file, and do so under `if __name__ == "__main__":`"""
+    """script asks for several: run it as a file and guard it with `if __name__ == "__main__":`"""
 )
 
 MAX_JOBS = 256
@@ -33,7 +33,6 @@ CONTEXT = get_context("spawn")  # a copy of this process would have its threads'
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Finished = Generator[tuple[Item, Result], None, list[Item]]
 
 
 def in_processes(
@@ -56,7 +55,7 @@ def in_processes(
 
 def _until_killed(
     function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int, begun: c_byte
-) -> Finished[Item, Result]:
+) -> Generator[tuple[Item, Result], None, list[Item]]:
     """Yield items with their results; return those under way when a process was killed, or none at the end."""
     from sgmethod.native import native
 
@@ -89,9 +88,10 @@ def _until_killed(
                     else:
                         yield item, result
         except BaseException:
+            own = list(pool._processes.values())  # shutdown() forgets them
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in active_children():
-                child.terminate()
+            for process in own:
+                process.terminate()
             raise
 
 

@@ -9,8 +9,6 @@ DISTS: Ding et al., "Image Quality Assessment: Unifying Structure and Texture Si
 
 from __future__ import annotations
 
-import pickle
-import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -20,8 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-Pixels = NDArray[np.uint8]
-MIN_SIDE = 64  # pixels
+from sgmethod.scene import Pixels
+
+LPIPS_SIDE = 64  # pixels
 
 
 class Networks:
@@ -33,17 +32,24 @@ class Networks:
     def __init__(self, weights: Path) -> None:
         """Load the weights from a folder. Raises OSError, and ValueError for wrong files."""
         try:
-            alex, vgg = (np.load(weights / f"lpips_{name}.npz") for name in ("alexnet", "vgg16"))
-            self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
-            self._vgg = [self._layer(vgg, f"VGG16_0.Conv_{i}") for i in range(13)]
-            self._linear = [torch.from_numpy(alex[f"NetLinLayer_{i}.Conv_0.kernel"]) for i in range(5)]
+            # np.load() of a path leaves a damaged file open.
+            with (
+                (weights / "lpips_alexnet.npz").open("rb") as file,
+                (weights / "lpips_vgg16.npz").open("rb") as other,
+                np.load(file) as alex,
+                np.load(other) as vgg,
+            ):
+                self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
+                self._vgg = [self._layer(vgg, f"VGG16_0.Conv_{i}") for i in range(13)]
+                self._linear = [torch.from_numpy(alex[f"NetLinLayer_{i}.Conv_0.kernel"]) for i in range(5)]
             dists = torch.load(weights / "dists_alpha_beta.pt", map_location="cpu", weights_only=True)
             alpha, beta = dists["alpha"].flatten(), dists["beta"].flatten()
-        except (KeyError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
+            whole, channels = alpha.sum() + beta.sum(), [3, 64, 128, 256, 512, 512]
+            self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
+        except (OSError, MemoryError):
+            raise
+        except Exception as error:  # of NumPy, zipfile, pickle or torch, for a damaged file
             raise ValueError(f"{weights} has the wrong weights: {error}") from error
-        whole = alpha.sum() + beta.sum()
-        channels = [3, 64, 128, 256, 512, 512]
-        self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
         self._source: Pixels | None = None
         self._alex_seen: list[Tensor] = []
         self._vgg_seen: list[Tensor] = []
@@ -54,7 +60,7 @@ class Networks:
 
     @torch.no_grad()
     def __call__(self, picture: Pixels, source: Pixels) -> dict[str, float]:
-        """Measure "lpips" and "dists" of pictures [H, W, 3] with sides of at least MIN_SIDE pixels."""
+        """Measure "lpips" and "dists" of pictures [H, W, 3] with sides of at least LPIPS_SIDE pixels."""
         lpips = self.lpips(picture, source)
         self._vgg_seen = self._vgg_seen or list(self._vgg16(_tensor(source)))
         return {"lpips": lpips, "dists": self._dists(self._vgg_seen, self._vgg16(_tensor(picture)))}

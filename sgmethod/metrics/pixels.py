@@ -29,7 +29,7 @@ BLOCK = 1 << 14  # values compared at a time: few enough to stay in the cache
 BAND = 1 << 16  # windows compared at a time, about
 
 # The window must fit at the coarsest of the five scales: a side of 161 has 11 pixels there, 160 has 10.
-MIN_SIDE = (WINDOW_SIZE - 1) * 2 ** (len(SCALE_WEIGHTS) - 1) + 1
+MS_SSIM_SIDE = (WINDOW_SIZE - 1) * 2 ** (len(SCALE_WEIGHTS) - 1) + 1
 
 
 def psnr(a: Pixels, b: Pixels) -> float:
@@ -50,14 +50,15 @@ def psnr(a: Pixels, b: Pixels) -> float:
 def ms_ssim(a: Pixels, b: Pixels) -> float | None:
     """Multi-scale structural similarity of two pictures [H, W, C], mean over channels, in [0, 1].
 
-    None if the shorter side is below MIN_SIDE = 161 pixels, where the measure is undefined. Five scales; only windows
-    inside the picture; between scales means over 2 x 2 pixels, with a zero put in front of an odd side; a negative mean
-    of any scale counts as 0. These are the choices of the package pytorch-msssim, whose figures are usually published.
+    None if the shorter side is below MS_SSIM_SIDE = 161 pixels, where the measure is undefined. Five scales; only
+    windows inside the picture; between scales means over 2 x 2 pixels, with a zero put in front of an odd side; a
+    negative mean of any scale counts as 0. These are the choices of the package pytorch-msssim, whose figures are
+    usually published.
     """
     peak = _peak(a, b)
     if a.ndim != 3:
         raise ValueError(f"pictures must be [H, W, C], got {list(a.shape)}")
-    if min(a.shape[:2]) < MIN_SIDE:
+    if min(a.shape[:2]) < MS_SSIM_SIDE:
         return None
 
     of_channels = np.ones(a.shape[2])

@@ -27,6 +27,12 @@ SEEN_LUMA: tuple[float, float, float]
 """Weights for the eye: an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
 TILE_WIDTH: int
 TILE_HEIGHT: int
+MAX_LEVEL: int  # of the pyramid
+NARROWEST: float  # least minor axis of a Gaussian on a level above 0, in samples
+MAX_SCALE: float  # of l1 and l3 during a fit, in pixels
+MAX_SLANT: float  # of |l2| / l3 during a fit
+MAX_AMPLITUDE: float  # of each colour during a fit
+FAINT: float  # least |colour|^2 in a step
 
 def best_isa() -> int:
     """Best instruction set of this processor: 0 the baseline, 1 AVX2, 2 AVX-512."""
@@ -226,8 +232,11 @@ def rd_quantise(
     out_means: FloatArray,
     out_factors: FloatArray,
     out_colors: FloatArray,
-) -> None:
-    """Fill out_* with Gaussians as a decoder would see them, with colour 0 if one rounds to nothing."""
+) -> int:
+    """Fill out_* with Gaussians as a decoder would see them, with colour 0 if one rounds to nothing.
+
+    Returns the number of values clamped to the range of their integers.
+    """
 
 def rd_encode(parameters: RdParameters, means: FloatArray, factors: FloatArray, colors: FloatArray) -> bytes: ...
 def rd_refine(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+ROUNDS = 30  # of k-means
 
-def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int, rounds: int = 30) -> Tensor:
+
+def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int) -> Tensor:
     """Weighted k-means, started by k-means++: points [N, D], weights [N] >= 0 -> centres [entries, D]."""
     generator = torch.Generator().manual_seed(seed)
     weights = weights + 1e-12
@@ -14,7 +16,7 @@ def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int, rounds: int
     while len(centres) < entries:
         distance = torch.cdist(points, centres).square().amin(1) * weights + 1e-12
         centres = torch.cat([centres, points[torch.multinomial(distance, 1, generator=generator)]])
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         centres = _means(points, weights, torch.cdist(points, centres).argmin(1), centres)
     return centres
 

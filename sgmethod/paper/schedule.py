@@ -26,7 +26,7 @@ class Schedule:
     phase: str
     steps: int
     final_rate: float
-    patience: float = 0.3
+    patience: float
 
     def run(self, deadline: Deadline, recorder: Recorder, step: Step) -> int:
         """Repeat a step while there is time; return the number of steps done.

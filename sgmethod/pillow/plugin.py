@@ -76,7 +76,7 @@ class SgImageFile(ImageFile.ImageFile):
 
 
 def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
-    """Save with the arguments of sgmethod.encode, ignoring unknown ones as other formats do."""
+    """Save with those arguments of sgmethod.encode that are in OPTIONS, ignoring others as other formats do."""
     from sgmethod.codec import encode
 
     file.write(encode(image, **{name: value for name, value in image.encoderinfo.items() if name in OPTIONS}).data)

@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 
 from sgmethod.bitstream.text import from_text, to_text
+from sgmethod.bitstream.v2 import SMALLEST_FILE
 from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
 from sgmethod.decoder import SgFile
@@ -23,8 +24,10 @@ from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.inputs import Input
-from sgmethod.previews.reducing import Pixels, reduced
+from sgmethod.previews.reducing import reduced
+from sgmethod.scene import Pixels
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
+from sgmethod.view import MIN_SCALE
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
 PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
@@ -88,7 +91,7 @@ class Preview:
 
 def _webp_uri(file: SgFile) -> str:
     """Draw a file as a WebP of about 200 bytes, in a data URI."""
-    pixels = file.pixels(scale=min(WEBP_SIDE / max(file.size), 1.0))
+    pixels = file.pixels(scale=max(min(WEBP_SIDE / max(file.size), 1.0), MIN_SCALE))
     webp = io.BytesIO()
     Image.fromarray(pixels).save(webp, "WEBP", quality=WEBP_QUALITY, method=6)
     return f"data:image/webp;base64,{base64.b64encode(webp.getvalue()).decode()}"
@@ -105,13 +108,18 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     characters); limits: of image files.
     Raises ImageError, BudgetError, OSError and MemoryError, and warns with ImageWarning, as encode() does.
     """
-    bytes = checked_integer(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
+    bytes = checked_bytes(bytes)
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
     text = to_text(encode(pixels, bytes=bytes, tune="psnr", settings=_softened(pixels, bytes)).data)
     color = average_of(pixels)
     light = from_srgb(np.array(color) / 255)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*color)
     return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK))
+
+
+def checked_bytes(bytes: object) -> int:
+    """Return the bytes of a preview as an int. Raises BudgetError for a number that no preview can have."""
+    return checked_integer(bytes, "the bytes of a preview", SMALLEST_FILE, MAX_BYTES, BudgetError)
 
 
 def _softened(pixels: Pixels, bytes: int) -> RdSettings:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod.errors import ImageError
@@ -13,8 +12,8 @@ from sgmethod.io.files import checked_path
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import Input, read_input
+from sgmethod.scene import Pixels
 
-Pixels = NDArray[np.uint8]
 Size = tuple[int, int]  # width, height
 
 SHORTEST = 3 / 4  # least shorter side tried for the best aspect ratio, as a part of the longest allowed

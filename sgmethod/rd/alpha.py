@@ -28,9 +28,9 @@ from sgmethod.rd.aim import Aim, LooksAim, PsnrAim
 from sgmethod.rd.byte_limit import ByteBudget, ByteLimit
 from sgmethod.rd.rate_control import GaussianCount, RateControl, looks_db
 from sgmethod.rd.request import Request
+from sgmethod.scene import Pixels
 from sgmethod.trace import Preview
 
-Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
 

@@ -22,8 +22,8 @@ from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
 from sgmethod.rd.rate_control import GaussianCount, quality_quantum, surplus
-from sgmethod.rd.request import Pixels, Request
-from sgmethod.scene import Gaussians
+from sgmethod.rd.request import Request
+from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.exact import EXACT, exact_schedule
 from sgmethod.settings.rd import RD, Times
 
@@ -102,7 +102,7 @@ def _fitted(plan: Plan, state: State, stage: Stage, on_step: OnStep) -> State:
 
 
 def _complete(plan: Plan, state: State, n: int) -> State:
-    """Return the state with exactly n Gaussians. Those that growth did not find lie by lot where most error is left."""
+    """Return the state with exactly n Gaussians. Those still missing are placed at random where most error is left."""
     state = settle(plan, state, plan.settings.effort.times)
     more, level, lot = n - len(state.gaussians), plan.finest, np.random.default_rng(plan.request.seed)
     if more == 0:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sgmethod.backend.protocol import Backend, Coding, Frame
 from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.fitting.deadline import Deadline
@@ -15,10 +12,8 @@ from sgmethod.fitting.level import Histogram, Level, Pyramid, target_of
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd.rate_control import RateControl
-from sgmethod.scene import Gaussians
+from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.rd import RdSettings
-
-Pixels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from sgmethod.fitting.deadline import Clock
 from sgmethod.io.header import ImageLimits
 from sgmethod.native import native
 from sgmethod.rd.exact import Exact, ExactFit
-from sgmethod.rd.request import Pixels
+from sgmethod.scene import Pixels
 from sgmethod.trace import Stop
 
 OnProgress = Callable[[float], None]
@@ -53,7 +53,7 @@ def fit(
     stop: Stop | None = None,
     on_progress: OnProgress | None = None,
 ) -> Fit:
-    """Fit exactly so many Gaussians to each picture of a batch.
+    """Fit exactly N Gaussians to each picture of a batch.
 
     >>> found = fit(torch.rand(2, 3, 24, 32), 20, steps=10)
     >>> found.means.shape, found.background.shape
@@ -92,7 +92,7 @@ def fit(
 
 
 def task_of(gaussians: int, pixels: int, steps: int | None, seed: int, quantum: float | None) -> ExactFit:
-    """Check the arguments of a fit of pictures of at least so many pixels. Raises BudgetError."""
+    """Check the arguments of a fit of pictures that have at least this many pixels. Raises BudgetError."""
     gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MOST_GAUSSIANS), BudgetError)
     steps = None if steps is None else checked_integer(steps, "steps", 1, MOST_STEPS, BudgetError)
     price = 0.0 if quantum is None else finite_number(quantum)
@@ -155,9 +155,10 @@ def fit_pictures(
                 batch.end()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+    found = [future.result() for future in futures]  # raises their errors
     if on_progress is not None:
         on_progress(1.0)
-    return [future.result() for future in futures]
+    return found
 
 
 def pictures_of(images: Tensor) -> list[Pixels]:

@@ -12,7 +12,6 @@ import io
 import json
 import os
 import tarfile
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,14 +24,15 @@ from torch import Tensor
 
 from sgmethod.backend.devices import checked_device
 from sgmethod.budget import checked_integer
-from sgmethod.errors import GaussiansError, SgError
+from sgmethod.errors import SgError
+from sgmethod.exchange.files import arrays_of
 from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import read_input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import OnRow, Run, Tally, Task, caught, finish_locally
 from sgmethod.rd.exact import Exact
-from sgmethod.rd.request import Pixels
+from sgmethod.scene import Pixels
 from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
 
 MOST_IN_A_SHARD = 1_000_000
@@ -69,7 +69,7 @@ def fit_many(
     are the same.
     on_row: called with each finished shard's line of the manifest, and with the run so far, which counts shards.
 
-    A shard with a picture that cannot be fitted is a line with its error, and the rest goes on. Raises BudgetError for
+    A shard with a picture that cannot be fitted is recorded with its error; the rest continues. Raises BudgetError for
     wrong options, SgError for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
     task_of(gaussians, MOST_GAUSSIANS, steps, seed, quantum)
@@ -144,15 +144,15 @@ class Sample:
 
     def arrays(self) -> Arrays:
         """Read the arrays of the Gaussians. Raises GaussiansError and OSError."""
-        try:
-            with np.load(io.BytesIO(self._part("npz")), allow_pickle=False) as file:
-                return {name: file[name] for name in ("means", "factors", "colors", "background", "size")}
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise GaussiansError(f"{self.shard} has no Gaussians of fit_many()") from error
+        names = ("means", "factors", "colors", "background", "size")
+        return arrays_of(self._part("npz"), names, f"{self.shard} has no Gaussians of fit_many()")
 
     def label(self) -> dict[str, Any]:
-        """Read the label: "cls", a number, or "json"; nothing if there is none."""
-        return {name: json.loads(self._part(name)) for name in ("cls", "json") if name in self.parts}
+        """Read the label: "cls", a number, or "json"; nothing if there is none. Raises SgError and OSError."""
+        try:
+            return {name: json.loads(self._part(name)) for name in ("cls", "json") if name in self.parts}
+        except (ValueError, RecursionError) as error:
+            raise SgError(f"{self.shard} has a label that is not JSON") from error
 
     def _part(self, name: str) -> bytes:
         first, size = self.parts[name]

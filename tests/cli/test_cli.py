@@ -26,7 +26,7 @@ from sgmethod import codec, decode, info
 from sgmethod.budget import Budget
 from sgmethod.cli import arguments, decoding, files, terminal
 from sgmethod.cli import main as cli
-from sgmethod.io.image import read_image
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
@@ -227,6 +227,7 @@ def test_version(module: bool) -> None:
         ("decode picture.sg ./folder/../picture.sg --output-dir folder", "would both become folder/picture.png"),
         (ENCODE + "--bytes many", "a size is a number of bytes, such as 20000, 20k or 1.5MB, not 'many'"),
         (ENCODE + "--bytes 0.0105k", "whole"),
+        (ENCODE + "--bytes 9e999999k", "a size is a number of bytes"),
         (ENCODE + "--server 127.0.0.1:8000", "must begin with http:// or https://, got '127.0.0.1:8000'"),
         (DECODE + "--width 0", "a width is a whole number from 1 to 65536"),
         (DECODE + "--width 20 --scale 2", "--scale cannot be combined with --width or --height"),
@@ -314,7 +315,7 @@ def damaged_tiff() -> bytes:
 
 def test_what_libtiff_prints_is_not_shown(run: Run, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(sgmethod.ImageError):
-        read_image(damaged_tiff())
+        read_image_8_bit(damaged_tiff())
     noise = capfd.readouterr().err
     assert noise  # would stand beside our line
     Path("input").write_bytes(damaged_tiff())

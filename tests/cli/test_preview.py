@@ -76,11 +76,12 @@ def test_a_folder_and_its_manifest(run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("photo.png --bytes 5", "at least 12 bytes"),
+        ("photo.png --bytes 5 --output-dir out", "from 12 to 16384, got 5"),
+        ("photo.png --bytes 20k --output-dir out", "from 12 to 16384, got 20000"),
         ("photo.png --resume", "--resume needs --output-dir"),
         ("photo.png --html --json", "not allowed with"),
-        ("- --html", "take no -"),
-        ("photo.png --element --output-dir out", "no --output-dir"),
+        ("- --html", "cannot be combined with - or --output-dir"),
+        ("photo.png --element --output-dir out", "cannot be combined with - or --output-dir"),
         ("photo.png --alt door", "--alt needs --html or --element"),
         ("photo.png photo.png --html --alt door", "--alt describes one picture, and 2 were given"),
         ("picture.sg", "an .sg file already"),

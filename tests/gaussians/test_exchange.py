@@ -124,7 +124,7 @@ def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1,
         (lambda: sgmethod.pack(one(color=(1, 0, np.nan)), *SIZE, bpp=1), GaussiansError, "0 has a value .* not finite"),
         (lambda: sgmethod.pack(one(factor=(2, 0, 0)), *SIZE, bpp=1), GaussiansError, "l1 and l3 must be positive"),
         (lambda: sgmethod.pack(one(factor=(2, 9e4, 2)), *SIZE, quantum=1), GaussiansError, "no file can hold"),
-        (lambda: sgmethod.pack(one(factor=(1e6, 0, 1e6)), *SIZE, bpp=1), GaussiansError, "at most 8192 pixels long"),
+        (lambda: sgmethod.pack(one(factor=(1e6, 0, 1e6)), *SIZE, bpp=1), GaussiansError, "0.21 to 19,500 pixels"),
         (lambda: sgmethod.pack(one(), 0, 5, bpp=1), GaussiansError, "a side must be a whole number from 1"),
         (lambda: sgmethod.pack(scattered(80, 1, (4, 4)), 4, 4, bpp=1), GaussiansError, "more than a file of 4 x 4"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background=(0, 2, 0)), GaussiansError, "three numbers from 0 to 1"),
@@ -188,6 +188,8 @@ def test_ply_of_3d_splats_is_flattened(order: str, tmp_path: Path) -> None:
         (HEADER.format(order="binary_little_endian").encode() + b"1 2\n", "truncated"),
         (HEADER.format(order="middle_endian").encode(), "not a PLY file"),
         (HEADER.format(order="ascii").replace("double", "quad").encode(), "not a PLY file"),
+        (HEADER.format(order="ascii").replace("vertex 2", f"vertex {10**30}").encode(), "truncated"),
+        (HEADER.format(order="ascii").encode() + (b"1 2 3 256" + b" 5" * 12 + b"\n") * 2, "truncated, or not"),
         (HEADER.format(order="binary_little_endian").encode() + b"\xff" * 150, "not finite"),
     ],
 )
@@ -203,6 +205,10 @@ def test_damaged_npz(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("no archive")
     (tmp_path / "empty.npz").write_bytes(b"")
     np.save(tmp_path / "array.npy", SOME.means)
-    for name in ("other.npz", "pickle.npz", "text.npz", "empty.npz", "array.npy"):
+    np.savez_compressed(tmp_path / "flipped.npz", **vars(SOME))
+    data = bytearray((tmp_path / "flipped.npz").read_bytes())
+    data[100] ^= 255
+    (tmp_path / "flipped.npz").write_bytes(data)
+    for name in ("other.npz", "pickle.npz", "text.npz", "empty.npz", "array.npy", "flipped.npz"):
         with pytest.raises(GaussiansError, match=r"not an \.npz file with means, factors and colors"):
             sgmethod.read_npz(tmp_path / name)

@@ -133,8 +133,11 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
         raise MemoryError
 
     monkeypatch.setattr(ExactFit, "of", fails)
-    with pytest.raises(MemoryError):
-        fit(BATCH, 5)
+    seen: list[float] = []
+    for pictures in (BATCH, BATCH[:1]):
+        with pytest.raises(MemoryError):
+            fit(pictures, 5, on_progress=seen.append)
+    assert 1 not in seen
 
 
 @pytest.mark.parametrize(

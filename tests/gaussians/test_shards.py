@@ -18,6 +18,7 @@ from torch.utils.data import DataLoader
 import sgmethod
 from sgmethod.errors import BudgetError, GaussiansError, SgError
 from sgmethod.torch import SgDataset, fit, fit_many, render
+from sgmethod.torch.shards import samples_of
 from tests.harness.pictures import photo
 
 PHOTO = photo()
@@ -139,11 +140,14 @@ def test_other_files_are_no_shards() -> None:
     Path("text.tar").write_text("hello")
     Path("empty").mkdir()
     with tarfile.open("other.tar", "w") as archive:
-        entry = tarfile.TarInfo("a.npz")
-        entry.size = 5
-        archive.addfile(entry, io.BytesIO(b"hello"))
+        for end in ("npz", "json"):
+            entry = tarfile.TarInfo(f"a.{end}")
+            entry.size = 5
+            archive.addfile(entry, io.BytesIO(b"hello"))
     with pytest.raises(GaussiansError, match="has no Gaussians of fit_many"):
         SgDataset("other.tar", most_gaussians=5)[0]
+    with pytest.raises(SgError, match="has a label that is not JSON"):
+        samples_of("other.tar")[0].label()
 
 
 @pytest.mark.parametrize(

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from sgmethod import Row, SgError, Tally, encode, encode_many
+from sgmethod import ImageWarning, Row, ServerError, SgError, Tally, encode, encode_many
+from sgmethod.client import RemoteEncoded
+from sgmethod.client import encode_many as encode_on_server
+from sgmethod.errors import noted
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
 from tests.harness.pictures import photo
@@ -81,6 +88,8 @@ def test_what_is_done_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     assert counts(many(resume=True)) == (3, 0, 0)
     assert counts(many(resume=True)) == (0, 3, 0)
     assert counts(many()) == (3, 0, 0)  # without being told to resume
+    assert counts(many(on_progress=lambda _: None)) == (3, 0, 0)
+    assert counts(many(resume=True, on_progress=lambda _: None)) == (0, 3, 0)  # another function
     monkeypatch.setattr("sgmethod.many.manifest.version", lambda _: "9.9")
     assert counts(many(resume=True)) == (3, 0, 0)
 
@@ -121,6 +130,14 @@ def test_what_is_dropped_is_in_the_line() -> None:
     assert rows()[0]["notes"] == ["only the first of several pictures is used"]
 
 
+@pytest.mark.filterwarnings("default:other")
+def test_other_warnings_are_no_notes() -> None:
+    with noted() as notes:
+        warnings.warn("other", UserWarning, stacklevel=1)
+        warnings.warn("dropped", ImageWarning, stacklevel=1)
+    assert notes == ["dropped"]
+
+
 @pytest.mark.parametrize("name", ["", "a/b", "/a", "a\0", 7])
 def test_names_that_are_none(name: Any) -> None:
     with pytest.raises(SgError, match="file name"):
@@ -140,6 +157,25 @@ def test_what_ends_the_run() -> None:
     Path("folder/manifest.jsonl").mkdir(parents=True)
     with pytest.raises(SgError, match=r"^cannot write folder/manifest\.jsonl: Is a directory$"):
         encode_many(paths(), "folder", gaussians=9)
+
+
+def test_nothing_waits_for_a_busy_server_after_an_error() -> None:
+    calls, free, ended = itertools.count(), threading.Event(), threading.Event()
+
+    def encode(*_: object, **__: object) -> RemoteEncoded:
+        if next(calls) == 0:
+            return RemoteEncoded(b"", {}, [], [])
+        free.wait(60)
+        ended.set()
+        raise ServerError("the queue is full")
+
+    def fails(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        encode_on_server(Mock(encode=encode), paths(), "out", jobs=2, on_row=fails)
+    assert not ended.is_set()
+    free.set()
 
 
 # --- the manifest

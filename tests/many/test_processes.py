@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
@@ -15,6 +16,7 @@ import pytest
 from sgmethod import SgError
 from sgmethod.many import processes
 from sgmethod.many.processes import in_processes
+from tests.harness.processes import wait_until
 from tests.many.killing import doubled, killed_once
 
 
@@ -44,15 +46,13 @@ def test_items_are_taken_as_they_are_needed() -> None:
     with closing(in_processes(doubled, items(), 2)) as results:
         assert [next(results)[1] is not None for _ in range(5)] == [True] * 5
     assert len(taken) <= 10
-    for child in active_children():
-        child.join(10)
-    assert active_children() == []
+    wait_until(lambda: active_children() == [])  # the pool's own thread joins them
 
 
 def test_processes_that_end_before_they_begin(monkeypatch: pytest.MonkeyPatch) -> None:
     """A script that is no file, or has no guard, has such processes."""
     monkeypatch.setattr(processes, "_begin", os.abort)
-    with pytest.raises(SgError, match="must be a file"):
+    with pytest.raises(SgError, match="run it as a file"):
         list(in_processes(doubled, [1, 2], 2))
 
 
@@ -63,6 +63,12 @@ def test_a_system_that_allows_no_more_processes(monkeypatch: pytest.MonkeyPatch,
         list(in_processes(doubled, [1], 1))
 
 
-def test_errors_are_raised() -> None:
+def test_errors_are_raised_and_end_no_other_process() -> None:
+    other = processes.CONTEXT.Process(target=time.sleep, args=(60,))
+    other.start()
     with pytest.raises(TypeError, match="'<' not supported"):
         list(in_processes(doubled, ["text"], 2))  # type: ignore[list-item]
+    other.join(0.5)
+    assert other.is_alive()
+    other.kill()
+    other.join()

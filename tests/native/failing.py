@@ -18,7 +18,7 @@ import numpy as np
 from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.io.image import read_image
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS
@@ -82,7 +82,7 @@ def refine() -> bytes:
 
 
 def encode() -> bytes:
-    crop = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:56, 40:80])
+    crop = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:56, 40:80])
     return codec.encode(crop, Budget("bytes", 300), settings=short(40)).data
 
 

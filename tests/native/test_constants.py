@@ -16,6 +16,7 @@ def test_constants_are_those_of_the_format() -> None:
     assert native.MAX_SIDE == 65_535
     assert (native.CUTOFF_V1, native.CUTOFF_V2) == (5.5, 3.0)
     assert (native.COLOR_SCALE, native.R_STEP) == (1.5, 2.0)
+    assert (native.MAX_LEVEL, native.NARROWEST) == (12, 1.4)
 
 
 def test_the_colour_axes_are_orthonormal() -> None:

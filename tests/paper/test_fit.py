@@ -35,10 +35,11 @@ from tests.rd.short import SlowClock
 KERNELS = Kernels()
 PHOTO = photo() / np.float32(255)
 FloatArray = NDArray[np.float32]
+PATIENCE = 0.3
 
 
 def level(image: FloatArray) -> Level:
-    return level_of(to_8_bit(image), KERNELS)
+    return level_of(to_8_bit(image, 1), KERNELS)
 
 
 def unlimited() -> Deadline:
@@ -70,24 +71,26 @@ def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
 # --- colours by least squares
 
 
-def test_solved_colours_reach_the_least_squares_residual() -> None:
+def test_solved_colours_reach_the_least_squares_residual(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sgmethod.fitting.level.DAMPING", 0.0)
     image, shapes = small_case()
-    found = level(image).solve_colors(shapes, steps=60, damping=0.0).colors.astype(np.float64)
+    found = level(image).solve_colors(shapes, steps=60).colors.astype(np.float64)
     matrix, target = design(shapes, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     best = np.linalg.lstsq(matrix, target)[0]
     residual, least = (np.square(matrix @ c - target).sum() for c in (found, best))
     assert residual == pytest.approx(least, rel=1e-6)  # worst seen 3e-13
     assert np.abs(found - best).max() < 1e-4  # worst seen 2e-6
     assert least < 0.7 * np.square(target).sum()
-    assert not level(image).solve_colors(shapes, steps=0, damping=0.0).colors.any()
+    assert not level(image).solve_colors(shapes, steps=0).colors.any()
 
 
-def test_damping_is_that_of_a_ridge_weighed_by_energy() -> None:
+def test_damping_is_that_of_a_ridge_weighed_by_energy(monkeypatch: pytest.MonkeyPatch) -> None:
     image, shapes = small_case()
     matrix, target = design(shapes, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     energy = math.pi * (shapes.factors[:, 0] * shapes.factors[:, 2]).astype(np.float64)
     for damping in (1e-2, 1.0):
-        found = level(image).solve_colors(shapes, steps=60, damping=damping).colors
+        monkeypatch.setattr("sgmethod.fitting.level.DAMPING", damping)
+        found = level(image).solve_colors(shapes, steps=60).colors
         ridge = np.linalg.solve(matrix.T @ matrix + damping * np.diag(energy), matrix.T @ target)
         assert np.abs(found - ridge).max() < 1e-4  # worst seen 2e-6
 
@@ -111,7 +114,7 @@ def falling(rates: list[float] | None = None, until: int = 10**9) -> Step:
 
 def test_the_rate_falls_from_one_to_the_last() -> None:
     rates: list[float] = []
-    assert Schedule("fit", 50, 0.03).run(unlimited(), recorder(), falling(rates)) == len(rates) == 50
+    assert Schedule("fit", 50, 0.03, PATIENCE).run(unlimited(), recorder(), falling(rates)) == len(rates) == 50
     assert rates[0] == pytest.approx(1)
     assert rates[-1] == pytest.approx(0.03, abs=0.002)
     assert rates == sorted(rates, reverse=True)
@@ -120,17 +123,17 @@ def test_the_rate_falls_from_one_to_the_last() -> None:
 def test_a_time_limit_shortens_the_schedule() -> None:
     rates: list[float] = []
     clock = SlowClock()
-    done = Schedule("fit", 10**9, 0.03).run(Deadline(clock, 2.0), Recorder(clock), falling(rates))
+    done = Schedule("fit", 10**9, 0.03, PATIENCE).run(Deadline(clock, 2.0), Recorder(clock), falling(rates))
     assert 10 < done == len(rates) < 201
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
     assert rates == sorted(rates, reverse=True)
     for limit_s in (1e-9, -5.0):  # which has passed
-        assert Schedule("fit", 1000, 0.03).run(Deadline(SlowClock(), limit_s), recorder(), falling()) == 1
+        assert Schedule("fit", 1000, 0.03, PATIENCE).run(Deadline(SlowClock(), limit_s), recorder(), falling()) == 1
 
 
 def test_a_fit_that_no_longer_improves_ends_early() -> None:
-    schedule = Schedule("fit", 1000, 0.03)
+    schedule = Schedule("fit", 1000, 0.03, PATIENCE)
     assert 200 < schedule.run(unlimited(), recorder(), falling(until=200)) < 700
     assert schedule.run(unlimited(), recorder(), falling(until=0)) < 500
     assert schedule.run(unlimited(), recorder(), falling()) == 1000
@@ -140,7 +143,7 @@ def test_the_recorder_keeps_its_interval_but_every_beginning_and_end() -> None:
     seen: list[TracePoint] = []
     kept = recorder(0.001, seen.append)
     for phase in ("fit", "tune"):
-        Schedule(phase, 500, 0.03).run(unlimited(), kept, falling())
+        Schedule(phase, 500, 0.03, PATIENCE).run(unlimited(), kept, falling())
     assert seen == kept.points
     assert 6 <= len(seen) <= 30
     for phase in ("fit", "tune"):

@@ -151,6 +151,11 @@ def test_html(made: Preview) -> None:
     assert psnr(np.asarray(picture.convert("RGB")), np.asarray(expected)) > 16  # seen: 18.3
 
 
+def test_html_of_a_long_strip() -> None:
+    made = sgmethod.preview(np.zeros((1, 6000), np.uint8), 60)
+    assert "center/cover" in made.html("a.png")
+
+
 def test_element(made: Preview) -> None:
     """It is what sgmethod/javascript/src/sg-img.js takes: with an <img> within, which readers without scripts get, and
     with the rules of docs/previews.md as styles."""

@@ -10,6 +10,7 @@
 #include "core/isa.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
+#include "raster/levels.h"
 #include "texture/texture.h"
 
 namespace {
@@ -38,6 +39,12 @@ NB_MODULE(_native, m) {
   m.attr("COLOR_BASIS") = std::make_tuple(color_axis(0), color_axis(1), color_axis(2));
   m.attr("COLOR_SCALE") = sg::kColorScale;
   m.attr("R_STEP") = sg::kRStep;
+  m.attr("MAX_LEVEL") = sg::kMaxLevel;
+  m.attr("NARROWEST") = sg::kNarrowest;
+  m.attr("MAX_SCALE") = sg::kMaxScale;
+  m.attr("MAX_SLANT") = sg::kMaxSlant;
+  m.attr("MAX_AMPLITUDE") = sg::kMaxAmplitude;
+  m.attr("FAINT") = sg::kFaint;
   m.def("best_isa", &sg::best_isa);
   m.def("available_cores", &sg::available_cores);
   m.def("thread_count", &sg::thread_count);

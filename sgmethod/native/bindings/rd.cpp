@@ -49,11 +49,11 @@ void steps(Target target, float cutoff, bool pyramid, float spacing, float quant
                {first.data(), second.data(), bias.data()});
 }
 
-void quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,
-              RowsOut<3> out_factors, RowsOut<3> out_colors) {
+int64_t quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,
+                 RowsOut<3> out_factors, RowsOut<3> out_colors) {
   const int n = gaussians(means, factors, colors, out_means, out_factors, out_colors);
   nb::gil_scoped_release release;
-  sg::rd_quantise(p, rows(means, factors, colors), n, rows(out_means, out_factors, out_colors));
+  return sg::rd_quantise(p, rows(means, factors, colors), n, rows(out_means, out_factors, out_colors));
 }
 
 nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors) {

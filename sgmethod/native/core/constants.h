@@ -20,6 +20,8 @@ constexpr double kMaxScale = 8192.0;     // pixels; l1 and l3 are at most this
 constexpr double kMaxSlant = 2048.0;     // |l2| / l3
 constexpr double kMaxAmplitude = 32.0;   // of each colour, 1 being full white
 
+constexpr float kFaint = 0.03f * 0.03f;  // least |colour|^2 in a step: without it, shapes of faint Gaussians would jump
+
 // White in the target of a fit, which is in int16: 16 steps per level of 8 bits, so that means of four, and of sixteen,
 // are whole numbers too. A large picture takes half the memory of float, and half the time to read.
 constexpr int kTargetWhite = 16 * 255;

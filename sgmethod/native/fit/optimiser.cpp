@@ -16,7 +16,6 @@ constexpr int kTogether = 32;  // Gaussians whose values fit the level 1 cache
 // by |colour|^2.
 constexpr float kInverseCurvature[kAdamValues] = {2.0f, 2.0f, 4.0f / 3.0f, 4.0f, 4.0f / 3.0f, 1.0f, 1.0f, 1.0f};
 constexpr int kOfShape = 5;  // number of values of d and S, which come first
-constexpr float kFaint = 0.03f * 0.03f;  // least |colour|^2: without it, shapes of faint Gaussians would jump
 constexpr double kPi = 3.14159265358979;
 
 // A step of up to kTogether Gaussians. The element-wise computation has its own loop, which the compiler vectorises.

@@ -148,15 +148,19 @@ void erase_empty(std::vector<Symbols>& all) {
 
 namespace {
 
-// Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it.
+// Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it. Returns the
+// number of values that were moved.
 template <typename Visit>
-void for_each_quantised(const RdParameters& p, const ConstGaussians& g, int n, const Visit& visit) {
+int64_t for_each_quantised(const RdParameters& p, const ConstGaussians& g, int n, const Visit& visit) {
+  std::atomic<int64_t> clipped{0};
   parallel_each(n, kChunk, [&](int64_t i) {
     Symbols s{};
     int moved = 0;
     visit(i, quantise(p, g.means + 2 * i, g.factors + 3 * i, g.colors + 3 * i, s, moved) ? &s : nullptr);
-    if (moved != 0) clipped_in_all.fetch_add(moved, std::memory_order_relaxed);
+    if (moved != 0) clipped.fetch_add(moved, std::memory_order_relaxed);
   });
+  clipped_in_all.fetch_add(clipped, std::memory_order_relaxed);
+  return clipped;
 }
 
 }  // namespace
@@ -183,8 +187,8 @@ std::vector<Symbols> quantised(const RdParameters& p, const ConstGaussians& gaus
   return all;
 }
 
-void rd_quantise(const RdParameters& p, const ConstGaussians& gaussians, int n, const MutableGaussians& out) {
-  for_each_quantised(p, gaussians, n, [&](int64_t i, const Symbols* s) {
+int64_t rd_quantise(const RdParameters& p, const ConstGaussians& gaussians, int n, const MutableGaussians& out) {
+  return for_each_quantised(p, gaussians, n, [&](int64_t i, const Symbols* s) {
     float *const mean = out.means + 2 * i, *const factor = out.factors + 3 * i, *const color = out.colors + 3 * i;
     if (s) {
       dequantise(p, *s, Geometry(*s, Steps(*s)), mean, factor, color);

@@ -119,8 +119,8 @@ void erase_empty(std::vector<Symbols>& all);
 // What is left of n Gaussians.
 std::vector<Symbols> quantised(const RdParameters& p, const ConstGaussians& gaussians, int n);
 // The values that decoding an encoding of the given Gaussians would give, in the order given; Gaussians whose colour
-// rounds to nothing get colour 0.
-void rd_quantise(const RdParameters& p, const ConstGaussians& gaussians, int n, const MutableGaussians& out);
+// rounds to nothing get colour 0. Returns the number of values that were moved to the end of their range.
+int64_t rd_quantise(const RdParameters& p, const ConstGaussians& gaussians, int n, const MutableGaussians& out);
 // Number of values that lay outside of the range of their integer and were moved to its end since the process began, of
 // Gaussians that were quantised, encoded or refined.
 int64_t clipped_values();
