@@ -1,10 +1,11 @@
-"""A small set of all measurements, in ten minutes at most, or what docs/results shows.
+"""A small set of measurements, in ten minutes at most, or what docs/results shows.
 
     python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,speed]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
-Not in --full: `speed growth` and the other photographs of benchmarks.perceptual, which need pictures of their own.
+Not in --full: `speed growth` and the other photographs of benchmarks.perceptual, which need pictures of their own, and
+benchmarks.gpu.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ FULL = {
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --rivals 'avif tune=psnr speed 0' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
-    "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
+    "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25 --kinds visual avif",
     "convergence/kodak": f"convergence {KODAK} --most 3 --megapixels 0.4 --few --paper-limits 3,10",
@@ -53,7 +54,7 @@ FULL = {
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes",
     "speed": f"speed {KODAK}",
-    "representation": f"ablation representation {SEEN} --most 6 --gaussians 30000,70000",  # as the paper's tables
+    "representation": f"ablation representation {SEEN} --most 3 --gaussians 30000,70000",  # as the paper's tables
     "ablation": f"ablation {KODAK} --most 3 --seeds 2",
     "service/load": "service load",
     "service/attacks": "service attacks",
@@ -87,6 +88,8 @@ def main() -> None:
         lines["rd/kodak"] += " --rivals" if versions() else ""
         lines["convergence/kodak"] += "" if versions() else f" {NO_RIVALS}"
     wanted = {name: line for name, line in lines.items() if line.split()[0] in options.only}
+    if not wanted:
+        parser.error("these are measured with --full alone")
     if options.full and not versions():
         parser.error("--full needs the other codecs: pip install -e '.[benchmark]'")
     if any("{weights}" in line for line in wanted.values()) and not options.weights:

@@ -24,8 +24,11 @@ RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
 RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes that is told nothing else
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
-# What measures: not its results, the pages made of them, and the list of what to measure.
-NOT_CODE = (":!benchmarks/results", ":!benchmarks/report", ":!benchmarks/__main__.py")
+# What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
+NOT_CODE = (
+    *(":!benchmarks/results", ":!benchmarks/report", ":!benchmarks/__main__.py"),
+    *(":!service/page", ":!sgmethod/javascript"),
+)
 CODE = ("sgmethod", "service", "benchmarks", *NOT_CODE)
 
 
@@ -89,12 +92,12 @@ class Record:
     """The JSON of one run, written after every row. What is there already of the same code, machine and settings is
     kept, so that an interrupted run goes on where it stopped. Where the JSON lies is said at the beginning.
 
-    remark: what a reader must know of this run, put in by hand; settings: what changes the meaning of the rows.
+    settings: what changes the meaning of the rows.
     """
 
     def __init__(self, path: Path, module: str, settings: dict[str, Any]) -> None:
         self.path = path
-        self.content = {"command": command(module), **origin(), "remark": "", "settings": settings}
+        self.content = {"command": command(module), **origin(), "settings": settings}
         self.rows = kept_rows(path, self.content)
         print(f"into {path}, which has {len(self.rows)} rows of this code, machine and settings", file=sys.stderr)
 

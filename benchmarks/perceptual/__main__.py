@@ -25,7 +25,7 @@ from benchmarks.rd import rivals
 from benchmarks.tables import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr, ssimulacra2
+from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
 from sgmethod.metrics.perceptual import Networks
 
 
@@ -70,8 +70,8 @@ def main() -> None:
     record = Record(options.out, "benchmarks.perceptual", {"kinds": list(options.kinds)})
     for path in paths:
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
-        if min(pixels.shape[:2]) < MIN_SIDE:
-            parser.error(f"{path} has a side below {MIN_SIDE} pixels, for which MS-SSIM is not defined")
+        if min(pixels.shape[:2]) < MS_SSIM_SIDE:
+            parser.error(f"{path} has a side below {MS_SSIM_SIDE} pixels, for which MS-SSIM is not defined")
         for bpp in options.bpp:
             key = {"image": path.name, "max_bpp": bpp}
             wanted = [kind for kind in options.kinds if not record.has(**key, kind=kind)]

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pictures import Pixels
+
 SIDE = 48  # pixels of a square
 LEFT_OUT = 0.4  # of the squares
 BLURS = {"fine": 1.0, "middle": 2.0}  # pixels: bands of 2 to 4 and of 4 to 8
@@ -19,7 +21,6 @@ PLANES = {"luma": (0,), "chroma": (1, 2)}  # of YCrCb (BT.601)
 BANDS = tuple((part, band) for part in PLANES for band in BLURS)
 FIGURES = tuple(f"{measure}_{part}_{band}" for part, band in BANDS for measure in ("spread", "kurtosis"))
 Array = NDArray[np.float32]
-Pixels = NDArray[np.uint8]
 
 
 def local_statistics(picture: Pixels, source: Pixels) -> dict[str, float | None]:

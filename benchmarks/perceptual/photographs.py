@@ -1,13 +1,15 @@
 """Photographs that are not Kodak's, from Debian's packages: python -m benchmarks.perceptual.photographs FOLDER
 
 FOLDER/measured gets those that are measured, FOLDER/tuning those on which constants of the codec were chosen. The
-longer side becomes 768 pixels, so that no trace of their JPEG files is left. Needs apt-get, dpkg-deb and the packages
+longer side becomes 768 pixels, so that no trace of their JPEG files is left. FOLDER/large gets files of 12 megapixels
+and more as they are, for benchmarks.speed growth. Needs apt-get, dpkg-deb and the packages
 of Debian 12; licences stand in each package's copyright file.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import subprocess
 import tempfile
 from pathlib import Path
@@ -31,6 +33,7 @@ PICTURES = {
         friends_by_aitzol_berasategi greenmeadow kleiber_by_lukas_baubkus ladybird path picture_1a_by_freespace
         seeding_by_clements_engelhardt""",
 }
+LARGE = ("dragonfly_by_bolly", "kleiber_by_lukas_baubkus", "sunset_by_aitzol_berasategi")
 
 
 def name_of(path: Path) -> str:
@@ -54,6 +57,9 @@ def main() -> None:
                 scale = SIDE / max(picture.size)
                 size = round(picture.width * scale), round(picture.height * scale)
                 picture.resize(size, Image.Resampling.LANCZOS).save(folder / part / f"{name}.png")
+        (folder / "large").mkdir(exist_ok=True)
+        for name in LARGE:
+            shutil.copy(found[name], folder / "large" / f"{name}.jpg")
 
 
 def _is_whole(path: Path) -> bool:

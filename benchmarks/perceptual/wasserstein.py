@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-Pixels = NDArray[np.uint8]
+from benchmarks.pictures import Pixels
+
 LAYERS = 10  # convolutions up to relu4_3
 POOLED = (2, 4, 7)  # after this number of convolutions a feature is taken, and the rest sees half the size
 LOG2_SIGMA = 3

@@ -1,11 +1,11 @@
 """Previews of 32 to 4,096 bytes over a folder of pictures, beside placeholders and other codecs, each at its best.
 
     python -m benchmarks.previews --images FOLDER [--most N] [--bytes 64,256] [--codecs sgmethod,WebP]
-                                  [--weights FOLDER] [--seen 256,1024]
+                                  [--weights FOLDER] [--seen-bytes 256,1024]
 
 Each file is the best within so many bytes. There is no row where a codec makes none so small, or the same as within
 fewer. Times are of processors, all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2,
-LPIPS and DISTS at the bytes of --seen. Needs the extra "benchmark".
+LPIPS and DISTS at --seen-bytes. Needs the extra "benchmark".
 """
 
 from __future__ import annotations
@@ -66,13 +66,13 @@ def main() -> None:
     parser.add_argument("--bytes", type=integers, default=BYTES, help="of a file at most")
     parser.add_argument("--codecs", type=some_of(CODECS, "codec"), default=[*CODECS], help=f"of {', '.join(CODECS)}")
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
-    parser.add_argument("--seen", type=integers, default=SEEN, help="bytes at which the networks look")
+    parser.add_argument("--seen-bytes", type=integers, default=SEEN, help="bytes at which the networks look")
     parser.add_argument("--out", type=Path, default=RUNS / "previews.json")
     options = parser.parse_args()
     for name in ("imagecodecs", "blurhash", "fast_thumbhash"):
         package(name)
     networks = Networks(options.weights) if options.weights else None
-    record = Record(options.out, "benchmarks.previews", {"seen": options.seen if networks else []})
+    record = Record(options.out, "benchmarks.previews", {"seen": options.seen_bytes if networks else []})
     for path in named_in(options):
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
         for most in sorted(options.bytes):
@@ -81,7 +81,7 @@ def main() -> None:
                 if record.has(**key, max_bytes=most) or (made := CODECS[codec](pixels, most)) is None:
                     continue
                 if not record.has(**key, bytes=made.bytes):
-                    found = measured(made, pixels, networks if most in options.seen else None)
+                    found = measured(made, pixels, networks if most in options.seen_bytes else None)
                     record.add({"codec": codec, "max_bytes": most, "image": path.name} | found)
     print(summary(record.rows))
 

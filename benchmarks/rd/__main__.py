@@ -36,7 +36,7 @@ from benchmarks.rd.report import Row, means, means_table
 from benchmarks.rd.rivals import RIVALS, USUAL, Rival, versions
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import MIN_SIDE, Networks
+from sgmethod.metrics.perceptual import LPIPS_SIDE, Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 Codec = Sg | Rival
@@ -72,7 +72,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
     if isinstance(codec, Sg) and codec.profile == "rd":
         row = replace(row, effort=codec.effort)
         row = replace(row, max_bpp=None, quality=aim) if codec.one_quality else row
-    if networks is None or min(pixels.shape[:2]) < MIN_SIDE:
+    if networks is None or min(pixels.shape[:2]) < LPIPS_SIDE:
         return row
     seen = networks(decoded, pixels)
     return replace(row, lpips=seen["lpips"], dists=seen["dists"])

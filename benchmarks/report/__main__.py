@@ -56,7 +56,7 @@ The command on each page runs in a checkout after `pip install -e '.[benchmark]'
 service. It writes to `benchmarks/results` and resumes where it was interrupted. KODAK is a folder with the 24 PNG files
 of [Kodak's set](https://r0k.us/graphics/kodak/), and WEIGHTS the folder that
 `python -m benchmarks.perceptual.weights WEIGHTS` fills. For a quick trial, run `make bench`, which measures a little of
-everything in ten minutes, or `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --rivals`. Both
+most in ten minutes, or `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --rivals`. Both
 write to `build/bench`."""
 
 

@@ -86,8 +86,9 @@ def figures(results: Path) -> str:
 def versions(results: Path) -> str:
     """The libraries behind the other columns, such as "libwebp 1.6.0"."""
     named = (load(results, "rd/kodak") or {"settings": {"codecs": []}})["settings"]["codecs"]
-    found = [name.partition(" ")[0].partition("/")[0] for name in sorted(named) if name.startswith(LIBRARIES)]
-    return several([name.replace("-", " ").replace("_", "-") for name in found])
+    # The last libavif, Pillow's, is the one that made these files.
+    found = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith(LIBRARIES))
+    return several([f"{library.replace('_', '-')} {version}" for library, version in sorted(found.items())])
 
 
 def slow(results: Path) -> str:

@@ -74,7 +74,7 @@ class Page:
         machines = "; ".join(self.machines())
         return (
             f"<sub>Data: {', '.join(files)}. Measured {when} on {machines}, commit {', '.join(commits)}. "
-            "The JSON files also record remarks and the versions of all libraries.</sub>"
+            "The JSON files also record the versions of all libraries.</sub>"
         )
 
 

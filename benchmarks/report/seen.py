@@ -84,7 +84,6 @@ def page(contents: Mapping[str, Content]) -> Page:
         "([which](../notebook/eye.md#should-faint-grain-come-back-whole)). [A sheet of crops at twice their "
         "size](../seen.webp) shows the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` "
         "generates it.\n"
-        "- The current noise: its strength was changed after this was measured, as that entry says.\n"
         "- Artefacts that no metric detects well, such as streaks and dots in smooth areas.\n"
         "- Pictures that AVIF (as built into imagecodecs) cannot compress this far: no mean includes them. A codec "
         "that cannot with another picture has no row.\n"

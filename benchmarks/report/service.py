@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -57,8 +58,14 @@ def answering(load: Rows, attacks: Rows, allowed: Mapping[str, float]) -> str:
     """Load and attacks against their limits, in a sentence."""
     parts = []
     if load:
-        worst = max(row["spreads"][DECODE]["p99_ms"] for row in load)
-        parts.append(f"During an encode, 99 % of pictures are served within {worst:.0f} ms")
+        spreads = [(row, row["spreads"][DECODE]) for row in load]
+        worst = max((of["p99_ms"] for _, of in spreads if not of["failed"]), default=math.inf)
+        told = f"During an encode, 99 % of pictures are served within {worst:.0f} ms"
+        for row, of in spreads:
+            if of["failed"]:
+                share = f"{100 * of['failed'] / of['requests']:.0f} %"
+                told += f"; of {row['rate']:g} a second that are {row['case']}, too many here, {share} get 429"
+        parts.append(told)
     if attacks:
         met = [row["met"] for row in attacks if row["attack"] != "none"]
         failed = sum(row["others_failed"] for row in attacks)

@@ -56,10 +56,11 @@ def page(contents: Mapping[str, Content]) -> Page:
             ]
         ),
         limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
-        "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
+        "- Repeatable seconds: a time differs from hour to hour, so trust the ratios more.\n"
         "- The search for the quality that fits a size, which other codecs' times leave out.",
         command="python -m benchmarks --full --images KODAK --only speed,convergence\n"
-        "python -m benchmarks.speed growth --images PHOTOGRAPHS --megapixels 0.75,3,12 --bytes 500,2000,10000,50000",
+        "python -m benchmarks.speed growth --images LARGE --megapixels 0.75,3,12 --bytes 500,2000,10000,50000 "
+        "--repeats 1 --out benchmarks/results/growth.json",
         contents=contents,
         panels=panels,
         of="PSNR against seconds, means over the pictures of each size",

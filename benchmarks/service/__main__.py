@@ -2,7 +2,6 @@
 
 python -m benchmarks.service load [--help]       latencies beside an encode that takes every core
 python -m benchmarks.service attacks [--help]    other clients' latencies, and memory, under each attack
-python -m benchmarks.service bulk [--help]       seconds for each of many small pictures
 python -m benchmarks.service chaos [--help]      kills and restarts at random, and the ledger of jobs after them
 """
 
@@ -11,7 +10,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.arguments import run_part
-from benchmarks.service import attacks, bulk, chaos, load
+from benchmarks.service import attacks, chaos, load
 
 if __name__ == "__main__":
-    sys.exit(run_part({"load": load.main, "attacks": attacks.main, "bulk": bulk.main, "chaos": chaos.main}, __doc__))
+    sys.exit(run_part({"load": load.main, "attacks": attacks.main, "chaos": chaos.main}, __doc__))

@@ -19,13 +19,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import generated
-from benchmarks.service.measured import made_picture, png
+from benchmarks.service.measured import made_picture
 from tests.harness.data import ROOT
 from tests.harness.nginx import Nginx, make_certificate
 from tests.harness.service import Service
@@ -44,7 +42,7 @@ WARM_S, LONGER_S = 3.0, 3.0
 def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
     """What somebody else asks for, by its name in the results: a request of benchmarks.service.generator."""
     image = folder / "image.png"
-    image.write_bytes(png(Image.fromarray(made_picture(256, 192))))
+    image.write_bytes(made_picture(256, 192))
     return {
         "GET /livez": "10 GET /livez",
         "GET /readyz": "2 GET /readyz",

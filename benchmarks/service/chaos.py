@@ -23,11 +23,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from benchmarks.machine import RUNS, command, origin, write_json
 from benchmarks.service.killed import ChaosService
-from benchmarks.service.measured import made_picture, png
+from benchmarks.service.measured import made_picture
 from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
@@ -63,7 +61,7 @@ class Submitter(threading.Thread):
         for number in range(self._jobs):
             form = {"bpp": "1", "time_limit_s": str(self._random.choice([0.1, 0.3, 1.0]))}
             form["priority"] = self._random.choice(["interactive", "bulk"])
-            image = png(Image.fromarray(made_picture(48, 32, number)))
+            image = made_picture(48, 32, number)
             if self._random.random() < 0.05:
                 image = image[: len(image) // 2]  # its header is whole: the codec refuses
             job_id = self._accepted(image, form, f"job-{number}")
@@ -242,7 +240,7 @@ def main() -> int:
         "--out", type=Path, help="default: chaos-sqlite.json or chaos-postgresql.json of build/bench/service"
     )
     arguments = parser.parse_args()
-    head = {"command": command("benchmarks.service chaos"), **origin(), "remark": ""}
+    head = {"command": command("benchmarks.service chaos"), **origin()}
     postgres = None
     url = arguments.database_url
     if url == "postgresql":

@@ -16,11 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from benchmarks.machine import RUNS, Record
 from benchmarks.service.generator import generated
-from benchmarks.service.measured import LoadService, made_picture, png, running
+from benchmarks.service.measured import LoadService, made_picture, running
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 LIVE_RATE = 20.0
@@ -42,7 +40,7 @@ CASES = (Case("decoded each time", 50, "?prefix=0.99{}"), Case("from memory", 50
 
 def under_load(service: LoadService, job: str, case: Case, seconds: float) -> list[dict[str, Any]]:
     """Latencies of the picture and of /livez while an encode runs."""
-    busy = service.submit(png(Image.fromarray(made_picture(3072, 2048, 1))), 1.0, seconds + 60)
+    busy = service.submit(made_picture(3072, 2048, 1), 1.0, seconds + 60)
     service.wait(busy, "running")
     while not service.client.get(f"/jobs/{busy}").json()["trace"]:
         time.sleep(0.1)
@@ -78,7 +76,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0, help="of load in each case (default: 30)")
     parser.add_argument("--out", type=Path, default=RUNS / "service" / "load.json")
     options = parser.parse_args()
-    image = png(Image.fromarray(made_picture(*SIZE)))
+    image = made_picture(*SIZE)
     settings = {"picture": "a made picture", "size": list(SIZE), "seconds": options.seconds, "at_most_ms": AT_MOST_MS}
     record = Record(options.out, "benchmarks.service load", settings)
     for case in CASES:

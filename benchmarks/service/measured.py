@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from tests.harness.pictures import saved
 from tests.harness.service import ServiceProcess
 
 PATIENCE_S = 300.0
 
 
-def made_picture(width: int, height: int, seed: int = 0) -> NDArray[np.uint8]:
-    """uint8 [height, width, 3]: noise at every scale, as photographs have it, and a few edges."""
+def made_picture(width: int, height: int, seed: int = 0) -> bytes:
+    """A PNG of noise at every scale, as photographs have it, and a few edges."""
     random = np.random.default_rng(seed)
     pixels = np.zeros((height, width, 3))
     cells = 4
@@ -32,14 +31,7 @@ def made_picture(width: int, height: int, seed: int = 0) -> NDArray[np.uint8]:
     for _ in range(6):
         cx, cy, r = random.uniform(0, width), random.uniform(0, height), random.uniform(0.05, 0.2) * width
         pixels[np.hypot(x - cx, y - cy) < r] += random.uniform(-60, 60, 3)
-    return (pixels + 128).clip(0, 255).astype(np.uint8)
-
-
-def png(image: Image.Image) -> bytes:
-    """The image as a PNG file."""
-    file = io.BytesIO()
-    image.save(file, "PNG", compress_level=1)
-    return file.getvalue()
+    return saved(Image.fromarray((pixels + 128).clip(0, 255).astype(np.uint8)), compress_level=1)
 
 
 class LoadService(ServiceProcess):
