@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import secrets
 import shutil
 import tempfile
@@ -12,7 +11,7 @@ from pathlib import Path
 
 from service.jobs.job import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
-from service.sandbox.confinement import LAYERS, absent_layers
+from service.sandbox.confinement import SandboxError, check_layers
 from service.settings import UPLOADS_OF_ROOM, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
@@ -39,7 +38,7 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
     for name, run in checks.items():
         try:
             yield name, True, run(settings)
-        except (CheckError, JobTableError, MissingPackagesError, SgError, OSError, ImportError) as error:
+        except (CheckError, JobTableError, MissingPackagesError, SandboxError, SgError, OSError, ImportError) as error:
             yield name, False, str(error)
 
 
@@ -86,8 +85,4 @@ def _kernels(_settings: Settings) -> str:
 
 def _sandbox(settings: Settings) -> str:
     """A missing layer, as on older systems and in some containers, is a failure only where it is required."""
-    absent = " and ".join(absent_layers())
-    if absent and settings.require_sandbox:
-        raise CheckError(f"this system does not offer {absent}, and SG_REQUIRE_SANDBOX is set")
-    found = f"this system does not offer {absent}" if absent else ", ".join(LAYERS)
-    return f"{found}{'; runs as root' if os.geteuid() == 0 else ''}"
+    return "; ".join(check_layers(required=settings.require_sandbox)) or "every layer is there"

@@ -123,11 +123,13 @@ def check_layers(*, required: bool) -> list[str]:
     """Sentences on what the system does not offer, and on root. Raises SandboxError if a layer that is required is
     missing.
     """
-    absent = " and ".join(absent_layers())
+    layers = absent_layers()
+    absent = " and ".join(layers)
     if absent and required:
         raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
-    return missing + ["the service runs as root"] * (os.geteuid() == 0)
+    root = "the service runs as root" + "; what reads uploads runs as nobody" * (LAYERS[-1] not in layers)
+    return missing + [root] * (os.geteuid() == 0)
 
 
 def _limit(limits: Mapping[int, int]) -> None:

@@ -192,11 +192,12 @@ def test_a_sandbox_that_is_required(
     result = run_command(command, data_dir=tmp_path, port=0, require_sandbox=1)
     assert result.status == 1
     assert "cannot start: SG_REQUIRE_SANDBOX is set, and this system does not offer Landlock" in result.stderr
-    monkeypatch.setattr("service.checking.absent_layers", lambda: ["Landlock", "seccomp"])
+    monkeypatch.setattr(confinement, "absent_layers", lambda: ["Landlock", "seccomp"])
+    missing = "Landlock and seccomp"
     result = run_command("check", data_dir=tmp_path, require_sandbox=1)
-    assert "FAILED  sandbox: this system does not offer Landlock and seccomp" in result.stdout
+    assert f"FAILED  sandbox: SG_REQUIRE_SANDBOX is set, and this system does not offer {missing}" in result.stdout
     result = run_command("check", data_dir=tmp_path)
-    assert "ok      sandbox: this system does not offer Landlock and seccomp" in result.stdout
+    assert f"ok      sandbox: uploads are read without {missing}, which this system does not offer" in result.stdout
 
 
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
