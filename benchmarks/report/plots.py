@@ -33,7 +33,8 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
     except ImportError as error:
         raise SystemExit("plots need matplotlib: pip install -e '.[plot]'") from error
     settings = {"svg.hashsalt": path.name, "font.size": 9, "lines.markersize": 4, "lines.linewidth": 1.2}
-    settings |= {"axes.prop_cycle": cycler(color=COLOURS), "axes.grid": True, "grid.color": "0.9"}
+    settings |= {"axes.grid": True, "axes.axisbelow": True, "grid.color": "0.9"}
+    settings |= {"axes.prop_cycle": cycler(color=COLOURS)}
     with mpl.rc_context(settings | {"svg.fonttype": "none"}):
         figure = Figure(layout="constrained")
         all_axes = figure.subplots(len(panels), squeeze=False)[:, 0]
