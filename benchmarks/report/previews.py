@@ -55,7 +55,9 @@ def page(contents: Mapping[str, Content]) -> Page:
         "are those of whole files, headers included; a page needs 4 characters of text for 3 bytes.",
         table=by_bytes(rows),
         conclusion=conclusion(rows),
-        limits="- A dash: some picture has no file so small, or none that differs from that of fewer bytes.\n"
+        limits="- What looks best: previews are softer than PSNR would have them, as readers picked those "
+        "([why](../notebook/eye.md#should-previews-be-softer)).\n"
+        "- A dash: some picture has no file so small, or none that differs from that of fewer bytes.\n"
         "- Other pictures, and single ones, which differ from the mean.\n"
         "- A `data:` URI adds some 23 characters to files of other codecs, and nothing to ours, BlurHash and "
         "ThumbHash, which need a decoder of their own.\n"
