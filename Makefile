@@ -71,13 +71,13 @@ lock: $(VENV)/.service ## renew versions and hashes of what the image installs, 
 bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or FULL=yes [IMAGES=folder WEIGHTS=folder]
 	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS))
 
-# The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch comes first, so that
-# its build is the one chosen; Python compiles a module when it is first imported, and most of PyTorch never is.
+# The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch, which the service
+# does without, comes first, so that its build is the one chosen; Python compiles a module when it is first imported, and most of PyTorch never is.
 $(VENV)/.%: pyproject.toml $(COMPILED)
 	@$(CHECK)
 	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile '$(TORCH)'
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[torch,$*]'
+	$(if $(filter service,$*),,$(BIN)/python -m pip install --quiet --no-compile '$(TORCH)')
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$*]'
 	touch $@ $(if $(filter test,$*),$(VENV)/.service)
 
 # Names the Debian or Ubuntu packages that are missing before anything is downloaded or built.

@@ -23,7 +23,7 @@ def encode_folder(url: str, photos: Path, out: Path) -> None:
 
 def report(row, tally) -> None:
     left = "" if tally.seconds_left is None else f", {tally.seconds_left:.0f} s left"
-    print(row.name, row.error or f"{row.bytes:,} bytes", left)
+    print(f"{row.name} {row.error or f'{row.bytes:,} bytes'}{left}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Write a page of photographs that shows something at once: python static_page.py PHOTOS SITE
 
-SITE needs no server: any host of files serves it. Each photograph is a WebP that loads lazily, and until then a
-preview of 200 bytes, which is part of the page itself.
+Any host of files can serve SITE, and so can python -m http.server. Each photograph is a WebP that loads lazily, and
+until then a preview of 200 bytes, which is part of the page itself.
 """
 
 import html

@@ -43,7 +43,7 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
 
 
 def _settings(settings: Settings) -> str:
-    return f"{settings.workers} workers with {settings.encode_threads} threads each"
+    return f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
 
 
 def _database(settings: Settings) -> str:

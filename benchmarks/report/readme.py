@@ -106,9 +106,19 @@ def slow(results: Path) -> str:
         f"AVIF. From a picture of {largest:g} megapixels, a file of {SIZES[0]:,} bytes takes "
         f"{seconds('rd visual', '', SIZES[0])} seconds and one of {SIZES[1]:,} bytes "
         f"{seconds('rd visual', '', SIZES[1])}; AVIF at speed 6 takes "
-        f"{seconds('avif', '6', SIZES[0])} and {seconds('avif', '6', SIZES[1])}. `--effort 1` is faster, at lower "
-        "quality.",
+        f"{seconds('avif', '6', SIZES[0])} and {seconds('avif', '6', SIZES[1])}. {whole(results)}`--effort 1` "
+        "is faster, at lower quality.",
     )
+
+
+def whole(results: Path) -> str:
+    """How long it takes at BPP, in a sentence."""
+    rows = (load(results, "convergence/12-megapixels") or {"rows": []})["rows"]
+    ours, avif = (
+        mean([row["seconds"] for row in rows if (row["method"], row["setting"]) == which])
+        for which in (("rd visual", ""), ("avif", "6"))
+    )
+    return f"At {BPP} bits per pixel it is {number(ours, '.2g')} seconds against {number(avif, '.2g')}. "
 
 
 def fits(results: Path) -> str:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sgmethod.trace import Progress, TracePoint
 
 BAR_CELLS = 24
+FIRST_SHARE = 0.05  # of the work; before it an estimate is far off
 
 
 @contextmanager
@@ -64,8 +65,8 @@ def bar(point: TracePoint, waited_s: float) -> str:
 
 
 def remaining(seconds: float, done: float) -> str:
-    """Format the estimated time left."""
-    if not 0 < done < 1:
+    """Format the estimated time left, once there is something to estimate it from."""
+    if not FIRST_SHARE <= done < 1:
         return ""
     left = seconds * (1 - done) / done
     if left < 120:

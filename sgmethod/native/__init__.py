@@ -22,7 +22,7 @@ class _Missing:
     def __getattr__(self, _name: str) -> NoReturn:
         raise NativeModuleError(
             f"the compiled part of sgmethod cannot be loaded ({self._error}); "
-            "build it with: pip install --editable . inside a checkout, or pip install --force-reinstall ."
+            "in a checkout, run: pip install --editable .; elsewhere, install sgmethod again"
         ) from self._error
 
 

@@ -494,7 +494,11 @@ def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("module", "line", "why"),
     [
-        ("sgmethod.native._native", "encode photo.png out.sg", r"the compiled part .* --force-reinstall \."),
+        (
+            "sgmethod.native._native",
+            "encode photo.png out.sg",
+            r"the compiled part .* install --editable \.; elsewhere, .*",
+        ),
         ("sgmethod.native._native", "decode picture.sg out.png", r"the compiled part .*"),
         ("sgmethod.native._native", "info picture.sg", r"the compiled part .*"),
         ("torch", "encode photo.png out.sg --profile baseline", r".*torch.* pip install 'sgmethod\[torch\]'"),

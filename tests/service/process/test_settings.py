@@ -67,7 +67,7 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
     script = f"{missing}; from service.__main__ import main; sys.exit(main())"
     ran = run(sys.executable, "-c", script, command)
     assert (ran.status, ran.stdout) == (1, "")
-    assert re.fullmatch(r"cannot start: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
+    assert re.fullmatch(r"cannot start: the compiled part .* install --editable \.; elsewhere, .*\n", ran.stderr)
 
 
 BAD = {
