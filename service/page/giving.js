@@ -51,7 +51,7 @@ export function budget() {
 /** Say what the slider means for a picture, or for any. */
 export function sayRate(item) {
   const byLooks = $("aim").value === "looks";
-  $("rate-name").textContent = byLooks ? "How good" : "How small";
+  $("rate-name").textContent = byLooks ? "How good" : "File size";
   $("bpp").setAttribute("aria-label", $("rate-name").textContent);
   if (byLooks) {
     $("rate").textContent = `${looks()} of 100`;
