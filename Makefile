@@ -72,7 +72,8 @@ bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or 
 	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS))
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch, which the service
-# does without, comes first, so that its build is the one chosen; Python compiles a module when it is first imported, and most of PyTorch never is.
+# does without, comes first, so that its build is the one chosen; Python compiles a module when it is first imported, and
+# most of PyTorch never is.
 $(VENV)/.%: pyproject.toml $(COMPILED)
 	@$(CHECK)
 	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)

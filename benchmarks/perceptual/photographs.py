@@ -2,8 +2,8 @@
 
 FOLDER/measured gets those that are measured, FOLDER/tuning those on which constants of the codec were chosen. The
 longer side becomes 768 pixels, so that no trace of their JPEG files is left. FOLDER/large gets files of 12 megapixels
-and more as they are, for benchmarks.speed growth. Needs apt-get, dpkg-deb and the packages
-of Debian 12; licences stand in each package's copyright file.
+and more as they are, for benchmarks.speed growth. Needs apt-get, dpkg-deb and the packages of Debian 12; licences stand
+in each package's copyright file.
 """
 
 from __future__ import annotations
