@@ -114,9 +114,10 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
 def _before_start(settings: Settings) -> list[str]:
     """Trouble with folder, database, bucket or sandbox shows here, not as processes that keep dying."""
+    missing = check_layers(required=settings.require_sandbox)  # before there is a second thread
     open_job_table(settings).close()
     open_storage(settings).check()
-    return check_layers(required=settings.require_sandbox)
+    return missing
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:

@@ -51,7 +51,7 @@ class Settings(BaseSettings):
     """What the operator may set; every value is checked once, at start."""
 
     # No operator has reason to change these.
-    max_streams: ClassVar[int] = 100
+    max_streams: ClassVar[int] = 200
     max_waiting_decodes: ClassVar[int] = 64
 
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
@@ -122,7 +122,11 @@ class Settings(BaseSettings):
         le=LONGEST_KEPT_S,
         description="seconds to keep the image of a finished job for re-encoding; 0 to delete it at once",
     )
-    quota_bytes_per_key: int = Field(default=0, ge=0, description="the same per API key; 0 for no limit")
+    quota_bytes_per_key: int = Field(
+        default=0,
+        ge=0,
+        description="bytes of the images and bitstreams of one API key before its new jobs get 429; 0 for no limit",
+    )
 
     # Links and webhooks.
     link_secret: SecretStr = Field(

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from service.api.problems import ProblemError
+from service.api.problems import FOR_NOW, ProblemError
 
 
 class _Making:
@@ -32,30 +32,31 @@ class PictureCache:
 
     async def get_or_make(self, etag: str, make: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
         """The file, from memory or from `make`, which runs once for all who ask for it meanwhile, as long as one of
-        them waits.
+        them waits. When it is refused to the first of them for now, the others have it made in their own names.
         """
-        if etag in self._files:
-            self._files.move_to_end(etag)
-            return self._files[etag]
-        is_mine = etag not in self._making
-        if is_mine:
-            self._making[etag] = _Making(make())
-        making = self._making[etag]
-        making.waiting += 1
-        try:
-            file = await asyncio.shield(making.task)
-        except ProblemError:
+        while True:
+            if etag in self._files:
+                self._files.move_to_end(etag)
+                return self._files[etag]
+            is_mine = etag not in self._making
             if is_mine:
-                raise
-            return await self.get_or_make(etag, make)  # the refusal may be another client's alone
-        finally:
-            making.waiting -= 1
-            if making.task.done() or not making.waiting:
-                making.task.cancel()
-                if self._making.get(etag) is making:
-                    del self._making[etag]
-        self._put(etag, file)
-        return file
+                self._making[etag] = _Making(make())
+            making = self._making[etag]
+            making.waiting += 1
+            try:
+                file = await asyncio.shield(making.task)
+            except ProblemError as refusal:
+                if is_mine or refusal.status not in FOR_NOW:
+                    raise
+            else:
+                self._put(etag, file)
+                return file
+            finally:
+                making.waiting -= 1
+                if making.task.done() or not making.waiting:
+                    making.task.cancel()
+                    if self._making.get(etag) is making:
+                        del self._making[etag]
 
     def _put(self, etag: str, file: bytes) -> None:
         """Keep the file if it fits at all; others go to make room."""

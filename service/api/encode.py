@@ -17,7 +17,7 @@ from service.api.context import Context, KnownJob, UseCaller, UseContext
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
 from service.api.pictures import PictureQuery, bitstream, open_image, picture
-from service.api.problems import ProblemError
+from service.api.problems import FOR_NOW, ProblemError
 from service.api.requests import (
     FORM_TYPE,
     IMAGE_FIELD,
@@ -31,7 +31,7 @@ from service.api.requests import (
     wanted_wait_s,
     wants_picture,
 )
-from service.jobs.job import Job, KeyReusedError, LimitError, NewJob, SourceImage, new_job_id
+from service.jobs.job import Job, JobTableError, KeyReusedError, LimitError, NewJob, SourceImage, new_job_id
 from service.storage.files import source_key
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
@@ -74,8 +74,6 @@ async def encode(
     decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
     check_image_type(request)
-    if wait_s and wants_picture(request):
-        accepted_format(request)
     await to_thread.run_sync(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
         options = read_options(fields)
@@ -84,7 +82,7 @@ async def encode(
             await file.seek(0)
             image = await file.read()
             job = await to_thread.run_sync(_accept, context, caller.owner, key, options, header, image)
-    return await _answer(request, context, job, wait_s)
+    return await _answer(request, context, job, wait_s, caller.client)
 
 
 async def encode_again(
@@ -93,15 +91,13 @@ async def encode_again(
     """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
-    if wait_s and wants_picture(request):
-        accepted_format(request)
     options = read_options(await fields_alone(request))
     await to_thread.run_sync(context.table.check_queue, caller.owner, key)
     async with context.accepting.turn(caller.client):
         with await to_thread.run_sync(open_image, context, job) as file:
             image = await to_thread.run_sync(file.read)
         again = await to_thread.run_sync(_accept, context, caller.owner, key, options, job.image, image)
-    return await _answer(request, context, again, wait_s)
+    return await _answer(request, context, again, wait_s, caller.client)
 
 
 def _accept(
@@ -129,23 +125,35 @@ def _accept(
     return job
 
 
-async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:
-    """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError."""
+async def _answer(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response:
+    """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError.
+
+    What a client would try again later is no refusal here: it would submit the image again.
+    """
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
-    if context.streams.full:  # too many wait already
+    if context.streams.is_full(client):  # too many wait already
         wait_s = 0
     if wait_s:
         headers["Preference-Applied"] = f"wait={wait_s}"
-    ended = await job_within(request, job, wait_s, context) if wait_s else None
+    later = JSONResponse(view.model_dump(), 202, headers)
+    try:
+        ended = await job_within(request, job, wait_s, context, client) if wait_s else None
+    except JobTableError:
+        return later
     if ended is None:
-        return JSONResponse(view.model_dump(), 202, headers)
+        return later
     if ended.error is not None and ended.state == "failed":
         status = 422 if ended.error.code == "refused" else 500
         raise ProblemError(status, ended.error.detail, headers=headers, code=ended.error.code, id=ended.id)
-    if wants_picture(request):
-        answer = await picture(ended, accepted_format(request), PictureQuery(), context, request)
-    else:
-        answer = await bitstream(ended, context, request)
+    try:
+        if wants_picture(request):
+            answer = await picture(ended, accepted_format(request), PictureQuery(), context, request)
+        else:
+            answer = await bitstream(ended, context, request)
+    except ProblemError as refusal:
+        if refusal.status not in FOR_NOW:
+            raise
+        return later
     answer.headers.update({**headers, **VARIES})
     return answer

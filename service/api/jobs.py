@@ -62,9 +62,9 @@ def jobs(
     return models.JobPage(jobs=[models.summary(job, settings) for job in page[:limit]], next=older)
 
 
-async def job_within(request: Request, job: Job, seconds: int, context: Context) -> Job | None:
+async def job_within(request: Request, job: Job, seconds: int, context: Context, client: str) -> Job | None:
     """The job once it has ended, None if it has not in time. Raises ProblemError 409 if it is removed meanwhile."""
-    with context.streams.one():
+    with context.streams.one(client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 
 
@@ -82,9 +82,9 @@ async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
     return job
 
 
-async def _one_stream(context: UseContext) -> AsyncIterator[None]:
+async def _one_stream(context: UseContext, caller: UseCaller) -> AsyncIterator[None]:
     """One of the places for streams, until the stream ends. Raises ProblemError 503."""
-    with context.streams.one():
+    with context.streams.one(caller.client):
         yield
 
 

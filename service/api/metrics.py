@@ -50,7 +50,7 @@ class _TableFigures(Collector):
         waited = "Since the job ended whose webhook has been waiting for longest."
         for name, words, value in (
             ("stored_bytes", "Bytes of images and bitstreams.", census.stored_bytes),
-            ("oldest_job_waits_seconds", "Age of the oldest queued job.", census.waiting_s or 0.0),
+            ("oldest_job_waits_seconds", "Age of the oldest queued job.", max(0.0, census.waiting_s or 0.0)),
             ("workers_silent_seconds", "Since any worker was heard from.", max(0.0, census.silent_s or 0.0)),
             ("webhooks_waiting", "Webhooks to be delivered.", census.notices),
             ("oldest_webhook_waits_seconds", waited, max(0.0, census.notice_waits_s)),
@@ -95,7 +95,7 @@ class Metrics:
         self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
         self.decode_seconds = Histogram(
             "sgmethod_decode_seconds",
-            "Drawing a picture, with the wait for a thread.",
+            "Drawing a picture, with the wait for its turn.",
             buckets=BUCKETS_S,
             registry=registry,
         )

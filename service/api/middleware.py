@@ -81,7 +81,7 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         length = Headers(scope=scope).get("content-length", "0")
-        declared, received = int(length) if length.isdecimal() else 0, 0
+        declared, received = int(length) if re.fullmatch("[0-9]{1,18}", length) else 0, 0
 
         async def limited() -> Message:
             nonlocal received

@@ -36,6 +36,7 @@ PROBLEM: dict[str, Any] = {
     },
     "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
+FOR_NOW = (429, 503)  # refusals that say when to ask again
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
 FULL_DISK = ("disk is full", "No space left")  # words of SQLite, and of the system and PostgreSQL
 # What figures and logs call a refusal, unless it has a word of its own.

@@ -111,10 +111,14 @@ async def wanted_wait_s(
         ),
     ] = None,
 ) -> int:
-    """Seconds that the client would wait; 0 unless it says so."""
+    """Seconds that the client would wait; 0 unless it says so. Raises ProblemError 406, before the work is done, if it
+    would wait for a picture in a format that there is not.
+    """
     if wait is None:
         preferred = _PREFER.search(header_line(request.headers, "prefer") or "")  # RFC 7240
         wait = int(preferred[1]) if preferred else 0
+    if wait and wants_picture(request):
+        accepted_format(request)
     return min(wait, MAX_WAIT_S)
 
 

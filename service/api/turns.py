@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -108,28 +109,36 @@ class Turns:
 
 
 class Streams:
-    """Responses that stay open: streams of events, and requests that wait for a job. For the event loop alone."""
+    """Responses that stay open: streams of events, and requests that wait for a job. For the event loop alone.
+
+    most: at once, of which one client has half at most.
+    """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self.open = 0
+        self._open: Counter[str] = Counter()
 
     @property
-    def full(self) -> bool:
-        """Whether no more may be opened."""
-        return self.open >= self._most
+    def open(self) -> int:
+        """How many are open."""
+        return self._open.total()
+
+    def is_full(self, client: str) -> bool:
+        """Whether the client may open no more."""
+        return self.open >= self._most or self._open[client] >= -(-self._most // 2)
 
     @contextmanager
-    def one(self) -> Iterator[None]:
+    def one(self, client: str) -> Iterator[None]:
         """Open as long as the context. Raises ProblemError 503 if there are too many."""
-        if self.full:
+        if self.is_full(client):
             detail = "too many streams of events are open"
             raise ProblemError(503, detail, reason="streams", headers=RETRY_AFTER)
-        self.open += 1
+        self._open[client] += 1
         try:
             yield
         finally:
-            self.open -= 1
+            self._open[client] -= 1
+            self._open += Counter()  # without those who have none
 
 
 class ClientTasks:
@@ -166,8 +175,10 @@ class ClientTasks:
     ) -> bytes:
         """The picture file of a bitstream."""
         task = Draw(**self._limits, options=options, file_kind=kind, max_gaussians=max_gaussians)
-        with self._metrics.decode_seconds.time():
-            return (await self._ask(self._drawings, client, file, task)).file
+        began = time.perf_counter()
+        made = (await self._ask(self._drawings, client, file, task)).file
+        self._metrics.decode_seconds.observe(time.perf_counter() - began)  # a refusal took no time
+        return made
 
     async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
         """The rival that is made of an image."""

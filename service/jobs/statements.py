@@ -52,7 +52,6 @@ CREATE TABLE jobs (
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
 CREATE INDEX jobs_by_owner ON jobs (owner, number);
-CREATE INDEX jobs_by_lease ON jobs (lease_until);
 CREATE TABLE served (
     owner TEXT PRIMARY KEY,
     at    DOUBLE PRECISION NOT NULL

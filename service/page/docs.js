@@ -95,7 +95,11 @@ async function show() {
   } catch (error) {
     main.append(make("p", `the document cannot be read: ${error.message}`));
   }
-  if (location.hash) document.getElementById(location.hash.slice(1))?.setAttribute("open", "");
+  const named = location.hash && document.getElementById(location.hash.slice(1));
+  if (named) {
+    named.setAttribute("open", "");
+    named.scrollIntoView();
+  }
 }
 
 show();

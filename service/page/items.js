@@ -39,7 +39,7 @@ function overWhite(image) {
 }
 
 export class Item {
-  #asking = new AbortController(); // what is asked of its job, which nobody waits for once that is cancelled
+  #asking = new AbortController(); // ends what is asked of its job
 
   /** changed: called with the item whenever anything of it is new. */
   constructor(name, changed) {
@@ -66,7 +66,7 @@ export class Item {
     this.tell();
   }
 
-  /** The .sg file: decoded here, or by the service if it is of a kind that is not known here. */
+  /** The .sg file: decoded here, or by the service if its kind is unknown here. */
   async setFile(sg) {
     const key = keys++;
     let [file, decoded, note] = [null, null, ""];
@@ -83,7 +83,7 @@ export class Item {
     this.tell({ sg, file, decoded, size, note, measured: null, rivals: {}, smooth: null, soFar: null, state: "done", words: "" });
   }
 
-  /** Open an .sg file that was given, and keep it under a place in the address, where a reload finds it. */
+  /** Open an .sg file that was given, and keep it for a reload. */
   async open(file, place = `file-${Math.random().toString(36).slice(2)}`) {
     this.opened = place;
     await this.setFile(new Uint8Array(await file.arrayBuffer()));
@@ -141,11 +141,12 @@ export class Item {
   }
 
   async #follow() {
-    const { paceOf, stateOf } = await import("./watching.js"); // which the first look does without
+    const { paceOf, stateOf } = await import("./watching.js"); // not at the first look
     for (let tries = 0; ; ) {
-      let job;
+      let [job, sg] = [null, null];
       try {
         job = await json(jobPath(this.id), { signal: this.#asking.signal });
+        if (job.state === "done") sg = await bytesOf(job.bitstream_url, { signal: this.#asking.signal });
         tries = 0;
       } catch (error) {
         if (this.state === "cancelled") return;
@@ -161,7 +162,6 @@ export class Item {
       this.budget ??= { kind, value, tune: job.tune, effort: job.effort, timeLimit: null };
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
-        const sg = await bytesOf(job.bitstream_url, { signal: this.#asking.signal });
         Object.assign(this, { job, trace: job.trace });
         return void (await this.setFile(sg));
       }
@@ -191,16 +191,18 @@ export class Item {
       if (!tag || tag === this.soFar?.tag) return;
       const bytes = new Uint8Array(await answer.arrayBuffer());
       const key = keys++;
+      const before = this.soFar?.image;
       await decoder.ask("open", { key, bytes });
       const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
       decoder.ask("close", { key });
       this.tell({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
+      before?.close();
     } catch {
       return;
     }
   }
 
-  /** What names it in the address: what a reload, or the button for going back, finds again. */
+  /** What names it in the address. */
   get place() {
     return this.id ?? this.sample ?? (this.sg ? this.opened : null);
   }
@@ -219,12 +221,12 @@ export class Item {
     });
   }
 
-  /** Cancelling is no error. */
-  async cancel() {
+  /** Cancelling is no error. own: whether its job ends too. */
+  async cancel(own = true) {
     const { id } = this;
-    this.tell({ state: "cancelled", words: "Nothing was kept.", done: null, soFar: null });
+    this.tell({ state: "cancelled", words: "There is no file.", done: null, soFar: null });
     this.#asking.abort();
-    if (id) await remove(id);
+    if (id && own) await remove(id);
   }
 
   get busy() {
@@ -233,5 +235,7 @@ export class Item {
 
   close() {
     if (this.file) decoder.ask("close", { key: this.file.key });
+    const shown = [this.original, this.decoded, this.smooth, this.soFar?.image];
+    for (const image of [...shown, ...Object.values(this.rivals ?? {}).map((rival) => rival.image)]) image?.close();
   }
 }

@@ -57,7 +57,7 @@ function refresh(item) {
   }
   tools.refresh(file);
   if (isNew && decoded) {
-    if (isNewlyDecoded) offerWidths(item.size); // not when its original comes: a width may have been typed since
+    if (isNewlyDecoded) offerWidths(item.size); // a width may have been typed since
     fillLines(item);
     if (original && !item.isMeasured) measure(item, () => changed(item));
     item.isMeasured = Boolean(original);
@@ -84,9 +84,9 @@ function refresh(item) {
   sayRate(item);
 }
 
-/** The address names the picture, so that a reload finds it, and going back goes to the one before. */
+/** The address names the picture, for a reload and for going back. */
 function enter(item) {
-  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere is about to be followed
+  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere
   if (address !== item.place) {
     history[!entered || entered === item ? "replaceState" : "pushState"](null, "", `#${item.place}`);
     address = item.place;
@@ -114,10 +114,10 @@ function tellRows() {
 }
 
 function remove(item) {
-  if (item.busy) item.cancel();
+  if (item.busy) item.cancel(Boolean(item.source)); // another's job goes on
   items.splice(items.indexOf(item), 1);
-  item.close();
   if (item === current && items.length) show(items.at(-1));
+  if (item !== current) item.close();
   tellRows();
 }
 
@@ -152,13 +152,14 @@ async function give(files) {
       trouble(refusals.join(" "));
       continue;
     }
-    // What nobody gave makes room: the sample that the page began with.
+    // A sample makes room.
     const first = items.findIndex((item) => item.sample);
-    if (first >= 0) items.splice(first, 1)[0].close();
+    const gone = first >= 0 ? items.splice(first, 1)[0] : null;
     const item = added(file.name || "pasted.png");
     item.format = format;
     if (!shown || !items.includes(current)) show(item);
     shown = true;
+    gone?.close();
     try {
       if (kind === "sg") await item.open(file);
       else {
@@ -179,8 +180,9 @@ async function again() {
   const item = added(current.name);
   const { source, format } = current;
   item.format = format;
-  await item.setOriginal(source);
+  item.state = "sending"; // once
   show(item);
+  await item.setOriginal(source);
   item.encode(budget());
 }
 

@@ -26,7 +26,7 @@ export function refill(part, children) {
   const buttons = () => [...part.querySelectorAll("button")];
   const place = buttons().indexOf(document.activeElement);
   part.replaceChildren(...children);
-  if (place >= 0) buttons()[place]?.focus();
+  if (place >= 0) buttons()[place]?.focus({ preventScroll: true });
 }
 
 export const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
@@ -48,6 +48,12 @@ export class Remote {
       this.#calls.delete(call);
       if (error) failed(Object.assign(new Error(error.message), error));
       else done(value);
+    });
+    this.#worker.addEventListener("error", ({ message }) => {
+      if (message) return; // it has begun: one call fails
+      for (const { failed } of this.#calls.values()) failed(new Error("A part of this page is missing."));
+      this.#calls.clear();
+      this.#worker = null;
     });
   }
 

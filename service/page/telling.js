@@ -44,7 +44,7 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
 
 const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$/.test(words) ? "" : "."}`;
 
-/** How far its job is, and how the fit went: in PSNR, which says something only of one that is tuned for it. */
+/** How far its job is, and how the fit went, in PSNR if it was tuned for that. */
 export function showWork(item) {
   $("work").hidden = !item.busy && !TITLES[item.state];
   $("work").classList.toggle("bad", item.state === "failed");

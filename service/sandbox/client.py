@@ -20,7 +20,7 @@ from service.sandbox.frames import Begun, Crashed, Ended, FrameError, FrameReade
 from sgmethod import errors
 
 READ_BYTES = 1 << 18
-# A task ends its process when it has had its seconds of a core. This is for a machine without any to spare.
+# A task ends its process when it has had its seconds of a core. These are for a machine without any to spare.
 PATIENCE_S = 60.0
 TRIES = 2  # a process may have died of something else than its task
 EARLY_END = b"!"
@@ -73,7 +73,7 @@ class Sandbox:
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
                 try:
-                    outcome = await asyncio.wait_for(running.outcome(), PATIENCE_S)
+                    outcome = await asyncio.wait_for(running.outcome(), max(PATIENCE_S, 4 * task.cpu_s))
                 except TimeoutError:
                     if not running.begun:
                         raise SandboxGoneError("the sandbox cannot be started") from None

@@ -30,6 +30,7 @@ KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC
 LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may lack
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use
+PROBE_BYTES = 16 << 20  # for one that only confines itself
 MOST_THREADS = 8192  # of the user: a bomb of threads would take memory of the system's own
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
@@ -102,7 +103,7 @@ def absent_layers() -> list[str]:
     child = os.fork()
     if child == 0:
         try:
-            os.write(tell, ", ".join(confine(0, 1.0, parent)).encode())
+            os.write(tell, ", ".join(confine(PROBE_BYTES, 1.0, parent)).encode())
             os._exit(0)
         finally:
             os._exit(1)

@@ -38,6 +38,9 @@ SENTENCE_LENGTH = 1000
 MOST_POINTS = 100_000  # of one trace
 
 
+Count = Annotated[int, Field(ge=0, le=2**53)]  # which every database and JSON can hold
+
+
 class FrameError(ValueError):
     """A task said something that it may not say: one sentence."""
 
@@ -88,6 +91,11 @@ class HeaderFigures(Figures):
     width: int = Field(ge=1)
     height: int = Field(ge=1)
 
+    @property
+    def pixels(self) -> int:
+        """How many there are."""
+        return self.width * self.height
+
 
 class ReadHeader(Task):
     """Read an image's header."""
@@ -117,8 +125,8 @@ class PreviewFigures(Figures):
     """The answer of MakePreview, as Preview.to_dict() has it."""
 
     text: str = Field(max_length=8192, description="base64url of an .sg file, for the preview attribute of an <sg-img>")
-    width: int = Field(description="pixels of the image as displayed")
-    height: int = Field(description="pixels of the image as displayed")
+    width: Count = Field(description="pixels of the image as displayed")
+    height: Count = Field(description="pixels of the image as displayed")
     color: str = Field(pattern=r"^#[0-9a-f]{6}$", description="average colour, #rrggbb")
     dark: bool = Field(description="whether white text reads better on that colour than black")
 
@@ -139,20 +147,20 @@ Figure = float | None
 class EncodeFigures(Figures):
     """The figures of an encode: Stats.to_dict() with advice, and what of the image was dropped."""
 
-    bytes: int = Field(ge=0)
+    bytes: Count
     bpp: float
     psnr: Figure
     ms_ssim: Figure
     ssimulacra2: Figure
-    gaussians: int
-    steps: int
+    gaussians: Count
+    steps: Count
     seconds: float
-    width: int
-    height: int
+    width: Count
+    height: Count
     profile: str = Field(max_length=20)
     tune: str = Field(max_length=20)
-    effort: int
-    source_bytes: int
+    effort: Count
+    source_bytes: Count
     psnr_missed_db: Figure
     looks_missed: Figure
     warnings: list[Sentence] = Field(max_length=20)
@@ -185,11 +193,11 @@ class TracePoint(Frame):
 
     letter = b"T"
     seconds: float
-    step: int
-    steps: int
+    step: Count
+    steps: Count
     psnr: Figure
-    bytes: int
-    gaussians: int
+    bytes: Count
+    gaussians: Count
     phase: str = Field(max_length=20)
 
 
@@ -221,7 +229,7 @@ class Ended(Frame):
     """The task's process has ended; the status is Popen's."""
 
     letter = b"E"
-    status: int
+    status: int = Field(ge=-signal.NSIG, le=255)
 
 
 class Result(Model):
@@ -298,10 +306,14 @@ class FrameReader:
         if letter == FILE:
             if self._task.answer and self._figures is None:
                 raise FrameError("a file without its figures")
+            if isinstance(self._figures, EncodeFigures) and self._figures.bytes != len(payload):
+                raise FrameError("a file of another size than its figures say")
             return [Result(figures=self._figures, file=payload)]
         if letter == Figures.letter:
             assert self._task.answer
             self._figures = self._task.answer.model_validate_json(payload)
+            if isinstance(self._figures, HeaderFigures) and self._figures.pixels > self._task.max_pixels:
+                raise FrameError("an image of more pixels than are allowed")
             return [] if self._task.gives_file else [Result(figures=self._figures)]
         message = BY_LETTER[letter].model_validate_json(payload)
         if isinstance(message, TracePoint):

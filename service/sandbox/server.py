@@ -13,6 +13,7 @@ import selectors
 import signal
 import socket
 import sys
+import time
 import traceback
 from typing import NoReturn
 
@@ -25,6 +26,7 @@ from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_th
 WAITING_FORKS = 2
 MOST_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
+PAUSE_S = 0.25  # after a fork that ended before it had a task
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
 PICTURE_THREADS = 2
@@ -80,7 +82,12 @@ class Server:
                     if number == 0:
                         run_fork(theirs.fileno(), parent)
                 fork = Fork(number, ours)
-                self._selector.register(os.pidfd_open(number), selectors.EVENT_READ, fork)
+                try:
+                    self._selector.register(os.pidfd_open(number), selectors.EVENT_READ, fork)
+                except OSError:  # nobody would notice its end
+                    os.kill(number, signal.SIGKILL)
+                    os.waitpid(number, 0)
+                    raise
                 self._waiting.append(fork)
         except OSError as error:  # as where the system has no process or no memory to spare
             print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
@@ -135,6 +142,8 @@ class Server:
         if fork in self._waiting:
             self._waiting.remove(fork)
             fork.control.close()
+            print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
+            time.sleep(PAUSE_S)  # the next may end likewise
         if fork.answer is not None:
             self._tell_end(fork, fork.answer)
 

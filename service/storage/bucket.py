@@ -109,7 +109,10 @@ class BucketStorage:
 
     def open(self, key: str) -> BinaryIO:
         data = self.get(key)
-        file = tempfile.TemporaryFile()  # noqa: SIM115
+        try:
+            file = tempfile.TemporaryFile()  # noqa: SIM115
+        except FileNotFoundError as error:  # which would say that the bucket has no such object
+            raise OSError(errno.EIO, f"there is no folder for temporary files: {error}") from error
         file.write(data)
         file.seek(0)
         return file

@@ -1,4 +1,4 @@
-// The tools of the large picture: zoom, blink, overlays, texture, the first bytes alone.
+// The tools of the large picture: zoom, compare, overlays, texture, the first bytes alone.
 
 import { countInPart } from "../sgmethod/file.js";
 import { $ } from "../parts.js";
@@ -137,6 +137,6 @@ export class Tools {
     $("stage").addEventListener("keydown", (event) => {
       if (isBlink(event) && !event.repeat && !$("blink").disabled) peek(viewer.peek === 1 ? 0 : 1);
     });
-    addEventListener("keyup", (event) => isBlink(event) && peek(null)); // wherever the focus is by then
+    addEventListener("keyup", (event) => isBlink(event) && peek(null));
   }
 }

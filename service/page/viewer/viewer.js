@@ -179,7 +179,7 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    const hard = !this.smooth && zoom > 1; // enlarged from the picture's own pixels, also where only a part is drawn
+    const hard = !this.smooth && zoom > 1; // enlarged from its own pixels
     if (fromGaussians && this.gpu && !this.gpu.lost && !file.alpha && !hard) {
       const corner = [-x / zoom, -y / zoom];
       const drawn = this.gpu.draw(file, count, corner, zoom, canvas.width, canvas.height, this.textured);

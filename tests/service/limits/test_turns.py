@@ -8,7 +8,7 @@ import pytest
 
 from service.api.callers import UNKNOWN, address_of
 from service.api.problems import ProblemError
-from service.api.turns import Turns
+from service.api.turns import Streams, Turns
 
 
 class Clients:
@@ -167,3 +167,17 @@ def test_who_goes_as_a_place_comes_free() -> None:
 )
 def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | None, client: str) -> None:
     assert address_of(peer) == client
+
+
+def test_streams_are_shared() -> None:
+    """One client leaves half of them to others."""
+    streams = Streams(4)
+    with streams.one("ann"), streams.one("ann"):
+        assert streams.is_full("ann")
+        with pytest.raises(ProblemError, match="too many streams"), streams.one("ann"):
+            pass
+        with streams.one("bob"), streams.one("bob"):
+            assert streams.is_full("cat")
+            assert streams.open == 4
+    assert streams.open == 0
+    assert not streams.is_full("ann")

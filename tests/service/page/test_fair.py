@@ -115,6 +115,9 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     for limit, left in ((60, 8), (5, 3)):
         said = page.imported("watching.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
         assert said == f"Fitting 250 Gaussians, about {left} s left"
+    fitted = {**JOB, "progress": 1, "trace": [{**POINT, "step": 100, "steps": 100}]}
+    last = page.imported("watching.js", f"it.stateOf({json.dumps(fitted)}, false)")
+    assert last == {"words": "Writing and measuring the file", "done": None}  # seconds, for a large picture
 
 
 def test_the_curve_stays_within_its_axes(page: Chromium, web: Service) -> None:

@@ -36,13 +36,13 @@ def test_a_task_has_no_field_that_nobody_knows() -> None:
 
 def test_messages_arrive_whole_and_in_order() -> None:
     reader, file = FrameReader(ENCODE), bytes(range(256)) * 100
-    said = packed_json(Begun()) + packed_json(POINT) + figures(notes=["alpha"]) + packed(b"F", file)
+    said = packed_json(Begun()) + packed_json(POINT) + figures(notes=["alpha"], bytes=len(file)) + packed(b"F", file)
     messages = [message for at in range(0, len(said), 7) for message in reader.take(said[at : at + 7])]
     assert messages[:2] == [Begun(), POINT]
     (result,) = messages[2:]
     assert isinstance(result, frames.Result)
     assert result.file == file
-    assert result.figures.model_dump(exclude_unset=True) == {**FIGURES, "notes": ["alpha"]}
+    assert result.figures.model_dump(exclude_unset=True) == {**FIGURES, "notes": ["alpha"], "bytes": len(file)}
 
 
 @pytest.mark.parametrize(
@@ -64,6 +64,9 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, figures(more=1), "extra_forbidden"),
         (ENCODE, figures(better="exe"), "better"),
         (ENCODE, figures(width=None), "width"),
+        (ENCODE, figures(bytes=2**63), "less_than_equal"),
+        (ENCODE, figures(steps=-1), "greater_than_equal"),
+        (ENCODE, figures() + packed(b"F", b"four"), "of another size"),
         (ENCODE, packed(b"F", b"x"), "without its figures"),
         (ENCODE, packed(b"T", b'{"step": 1}'), "missing"),
         (ENCODE, packed(b"T", b"null"), "is wrong"),
@@ -71,11 +74,14 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, packed(b"R", b'{"error": "SystemExit", "detail": ""}'), "error"),
         (ENCODE, packed(b"C", b'{"detail": 7}'), "detail"),
         (ENCODE, packed(b"E", b'{"status": "0"} x'), "json_invalid"),
+        (ENCODE, packed(b"E", b'{"status": -99999}'), "status"),
+        (ENCODE, packed(b"T", POINT.model_copy(update={"step": 10**400}).model_dump_json().encode()), "step"),
         (DRAW, packed_json(POINT), "trace"),
         (DRAW, packed(b"P", b""), "unknown kind"),
         (DRAW, packed(b"S", b"{}"), "unknown kind"),
         (ReadHeader(**LIMITS), packed(b"F", b"x"), "where 0 are allowed"),
         (ReadHeader(**LIMITS), packed(b"S", b'{"format": "PNG", "width": 0, "height": 4}'), "width"),
+        (ReadHeader(**LIMITS), packed(b"S", b'{"format": "PNG", "width": 9, "height": 8}'), "more pixels"),
     ],
 )
 def test_nonsense(task: Any, said: bytes, words: str) -> None:

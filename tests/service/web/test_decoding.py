@@ -144,6 +144,47 @@ def test_a_refusal_is_one_clients_own() -> None:
     asyncio.run(scenario())
 
 
+def test_a_refusal_of_one_who_has_gone() -> None:
+    """Those who joined have the file made anew: nobody is left who would remove what failed."""
+
+    async def scenario() -> None:
+        cache, may_fail = PictureCache(10), asyncio.Event()
+
+        async def refused() -> bytes:
+            await may_fail.wait()
+            raise ProblemError(429, "too many are waiting", reason="own_turns")
+
+        async def made() -> bytes:
+            return b"a"
+
+        first, *others = (asyncio.create_task(cache.get_or_make("a", make)) for make in (refused, made, made))
+        await asyncio.sleep(0)
+        first.cancel()
+        await asyncio.sleep(0)
+        may_fail.set()
+        assert await asyncio.gather(*others) == [b"a", b"a"]
+
+    asyncio.run(scenario())
+
+
+def test_a_refusal_that_is_for_all() -> None:
+    """What is gone for one is gone for those who wait with it."""
+
+    async def scenario() -> None:
+        cache, made = PictureCache(10), []
+
+        async def gone() -> bytes:
+            made.append(1)
+            await asyncio.sleep(0)
+            raise ProblemError(410, "the image has been deleted")
+
+        answers = await asyncio.gather(*(cache.get_or_make("a", gone) for _ in range(500)), return_exceptions=True)
+        assert {type(answer) for answer in answers} == {ProblemError}
+        assert len(made) == 1
+
+    asyncio.run(scenario())
+
+
 def test_a_file_is_made_once_for_all_who_wait() -> None:
     """Whoever asked first may go; when all have gone, nothing goes on."""
 

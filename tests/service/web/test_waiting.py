@@ -97,7 +97,7 @@ def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
 
 @pytest.mark.thorough
 def test_places_to_wait_or_watch(start_service: StartService) -> None:
-    """Who goes leaves a job, and no place taken. Who finds none that is free gets a job at once."""
+    """Who goes leaves a job, and no place taken. Who finds none gets a job at once. One client has half."""
     web = start_service("web")
 
     def wait_for(taken: int) -> None:
@@ -110,14 +110,30 @@ def test_places_to_wait_or_watch(start_service: StartService) -> None:
     wait_for(taken=0)
     (job,) = web.client.get("/jobs").json()["jobs"]
     with contextlib.ExitStack() as crowd:
-        for _ in range(Settings.max_streams):
+        for _ in range(Settings.max_streams // 2):
             stream = crowd.enter_context(web.connect())
             stream.sendall(f"GET /jobs/{job['id']}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-        wait_for(taken=Settings.max_streams)
+        wait_for(taken=Settings.max_streams // 2)
         answer = web.client.post("/encode?wait=300", content=SMALL, headers=BODY)
         assert (answer.status_code, answer.headers.get("preference-applied")) == (202, None)
         assert_problem(web.client.get(f"/jobs/{job['id']}/events"), 503, "streams")
     wait_for(taken=0)
+
+
+@pytest.mark.thorough
+def test_a_job_table_that_goes_away_meanwhile(start_service: StartService) -> None:
+    """The image was accepted: who is told to come back later would submit it again."""
+    web = start_service("web")
+
+    def ask() -> httpx.Response:
+        return httpx.post(f"{web.url}/encode?wait=20", content=SMALL, headers=BODY, timeout=100)
+
+    with ThreadPoolExecutor(1) as pool:
+        asking = pool.submit(ask)
+        wait_until(lambda: web.client.get("/jobs").json()["jobs"])
+        (web.data_dir / "jobs.sqlite3").rename(web.data_dir / "aside")
+        answer = asking.result()
+    assert (answer.status_code, answer.headers["location"]) == (202, answer.json()["status_url"])
 
 
 @pytest.mark.thorough
