@@ -9,11 +9,13 @@ import shutil
 import sys
 from importlib.resources import as_file, files
 from pathlib import Path
+from urllib.parse import quote
 
 from PIL import Image, ImageOps
 
 import sgmethod
 
+SUFFIXES = (".jpg", ".jpeg", ".png")
 PAGE = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -35,14 +37,14 @@ def write_site(photos: Path, site: Path) -> None:
     """Write a page of every photograph in a folder."""
     (site / "photos").mkdir(parents=True, exist_ok=True)
     pictures = []
-    for path in sorted(photos.iterdir()):
+    for path in sorted(path for path in photos.iterdir() if path.suffix in SUFFIXES):
         with Image.open(path) as photo:
             upright = ImageOps.exif_transpose(photo)
         upright.thumbnail((1600, 1600))
         target = site / "photos" / f"{path.stem}.webp"
         upright.save(target)
         preview = sgmethod.preview(upright, bytes=200)
-        pictures.append(preview_element(preview, f"photos/{target.name}", path.stem))
+        pictures.append(preview_element(preview, f"photos/{quote(target.name)}", path.stem))
     (site / "index.html").write_text(PAGE.format(pictures="\n".join(pictures)), encoding="utf-8")
     (site / "style.css").write_text(STYLE, encoding="utf-8")
     with as_file(files("sgmethod") / "javascript" / "src") as modules:  # or sg-img.js of the npm package

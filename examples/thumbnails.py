@@ -11,10 +11,13 @@ from PIL import Image, ImageOps
 import sgmethod  # noqa: F401 (registers .sg with Pillow)
 
 
+SUFFIXES = (".jpg", ".jpeg", ".png")
+
+
 def make_thumbnails(photos: Path, thumbnails: Path) -> None:
     """Write a thumbnail of at most 320 x 320 pixels and 2,000 bytes of each photograph in a folder."""
     thumbnails.mkdir(exist_ok=True)
-    for path in sorted(photos.iterdir()):
+    for path in sorted(path for path in photos.iterdir() if path.suffix in SUFFIXES):
         with Image.open(path) as photo:
             small = ImageOps.exif_transpose(photo).convert("RGB")
         small.thumbnail((320, 320))

@@ -19,6 +19,8 @@ MAX_PSNR_DB = 60.0  # 8-bit rounding alone limits the PSNR to 58.9 dB
 
 MAX_QUALITY = 100.0
 
+MOST_GAUSSIANS = 1 << 24  # in a file
+
 LOOKS = {"preview": 40.0, "web": 60.0, "archive": 80.0}
 
 
@@ -90,9 +92,11 @@ class Budget:
         return None
 
     def max_gaussians(self, width: int, height: int) -> int:
-        """Return the requested number of Gaussians. Raises BudgetError if it exceeds the number of pixels."""
+        """Return the requested number of Gaussians. Raises BudgetError if no file of the picture can hold them."""
         if self.value > width * height:
             raise BudgetError(f"{int(self.value)} Gaussians exceed the image's {width * height} pixels")
+        if self.value > MOST_GAUSSIANS:
+            raise BudgetError(f"{int(self.value)} Gaussians exceed the {MOST_GAUSSIANS} that a file can hold")
         return int(self.value)
 
 

@@ -12,7 +12,6 @@ import statistics
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from sgmethod.budget import (
     looks_value,
 )
 from sgmethod.decoder import SgFile
-from sgmethod.errors import BudgetError
+from sgmethod.errors import BudgetError, ImageError
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
@@ -216,7 +215,7 @@ def encode(
 def _file_bytes(image: Input) -> int | None:
     """Size of the image file; None for Pillow images and arrays."""
     if isinstance(image, str | os.PathLike):
-        return Path(image).stat().st_size or None  # 0 for a pipe
+        return checked_path(image, ImageError).stat().st_size or None  # 0 for a pipe
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
 
 

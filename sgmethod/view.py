@@ -23,6 +23,7 @@ PIXEL_VARIANCE = 1 / 12  # variance of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
 # Output pixels; coordinates stay below, for single precision. A multiple of the width of every level's samples.
 MAX_COORDINATE = 1 << 16
+MAX_SIDE = 1 << 20  # of an output, in pixels
 NO_CUTOFF = 50.0  # sigma at which nothing is left of a Gaussian without cut-off
 
 
@@ -64,9 +65,12 @@ class View:
         return x, y, w, h
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Return width and height of the output in pixels, each at least 1."""
+        """Return width and height of the output in pixels, each at least 1. Raises ViewError."""
         _, _, w, h = self.area(width, height)
-        return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
+        size = max(round(w * self.scale), 1), max(round(h * self.scale), 1)
+        if max(size) > MAX_SIDE:
+            raise ViewError(f"a view may have at most {MAX_SIDE:,} pixels a side, not {max(size):,}")
+        return size
 
     def within(self, size: tuple[int, int], width: int | None, height: int | None) -> View:
         """Scale the same part to fit into width and height; None means no limit.

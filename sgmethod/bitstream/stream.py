@@ -53,7 +53,8 @@ class Info:
     def to_dict(self) -> dict[str, object]:
         """Convert to plain JSON types, bits last."""
         fields = asdict(self)
-        return {**fields, "bits": fields.pop("bits")}
+        bits = fields.pop("bits")
+        return {**fields, "bits": bits}
 
 
 class Stream(Protocol):

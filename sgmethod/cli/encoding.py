@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
@@ -25,7 +26,6 @@ from sgmethod.trace import TracePoint
 
 if TYPE_CHECKING:
     from sgmethod.client import Client
-    from sgmethod.client.client import Priority
 
 PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # time to wait for a server that is busy or restarts
 
@@ -80,7 +80,7 @@ def _encode(
     image = files.read(conversion.source)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
-        data, figures, trace, notes = encode(arguments, _only_budget(arguments), image, show)
+        data, figures, trace, notes = encode(conversion, arguments, image, show)
     figures["seconds"] = round(time.perf_counter() - began, 4)  # including imports and transfers
     if arguments.trace is not None:
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
@@ -99,14 +99,14 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
     return {"tune": arguments.tune, "effort": arguments.effort, "time_limit_s": arguments.time_limit}
 
 
-def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
+def _encode_here(_: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:
     from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
 
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(
         pixels,
-        budget,
+        _only_budget(arguments),
         arguments.profile,
         **_choices(arguments),
         seed=arguments.seed,
@@ -118,10 +118,15 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
     return encoded.data, stats.to_dict() | advised, encoded.trace, notes
 
 
-def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
-    priority: Priority = "interactive" if arguments.output_dir is None else "bulk"
-    encode, choices = _client_for(arguments).encode, _choices(arguments)
-    encoded = encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
+def _encode_there(conversion: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:
+    from sgmethod.client.many import key_of
+
+    budget, choices = _only_budget(arguments), _choices(arguments)
+    more: dict[str, Any] = {"on_progress": show}
+    if arguments.output_dir is not None:  # a run that was killed is resumed: its jobs are found again
+        asked = {"budget": budget, "profile": arguments.profile, **choices}
+        more |= {"priority": "bulk", "idempotency_key": key_of(Path(conversion.target).resolve(), asked, image)}
+    encoded = _client_for(arguments).encode(image, budget, arguments.profile, **choices, **more)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
 
 

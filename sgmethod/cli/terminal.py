@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sgmethod.trace import Progress, TracePoint
 
 BAR_CELLS = 24
-FIRST_SHARE = 0.05  # of the work; before it an estimate is far off
+FIRST_SHARE = 0.05  # of an encode; before it an estimate is far off
 
 
 @contextmanager
@@ -58,15 +58,16 @@ def redraw(stream: TextIO, text: str) -> None:
 def bar(point: TracePoint, waited_s: float) -> str:
     """Format the progress of a fit and the seconds waited. No PSNR, because tuning for the eye lowers it."""
     done = point.step / point.steps if point.steps else 1.0
+    phase = "write" if done == 1 and point.phase != "fit" else point.phase  # "tune" follows a fit
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
-    left = remaining(point.seconds, done)
-    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.gaussians:,} Gaussians  {waited_s:.1f} s{left}"
+    left = remaining(point.seconds, done) if done >= FIRST_SHARE else ""
+    return f"{phase:<5} [{bar}] {done:4.0%}  {point.gaussians:,} Gaussians  {waited_s:.1f} s{left}"
 
 
 def remaining(seconds: float, done: float) -> str:
     """Format the estimated time left, once there is something to estimate it from."""
-    if not FIRST_SHARE <= done < 1:
+    if not 0 < done < 1:
         return ""
     left = seconds * (1 - done) / done
     if left < 120:

@@ -34,7 +34,7 @@ class RefusedError(ServerError):
 
 
 class Patience:
-    """Pauses between retries, growing, until a deadline."""
+    """Pauses between retries, growing, until a deadline: so many seconds after the first failure."""
 
     def __init__(self, seconds: float, say: Say) -> None:
         self._seconds, self._say = seconds, say
@@ -42,12 +42,14 @@ class Patience:
 
     def renew(self) -> None:
         """Start over after a success."""
-        self._deadline = time.monotonic() + self._seconds
+        self._deadline: float | None = None
         self._pause_s = PAUSE_S
 
     def pause(self, error: ServerError, least_s: float = 0.0) -> None:
         """Report the error and wait before the next attempt. Raises the error if the deadline would pass."""
         pause_s = max(self._pause_s, least_s)
+        if self._deadline is None:
+            self._deadline = time.monotonic() + self._seconds
         if time.monotonic() + pause_s > self._deadline:
             raise error
         self._say(f"{error}; trying again in {pause_s:.0f} s")

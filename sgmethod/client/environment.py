@@ -23,7 +23,8 @@ def http_client(url: httpx.URL, headers: dict[str, str], timeout_s: float) -> ht
         if name.upper() in PROXIES and value:
             _check_proxy(name, value if "://" in value else f"http://{value}", context)
     try:
-        return httpx.Client(base_url=url, headers=headers, timeout=timeout_s, verify=context)
+        many = httpx.Limits(max_connections=None)  # as many as the caller has threads
+        return httpx.Client(base_url=url, headers=headers, timeout=timeout_s, limits=many, verify=context)
     except httpx.InvalidURL as error:  # the other variables have been checked above
         raise ServerError(f"NO_PROXY must be a list of hosts, separated by commas: {error}") from error
 

@@ -40,5 +40,5 @@ def checked_array(values: Any, kind: type[Number]) -> NDArray[Number]:
         values = values.detach().cpu()
     try:
         return np.ascontiguousarray(values, kind)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise GaussiansError(f"{type(values).__name__} is not an array of numbers") from error

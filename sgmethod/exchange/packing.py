@@ -13,7 +13,7 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
-from sgmethod.budget import Budget, checked_integer, finite_number
+from sgmethod.budget import MOST_GAUSSIANS, Budget, checked_integer, finite_number
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
@@ -23,7 +23,6 @@ from sgmethod.rd.rate_control import error_per_bit
 from sgmethod.scene import Gaussians
 
 SWEEPS = 2  # of refining, over all Gaussians
-MOST_GAUSSIANS = 1 << 24  # in a file
 
 
 def pack(
@@ -129,15 +128,16 @@ class _Packing:
 
         if not clipped(self._gaussians):
             return
-        for i in range(len(self._gaussians)):
-            one = self._gaussians.rows(np.array([i]))
-            if clipped(one):
-                said = ", ".join(str(values[0].tolist()) for values in one.arrays)
-                raise GaussiansError(
-                    f"no file can hold a Gaussian with mean, factors and colour {said}: its size sqrt(l1 l3) must be "
-                    "about 0.21 to 19,500 pixels, |l2| at most 4096 l3, its centre within about 1.6 sizes of the "
-                    "picture, and its colour at most 2^22 steps"
-                )
+        some = self._gaussians
+        while len(some) > 1:
+            first, second = (some.rows(half) for half in np.array_split(np.arange(len(some)), 2))
+            some = first if clipped(first) else second
+        said = ", ".join(str(values[0].tolist()) for values in some.arrays)
+        raise GaussiansError(
+            f"no file can hold a Gaussian with mean, factors and colour {said}: its size sqrt(l1 l3) must be about "
+            "0.21 to 19,500 pixels, neither of l1 and l3 more than 8.9 million times the other, |l2| at most 4096 l3, "
+            "its centre within about 1.6 sizes of the picture, and its colour at most 2^22 steps"
+        )
 
 
 def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:

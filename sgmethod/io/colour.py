@@ -246,7 +246,7 @@ def of_profile(profile: bytes, mode: str) -> Colour:
         raise ProfileError("it is damaged") from error
 
 
-def _tags(profile: bytes) -> dict[bytes, bytes]:
+def _tags(profile: bytes) -> dict[bytes, memoryview]:
     """Tags of an ICC profile by name (ICC.1:2022, 7.2 and 7.3). Raises ProfileError."""
     if len(profile) < 132 or profile[36:40] != b"acsp":
         raise ProfileError("it is not an ICC profile")
@@ -254,19 +254,21 @@ def _tags(profile: bytes) -> dict[bytes, bytes]:
     if 132 + 12 * count > len(profile):
         raise ProfileError("it is truncated")
     entries = struct.iter_unpack(">4sII", profile[132 : 132 + 12 * count])
-    return {name: profile[start : start + length] for name, start, length in entries}
+    whole = memoryview(profile)  # thousands of tags may share the same bytes
+    return {name: whole[start : start + length] for name, start, length in entries}
 
 
-def _xyz_of(tag: bytes) -> Matrix:
+def _xyz_of(tag: memoryview) -> Matrix:
     return np.array(struct.unpack_from(">3i", tag, 8)) / 65536
 
 
-def _curve(tag: bytes) -> Curve:
+def _curve(tag: memoryview) -> Curve:
     """Curve of a tag of type curv or para (ICC.1:2022, 10.6 and 10.18). Raises ProfileError."""
-    if tag[:4] == b"para":
+    name = bytes(tag[:4])
+    if name == b"para":
         (kind,) = struct.unpack_from(">H", tag, 8)
         return _parametric(kind, [value / 65536 for value in struct.unpack_from(f">{(1, 3, 4, 5, 7)[kind]}i", tag, 12)])
-    if tag[:4] != b"curv":
+    if name != b"curv":
         raise ProfileError("it has curves of an unknown type")
     (count,) = struct.unpack_from(">I", tag, 8)
     if count == 0:

@@ -54,7 +54,9 @@ def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Pixels:
     with only_image_errors():
         ImageLimits().check(*image.size)
         check_mode(image)
-        frame, image = frame_of(image), image.copy()
+        frame, tags, image = frame_of(image), getattr(image, "tag_v2", None), image.copy()
+        if tags is not None:  # a copy has lost those of TIFF, which say what white is
+            image.tag_v2 = tags  # type: ignore[attr-defined]
         orientation = orientation_of(image.info.get("exif"))
         stated, notes = colour_of(image, None)
         samples = upright_samples(Opened(image, orientation, stated, notes, frame), None, keep_alpha)

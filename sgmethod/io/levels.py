@@ -109,8 +109,8 @@ def _stored(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Le
         return _load(reader)[..., None].astype(np.uint16), 65535
     if reader.mode.startswith("I;16"):
         levels, peak = _load(reader)[..., None], 65535
-        if reader.format == "TIFF" and data is not None:
-            tags: Any = reader.tag_v2  # type: ignore[attr-defined]
+        tags = getattr(reader, "tag_v2", None)
+        if tags is not None:  # a TIFF file
             peak = (1 << tags[BITS_PER_SAMPLE][0]) - 1  # 12 bits are stored as they are
             levels = peak - levels if tags.get(PHOTOMETRIC, 0) == WHITE_IS_ZERO else levels
         return levels, peak

@@ -59,6 +59,8 @@ def zlib_compress(data: memoryview) -> bytes:
         compress_first()
     else:
         thread.join()
+        if not first:
+            raise MemoryError("no memory to compress a picture")
     return ZLIB_HEADER + first[0] + second + struct.pack(">I", checksum)
 
 

@@ -22,6 +22,7 @@ from typing import Any
 from sgmethod.errors import SgError
 
 FILE = "manifest.jsonl"
+CALLBACKS = "on_progress", "on_preview"  # options that do not change the bytes
 BEGINNING = b'{"name": '  # of every line
 
 
@@ -43,8 +44,8 @@ class Row:
 
 
 def text_of(options: Mapping[str, object]) -> str:
-    """Return options as text, without functions, whose text differs from process to process."""
-    return repr(sorted(option for option in options.items() if not callable(option[1])))
+    """Return options that decide the bytes as text. That of `stop` differs each time, as what it decides does."""
+    return repr(sorted(option for option in options.items() if option[0] not in CALLBACKS))
 
 
 class Manifest:

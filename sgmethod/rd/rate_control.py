@@ -19,6 +19,7 @@ from typing import Protocol
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import StreamV2
+from sgmethod.budget import MOST_GAUSSIANS
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.settings.rd import RdSettings, Times
@@ -129,7 +130,7 @@ class RateControl:
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """Limit on the number of Gaussians, for settings that a time limit may have cut."""
-        return self.pixels
+        return min(self.pixels, MOST_GAUSSIANS)
 
     def steps(self, settings: RdSettings) -> int:
         """Steps of the first run, for settings that a time limit may have cut."""
@@ -212,7 +213,7 @@ class GaussianCount(RateControl):
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """The limit, and a surplus early."""
-        return min(self.pixels, int(self.max_gaussians * excess(times, at)))
+        return min(self.pixels, MOST_GAUSSIANS, int(self.max_gaussians * excess(times, at)))
 
     def merit(self, coded: Coded) -> tuple[float, float]:
         return -coded.error, -coded.size

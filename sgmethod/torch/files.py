@@ -13,10 +13,9 @@ from torch.utils.data import Dataset
 
 from sgmethod import decoder
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import checked_integer
+from sgmethod.budget import MOST_GAUSSIANS, checked_integer
 from sgmethod.decoder import MAX_PIXELS, WHOLE, SgFile
 from sgmethod.errors import SgError, ViewError
-from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.io.files import File
 from sgmethod.scene import Gaussians
 from sgmethod.torch.drawing import checked_size, render

@@ -14,10 +14,9 @@ from torch import Tensor
 
 from sgmethod.backend.devices import backend_on, checked_device, has_tiles
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
-from sgmethod.budget import checked_integer, finite_number
+from sgmethod.budget import MOST_GAUSSIANS, checked_integer, finite_number
 from sgmethod.codec import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
-from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.fitting.deadline import Clock
 from sgmethod.io.header import ImageLimits
 from sgmethod.native import native

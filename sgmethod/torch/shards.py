@@ -23,10 +23,9 @@ import numpy as np
 from torch import Tensor
 
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import checked_integer
+from sgmethod.budget import MOST_GAUSSIANS, checked_integer
 from sgmethod.errors import SgError
 from sgmethod.exchange.files import arrays_of
-from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import read_input
 from sgmethod.many.manifest import Manifest, Row
@@ -172,7 +171,7 @@ def samples_of(path: str | os.PathLike[str]) -> list[Sample]:
                 for entry in archive:
                     key, _, end = entry.name.partition(".")
                     parts.setdefault(key, {})[end] = entry.offset_data, entry.size
-        except tarfile.TarError as error:
+        except (tarfile.TarError, ValueError, OverflowError) as error:  # of sizes that are none
             raise SgError(f"{shard} is not a shard: {error}") from error
         found += [Sample(shard, each) for each in parts.values() if "npz" in each]
     if not found:

@@ -10,14 +10,17 @@ import signal
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from sgmethod import decode
-from sgmethod.cli import naming
+from sgmethod.cli import encoding, naming
 from sgmethod.cli.terminal import bar, remaining
+from sgmethod.client import RemoteEncoded
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.many import processes
 from sgmethod.metrics import psnr, ssimulacra2
@@ -213,9 +216,33 @@ def group(leader: int) -> list[str]:
 def test_seconds_left() -> None:
     assert remaining(6.0, 0.25) == ", 18 s left"
     assert bar(TracePoint(6.0, 250, 1000, 28.456, 0, 100, "joint"), 8.5).endswith("  8.5 s, 18 s left")
+    assert bar(TracePoint(6.0, 1000, 1000, 28.456, 0, 100, "joint"), 8.5).startswith("write [####")
+    assert bar(TracePoint(6.0, 1000, 1000, 28.456, 0, 100, "fit"), 8.5).startswith("fit   [####")
+    assert bar(TracePoint(6.0, 49, 1000, 28.456, 0, 100, "joint"), 8.5).endswith("  8.5 s")  # too early
+    assert remaining(10, 1 / 1000) == ", 3 h left"  # of pictures, each of which is finished
     assert (remaining(6.0, 0.0), remaining(6.0, 1.0)) == ("", "")
     assert (remaining(10, 1 / 13), remaining(3600, 1 / 10)) == (", 2 min left", ", 9 h left")
     assert remaining(119, 0.5) == ", 119 s left"
+
+
+def test_jobs_of_a_batch_are_found_again_on_a_server(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a key for each picture and what is asked of it."""
+    asked: list[tuple[str | None, str | None]] = []
+
+    def encode(*_: object, **options: Any) -> RemoteEncoded:
+        asked.append((options.get("idempotency_key"), options.get("priority")))
+        return RemoteEncoded(b"", {}, [], [])
+
+    monkeypatch.setattr(encoding, "_client_for", lambda _: Mock(encode=encode))
+    Path("same.png").write_bytes(Path("photo.png").read_bytes())
+    line = ["--server", "http://127.0.0.1:1", "--json", "--gaussians"]
+    for number in ("9", "9", "8"):
+        assert run("encode", "photo.png", "same.png", "--output-dir", "out", *line, number).status == 0
+    assert {priority for _, priority in asked} == {"bulk"}
+    assert asked[:2] == asked[2:4]
+    assert len({key for key, _ in asked}) == 4
+    assert run("encode", "photo.png", "one.sg", *line, "9").status == 0
+    assert asked[-1] == (None, None)
 
 
 def test_compare(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

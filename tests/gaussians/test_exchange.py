@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -111,6 +112,14 @@ def test_what_no_pixel_sees_is_left_out() -> None:
     assert sgmethod.info(sgmethod.pack(far, *SIZE, quantum=0.1)).gaussians == 1
 
 
+def test_the_first_that_no_file_holds_is_named() -> None:
+    some = scattered(200, 2, SIZE)
+    for place in (150, 41):
+        some.factors[place] = 3, 9e4, 3
+        with pytest.raises(GaussiansError, match=re.escape(str(some.means[place].tolist()))):
+            sgmethod.pack(some, *SIZE, quantum=1)
+
+
 def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1, 0, 0)) -> Gaussians:
     return Gaussians(*([values] for values in (mean, factor, color)))  # type: ignore[arg-type]
 
@@ -124,6 +133,8 @@ def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1,
         (lambda: sgmethod.pack(one(color=(1, 0, np.nan)), *SIZE, bpp=1), GaussiansError, "0 has a value .* not finite"),
         (lambda: sgmethod.pack(one(factor=(2, 0, 0)), *SIZE, bpp=1), GaussiansError, "l1 and l3 must be positive"),
         (lambda: sgmethod.pack(one(factor=(2, 9e4, 2)), *SIZE, quantum=1), GaussiansError, "no file can hold"),
+        (lambda: sgmethod.pack(one(factor=(1e4, 0, 1e-4)), *SIZE, quantum=1), GaussiansError, "8.9 million times"),
+        (lambda: sgmethod.pack(one(mean=(10**400, 2)), *SIZE, quantum=1), GaussiansError, "not an array of numbers"),
         (lambda: sgmethod.pack(one(factor=(1e6, 0, 1e6)), *SIZE, bpp=1), GaussiansError, "0.21 to 19,500 pixels"),
         (lambda: sgmethod.pack(one(), 0, 5, bpp=1), GaussiansError, "a side must be a whole number from 1"),
         (lambda: sgmethod.pack(scattered(80, 1, (4, 4)), 4, 4, bpp=1), GaussiansError, "more than a file of 4 x 4"),

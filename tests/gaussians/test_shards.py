@@ -150,6 +150,16 @@ def test_other_files_are_no_shards() -> None:
         samples_of("other.tar")[0].label()
 
 
+def test_a_shard_with_a_size_that_is_none(tmp_path: Path) -> None:
+    """tarfile raises errors of its arithmetic for some."""
+    header = bytearray(tarfile.TarInfo("a.npz").tobuf(tarfile.USTAR_FORMAT))
+    header[124:136] = b"\x80" + (2**70).to_bytes(11, "big")
+    header[148:156] = b"%06o\0 " % (sum(header[:148]) + sum(header[156:]) + 8 * 32)
+    (tmp_path / "a.tar").write_bytes(bytes(header) + bytes(10240 - 512))
+    with pytest.raises(SgError, match="is not a shard"):
+        samples_of(tmp_path / "a.tar")
+
+
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
 import warnings
 import zlib
 
@@ -16,7 +17,7 @@ import pytest
 from PIL import Image
 
 from sgmethod.errors import ImageError, ImageWarning
-from sgmethod.io.colour import MAX_PROFILE_BYTES
+from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, of_profile
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
 from tests.harness import profiles
@@ -75,6 +76,20 @@ def test_a_profile_of_a_png_is_of_many_bytes() -> None:
     bomb = chunk(b"iCCP", b"icc\0\0" + zlib.compress(padded(P3, MAX_PROFILE_BYTES)))
     with pytest.warns(ImageWarning, match="profile is ignored: it is truncated, or larger than 16 MiB"):
         assert np.array_equal(read_image_8_bit(red_png(bomb)), PLAIN)
+
+
+def test_tags_of_a_profile_may_share_their_bytes() -> None:
+    """Each as long as the profile: a copy of each would take 200 MB."""
+    tags, length = 4000, 132 + 12 * 4000
+    table = b"".join(struct.pack(">4sII", struct.pack(">I", number), 0, length) for number in range(tags))
+    profile = P3[:128] + struct.pack(">I", tags) + table
+    tracemalloc.start()
+    try:
+        with pytest.raises(ProfileError):
+            of_profile(profile, "RGB").convert(RGB, 255)
+        assert tracemalloc.get_traced_memory()[1] < 20 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_16_bits_are_read_beside_long_text() -> None:
@@ -143,6 +158,15 @@ def test_tiffs_of_either_byte_order(samples: np.ndarray, order: str, big: bool) 
     assert np.array_equal(read(tiff([(samples, {})], order, big=big)), expected)
     with pytest.raises(ImageError, match="a big-endian BigTIFF"):
         read(tiff([(samples, {})], ">", big=True))
+
+
+@pytest.mark.parametrize("tags", [{}, {262: 0}])
+def test_deep_tiffs_are_the_same_opened_by_pillow(tags: dict[int, int]) -> None:
+    data = tiff([(DEEP[..., :1], tags)])
+    expected = np.broadcast_to(255 - GREY if tags else GREY, (H, W, 3))
+    assert np.array_equal(read(data), expected)
+    with Image.open(io.BytesIO(data)) as picture:
+        assert np.array_equal(read_input(picture), expected)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sgmethod import ImageWarning, Row, ServerError, SgError, Tally, encode, encode_many
+from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded
 from sgmethod.client import encode_many as encode_on_server
 from sgmethod.errors import noted
@@ -90,6 +90,7 @@ def test_what_is_done_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     assert counts(many()) == (3, 0, 0)  # without being told to resume
     assert counts(many(on_progress=lambda _: None)) == (3, 0, 0)
     assert counts(many(resume=True, on_progress=lambda _: None)) == (0, 3, 0)  # another function
+    assert counts(many(resume=True, stop=lambda: False)) == (3, 0, 0)  # which may have ended encodes early
     monkeypatch.setattr("sgmethod.many.manifest.version", lambda _: "9.9")
     assert counts(many(resume=True)) == (3, 0, 0)
 
@@ -160,22 +161,26 @@ def test_what_ends_the_run() -> None:
 
 
 def test_nothing_waits_for_a_busy_server_after_an_error() -> None:
-    calls, free, ended = itertools.count(), threading.Event(), threading.Event()
+    """And what the server answers then changes no file: the next run may have written it."""
+    calls, free, threads = itertools.count(), threading.Event(), []
 
     def encode(*_: object, **__: object) -> RemoteEncoded:
+        threads.append(threading.current_thread())
         if next(calls) == 0:
             return RemoteEncoded(b"", {}, [], [])
         free.wait(60)
-        ended.set()
-        raise ServerError("the queue is full")
+        return RemoteEncoded(b"late", {}, [], [])
 
     def fails(*_: object) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         encode_on_server(Mock(encode=encode), paths(), "out", jobs=2, on_row=fails)
-    assert not ended.is_set()
+    assert sorted(path.stat().st_size for path in Path("out").glob("*.sg")) == [0]
     free.set()
+    for thread in threads:
+        thread.join(60)
+    assert sorted(path.stat().st_size for path in Path("out").glob("*.sg")) == [0]
 
 
 # --- the manifest

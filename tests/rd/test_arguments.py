@@ -110,6 +110,8 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.open(GOLDEN).pixels(region="1234"), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(region=np.array([[1, 2], [3, 4]])), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(scale=10**400), ViewError, "scale must be between"),
+        (lambda: sgmethod.View(scale=20).size(65535, 1), ViewError, "at most 1,048,576 pixels a side"),
+        (lambda: Budget("gaussians", 2**24 + 1).max_gaussians(65535, 65535), BudgetError, "16777216 that a file can"),
         (lambda: sgmethod.decode(GOLDEN, view=(1, None)), ViewError, "sgmethod.View, not tuple"),
         (lambda: sgmethod.decode(GOLDEN, "many"), SgError, "max_pixels must be a whole number"),
         (lambda: sgmethod.info(GOLDEN, -1), SgError, "max_gaussians must be a whole number"),

@@ -16,6 +16,7 @@ export { SgError } from "./header.js";
  * Throws SgError.
  */
 export function decode(bytes, { scale = 1, region = null, prefix = 1, texture = true } = {}) {
+  if (!(prefix > 0 && prefix <= 1)) throw new RangeError("prefix must be above 0, and at most 1");
   const file = readFile(bytes);
   return draw(file, { scale, region, count: countInPart(file, prefix), texture });
 }

@@ -120,7 +120,6 @@ SG_INLINE Crossing<W> cross(const Ellipse& e, int strip, const Grid& grid, float
   using F = typename V::F;
   using I = typename V::I;
   const auto within = [](F v, F low, F high) SG_INLINE_LAMBDA { return V::min(V::max(v, low), high); };
-  // NaN, from geometry beyond single precision, gives the lowest integer.
   const auto whole = [](F v) SG_INLINE_LAMBDA { return __builtin_convertvector(v, I); };
   const auto edge = [&](F dx) SG_INLINE_LAMBDA {
     const F z = dx * e.inv_l1;
