@@ -20,7 +20,7 @@ from typing import Any
 
 from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RUNS, Record, found
-from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
+from benchmarks.pictures import Pixels, add_options, named_in, pictures_in, sized
 from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, encode
 from sgmethod.metrics import psnr
@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RUNS / "convergence" / "kodak.json")
     options = parser.parse_args()
     run = Run(options)
-    every, wanted = chosen_from(options.images, options.most), named_in(options)
+    every, wanted = pictures_in(options.images), named_in(options)
     for megapixels in options.megapixels:
         for path in wanted:
             run.all_of(path.stem, megapixels, sized(every, every.index(path), megapixels))

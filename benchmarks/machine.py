@@ -9,7 +9,7 @@ import platform
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -74,13 +74,20 @@ def _is_commit(name: str) -> bool:
 
 
 def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rows of an earlier run of the same code on the same machine, of the same settings if there are any, from the
-    JSON it wrote."""
+    """The rows of an earlier run of the same code on the same machine, with as many threads and the same settings, if
+    it names any, from the JSON it wrote."""
     if not path.exists():
         return []
     content = json.loads(path.read_text())
     same = all(content.get(name) == where[name] for name in ("machine", "settings") if name in where)
+    same = same and threads_of(content) == threads_of(where)
     return list(content["rows"]) if same and same_code(content["commit"], where["commit"]) else []
+
+
+def threads_of(content: Mapping[str, Any]) -> int | None:
+    """The number of threads that a JSON's command sets; None for one for each core."""
+    threads, is_set, _ = content.get("command", "").removeprefix("SG_THREADS=").partition(" python ")
+    return int(threads) if is_set else None
 
 
 def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -23,7 +24,7 @@ CODED = ("quantisation", "positions")  # by BD-PSNR of files with several number
 TITLES = {
     "parts": "Profile `rd` without one part",
     "regularisation": "Profile `paper`: weight of the regularisation",
-    "ratio": "Profile `paper`: ratio of the start, dB with the most Gaussians",
+    "ratio": "Profile `paper`: ratio of the start",
     "quantisation": "Profile `paper`: quantisation of the covariance, by BD-PSNR",
     "positions": "Profile `paper`: bits of a position, by BD-PSNR",
 }
@@ -45,6 +46,17 @@ def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
         if own:
             found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
     return found
+
+
+def gain_over_pictures(rows: Sequence[Row], asked: int, method: str, other: str) -> Worth:
+    """How many dB a method is better than another with one number of Gaussians, over the pictures that both have, and
+    the standard error of that."""
+    levels = {(row["method"], row["image"]): row["psnr"] for row in rows if row["asked"] == asked}
+    gains = [
+        db - levels[other, image] for (name, image), db in levels.items() if name == method and (other, image) in levels
+    ]
+    error = statistics.stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else None
+    return mean(gains), error
 
 
 def rows_of(content: Row, name: str) -> list[Row]:
@@ -100,6 +112,9 @@ def summary(content: Row) -> Iterator[str]:
     """A table for each ablation that was measured: every setting against the first."""
     for name, anchor in ANCHORS.items():
         rows = rows_of(content, name)
+        if name not in CODED:  # as worth() compares them
+            most = max((row.get("asked", 0) for row in rows), default=0)
+            rows = [row for row in rows if row.get("asked", 0) == most]
         by, cases = complete(rows) if rows else ({}, [])
         if not cases:
             continue

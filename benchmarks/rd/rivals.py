@@ -163,7 +163,7 @@ class Avif(Rival):
         return bytes(imagecodecs().avif_encode(pixels, level=int(quality), **self.settings))
 
     def decode(self, data: bytes) -> Pixels:
-        return np.asarray(imagecodecs().avif_decode(data))
+        return np.asarray(imagecodecs().avif_decode(data, numthreads=native.thread_count()))
 
 
 class TunedAvif(Avif):

@@ -55,9 +55,10 @@ TAIL = """## Words
 The command on each page runs in a checkout after `pip install -e '.[benchmark]'`, or `'.[test]'` for the
 service. It writes to `benchmarks/results` and resumes where it was interrupted. KODAK is a folder with the 24 PNG files
 of [Kodak's set](https://r0k.us/graphics/kodak/), and WEIGHTS the folder that
-`python -m benchmarks.perceptual.weights WEIGHTS` fills. For a quick trial, run `make bench`, which measures a little of
-most in ten minutes, or `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --rivals`. Both
-write to `build/bench`."""
+`python -m benchmarks.perceptual.weights WEIGHTS` fills. MEASURED and LARGE are the folders `measured` and `large` that
+`python -m benchmarks.perceptual.photographs FOLDER` makes. For a quick trial, run `make bench`, which runs small
+versions of most measurements in ten minutes, or `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25
+--rivals`. Both write to `build/bench`."""
 
 
 def pages(results: Path) -> list[Page]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from benchmarks import published
 from benchmarks.rd.report import (
@@ -73,7 +76,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         "quality is measured on the decoded pixels.",
         table=codecs_table(rows, average),
         conclusion=f"{for_psnr(rows)} {for_eyes(average)}",
-        limits=limits(rows, contents.get("rd/quality")),
+        limits="".join(f"- Equal sizes: {told}\n" for told in [at_our_size(average)] if told)
+        + limits(rows, contents.get("rd/quality")),
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only rd",
         contents=contents,
         panels=panels,
@@ -84,7 +88,7 @@ def page(contents: Mapping[str, Content]) -> Page:
 def codecs_table(rows: Sequence[Row], average: Means) -> str:
     """At BPP, the best PSNR first; bits are those for the same PSNR over all rates."""
     found = {codec: average[codec, BPP] for codec in SHOWN if (codec, BPP) in average}
-    forms = {"psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
+    forms = {"bpp": ".3f", "psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
         bits = percent(against(rows, codec, AVIF)) if codec != AVIF else ""
@@ -116,6 +120,27 @@ def for_eyes(average: Means) -> str:
         (better if is_better else worse).append(f"{TITLES[name]} ({mine:{form}} against {theirs:{form}})")
     parts = [f"beats AVIF in {several(better)}"] * bool(better) + [f"trails it in {several(worse)}"] * bool(worse)
     return f"At {BPP:g} bits per pixel, the default, tuned for the eye, {' and '.join(parts)}."
+
+
+def at_our_size(average: Means) -> str | None:
+    """What AVIF would have in files as large as ours, in a sentence, between its own sizes along their logarithm."""
+    psnr, score = value_at(average, AVIF, "rd", "psnr"), value_at(average, AVIF_FOR_EYES, "rd visual", "ssimulacra2")
+    if psnr is None or score is None:
+        return None
+    ours, avif = (average[codec, BPP]["bpp"] or 0 for codec in ("rd", AVIF))
+    return (
+        f"AVIF's settings are coarse, and leave {100 * (1 - avif / ours):.0f} % of the bytes unused: in files as large "
+        f"as ours, it would have {psnr:.1f} dB and an SSIMULACRA 2 of {score:.0f}."
+    )
+
+
+def value_at(average: Means, codec: str, other: str, figure: str) -> float | None:
+    """A figure of a codec at the mean size of another's files of BPP; None where it has no smaller and larger ones."""
+    size, points = average.get((other, BPP), {}).get("bpp"), sorted(curve(average, codec, figure))
+    if size is None or not points or not points[0][0] <= size <= points[-1][0]:
+        return None
+    logs = [math.log(bpp) for bpp, _ in points]
+    return float(np.interp(math.log(size), logs, [value for _, value in points]))
 
 
 def limits(rows: Sequence[Row], one_quality: Content | None) -> str:

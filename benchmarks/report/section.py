@@ -66,7 +66,11 @@ class Page:
 
     def footer(self) -> str:
         """One line: rows as CSV and JSON, and when and on what they were measured."""
-        files = [f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json))" for name in self.contents]
+        files = [
+            f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json)"
+            f"{', by one thread' if content['command'].startswith('SG_THREADS=1 ') else ''})"
+            for name, content in self.contents.items()
+        ]
         where = self.contents.values()
         dates = sorted(content["date"][:10] for content in where)
         commits = dict.fromkeys(content["commit"] for content in where)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -44,7 +43,7 @@ def lines(load: Rows, attacks: Rows) -> list[list[Any]]:
     found: list[list[Any]] = []
     for row in load:
         of = row["spreads"][DECODE]
-        what = f"during an encode: {row['case'].partition(',')[0]}, {row['rate']:g} a second"
+        what = f"during an encode: {source(row)}, {row['rate']:g} a second"
         found.append([what, f"`{DECODE}`", f"{of['p50_ms']:,.0f}", f"{of['p99_ms']:,.0f}", of["failed"], MISSING])
     for row in attacks[: MOST_ROWS - len(found)]:
         asked, worst = max(row["others"].items(), key=lambda item: item[1]["p99_ms"])
@@ -59,22 +58,33 @@ def answering(load: Rows, attacks: Rows, allowed: Mapping[str, float]) -> str:
     parts = []
     if load:
         spreads = [(row, row["spreads"][DECODE]) for row in load]
-        worst = max((of["p99_ms"] for _, of in spreads if not of["failed"]), default=math.inf)
-        told = f"During an encode, 99 % of pictures are served within {worst:.0f} ms"
+        served = [(of["p99_ms"], row) for row, of in spreads if not of["failed"]]
+        told = []
+        if served:
+            worst_ms, row = max(served, key=lambda item: item[0])
+            told.append(f"99 % of {row['rate']:g} pictures a second {source(row)} are served within {worst_ms:.0f} ms")
         for row, of in spreads:
             if of["failed"]:
                 share = f"{100 * of['failed'] / of['requests']:.0f} %"
-                told += f"; of {row['rate']:g} a second that are {row['case']}, too many here, {share} get 429"
-        parts.append(told)
+                told.append(
+                    f"{row['rate']:g} a second {source(row)} are too many here: half take {of['p50_ms']:.0f} ms or "
+                    f"more, and {share} fail"
+                )
+        parts.append(f"During an encode, {'; '.join(told)}")
     if attacks:
         met = [row["met"] for row in attacks if row["attack"] != "none"]
         failed = sum(row["others_failed"] for row in attacks)
-        worst_ms = f"{attacks[0]['others_worst_p99_ms']:,.0f} ms (limit: {allowed['p99_ms']:,})"
+        worst = f"{attacks[0]['others_worst_p99_ms']:,.0f} ms (limit: {allowed['p99_ms']:,})"
         kept = f"all limits hold in {sum(met)} of {len(met)} attacks"
         parts.append(
-            f"Under attack, others' p99 is at most {worst_ms}, {failed or 'none'} of their requests fail, and {kept}"
+            f"Under attack, others' p99 is at most {worst}, {failed or 'none'} of their requests fail, and {kept}"
         )
     return ". ".join(parts) + "."
+
+
+def source(row: Mapping[str, Any]) -> str:
+    """Where the pictures of a load come from."""
+    return str(row["case"].partition(",")[0])
 
 
 def surviving(ledgers: Rows) -> str:
@@ -85,7 +95,8 @@ def surviving(ledgers: Rows) -> str:
     jobs, lost, twice = (sum(row["ledger"][name] for row in ledgers) for name in counts)
     kills = sum(count for row in ledgers for name, count in row["happened"].items() if "killed" in name)
     where = several([{"sqlite": "SQLite", "postgresql": "PostgreSQL"}[row["database"]] for row in ledgers])
-    ends = f"{lost or 'none'} were lost and {twice or 'none'} published twice"
+    crashed = sum(row["ledger"].get("failed because crashed", 0) for row in ledgers)
+    ends = f"{lost or 'none'} were lost, {twice or 'none'} published twice, and {crashed or 'none'} failed as crashed"
     return f"Of {jobs:,} jobs during {kills} kills, on {where}, {ends}."
 
 

@@ -76,17 +76,27 @@ def measure(record: Record, picture: str, source: Pixels, size: tuple[float, int
             record.add({**key, "method": method, "setting": str(speed), **row})
 
 
+def name_of(row: dict[str, Any]) -> str:
+    """The method of a row, and its setting."""
+    return f"{row['method']}, speed {row['setting']}" if row["setting"] else str(row["method"])
+
+
+def mean_bytes(rows: Rows, name: str) -> float:
+    """The mean size of a method's files."""
+    return statistics.fmean(row["bytes"] for row in rows if name_of(row) == name)
+
+
 def means(rows: Rows, settings: dict[str, Any], axis: str) -> Iterator[tuple[str, list[tuple[float, float, float]]]]:
     """For each method and setting: along the axis, seconds and PSNR, means over the pictures."""
     fixed = AXES[axis]
     along = [row for row in rows if row[fixed] == settings[fixed]]
-    for method, setting in dict.fromkeys((row["method"], row["setting"]) for row in along):
-        mine = [row for row in along if (row["method"], row["setting"]) == (method, setting)]
+    for name in dict.fromkeys(map(name_of, along)):
+        mine = [row for row in along if name_of(row) == name]
         points = []
         for at in sorted({row[axis] for row in mine}):
             group = [row for row in mine if row[axis] == at]
             points.append((at, *(statistics.fmean(row[name] for row in group) for name in ("seconds", "psnr"))))
-        yield f"{method}, speed {setting}" if setting else method, points
+        yield name, points
 
 
 def exponent(x: Sequence[float], y: Sequence[float]) -> float | None:
@@ -104,7 +114,10 @@ def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
         power = exponent([*seconds], [*seconds.values()])
         db = mean([level for at, _, level in points if at == every[-1]])
         cells = [f"{seconds[at]:.2f}" if at in seconds else MISSING for at in every]
-        lines.append([name, *cells, number(power, ".2f"), number(db, ".2f")])
+        last = [row for row in rows if row[axis] == every[-1] and row[AXES[axis]] == settings[AXES[axis]]]
+        size, limit = mean_bytes(last, name), last[0]["max_bytes"]
+        above = f" ({size:,.0f} bytes)" if size > limit else ""
+        lines.append([name, *cells, number(power, ".2f"), number(db, ".2f") + above])
     unit = "MP" if axis == "megapixels" else "bytes"
     titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "grows with the power", "PSNR at the last"]
     return table(" | ".join(titles), lines)

@@ -1,0 +1,128 @@
+"""The statistics of the published tables, on figures that are worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.ablation.report import gain_over_pictures, worth
+from benchmarks.machine import kept_rows, origin
+from benchmarks.rd.report import Row, against, bd_psnr, bd_rate, means
+from benchmarks.report.paper import judged
+from benchmarks.report.previews import times_our_bytes
+from benchmarks.report.rate import value_at
+from benchmarks.tables import in_all, mean, number
+
+ANCHOR = [(0.1, 26.0), (0.2, 29.0), (0.4, 32.0), (0.8, 34.0)]
+
+
+def rows(codec: str, image: str, points: list[tuple[float, float]], max_bpp: float | None = None) -> list[Row]:
+    return [Row(codec, max_bpp or bpp, image, 0, bpp, db, None, None, None, None) for bpp, db in points]
+
+
+def test_differences_in_rate_and_quality() -> None:
+    half = [(bpp / 2, db) for bpp, db in ANCHOR]
+    assert bd_rate(ANCHOR, half) == pytest.approx(-50)
+    assert bd_rate(half, ANCHOR) == pytest.approx(100)
+    assert bd_rate(ANCHOR, ANCHOR) == pytest.approx(0)
+    assert bd_psnr(ANCHOR, [(bpp, db + 1.5) for bpp, db in ANCHOR]) == pytest.approx(1.5)
+    assert bd_rate(ANCHOR, [*half[:2], (0.15, 31.0)]) is not None  # over what both reach
+    for none in ([(0.1, 26.0)], [(0.1, 10.0), (0.2, 20.0)], [(0.1, 26.0), (0.2, 25.0)]):
+        assert bd_rate(ANCHOR, none) is None  # one point; no quality in common; a curve that falls
+
+
+def test_a_rate_is_the_mean_over_pictures() -> None:
+    third = [(bpp / 4, db) for bpp, db in ANCHOR]
+    both = rows("old", "a", ANCHOR) + rows("old", "b", ANCHOR) + rows("new", "a", ANCHOR) + rows("new", "b", third)
+    assert against(both, "new", "old") == pytest.approx(-37.5)  # of 0 and -75 %
+    assert against(both[:-4], "new", "old") == pytest.approx(0)  # of the pictures that both have
+    assert against(both[:-3], "new", "old") is None  # one has no curve: no mean hides that
+
+
+def test_values_between_sizes() -> None:
+    average = means(rows("ours", "a", [(0.2, 30.0)], 0.25) + rows("theirs", "a", [(0.1, 26.0), (0.4, 30.0)]))
+    assert value_at(average, "theirs", "ours", "psnr") == pytest.approx(28.0)  # 0.2 is half way between 0.1 and 0.4
+    average = means(rows("ours", "a", [(0.5, 30.0)], 0.25) + rows("theirs", "a", [(0.1, 26.0), (0.4, 30.0)]))
+    assert value_at(average, "theirs", "ours", "psnr") is None
+
+
+def test_bytes_of_previews() -> None:
+    def row(codec: str, most: int, size: int, db: float) -> dict[str, Any]:
+        return {"codec": codec, "max_bytes": most, "bytes": size, "psnr": db, "image": "a"}
+
+    webp = [row("WebP", 200, 200, 20.0), row("WebP", 800, 800, 24.0)]
+    avif = [row("AVIF", 400, 400, 20.0), row("AVIF", 900, 900, 25.0)]
+    assert times_our_bytes([row("sgmethod", 200, 200, 22.0), *webp, *avif], 200) == pytest.approx(2)  # 400 of WebP
+    assert times_our_bytes([row("sgmethod", 200, 200, 30.0), *webp, *avif], 200) is None  # none is as good
+
+
+@pytest.mark.parametrize(
+    ("quoted", "found", "spread", "verdict"),
+    [
+        (1.0, 0.5, None, "yes"),
+        (1.0, 0.4, 0.1, "in part"),
+        (1.0, 0.8, 0.9, "too small to tell"),
+        (1.0, 0.04, None, "too small to tell"),
+        (1.0, -0.4, 0.1, "no, the opposite"),
+        (-40.0, -30.0, None, "yes"),
+    ],
+)
+def test_verdicts(quoted: float, found: float, spread: float | None, verdict: str) -> None:
+    assert judged(quoted, (found, spread)) == verdict
+
+
+def test_gains_of_parts() -> None:
+    fits = [
+        {"method": method, "asked": asked, "image": image, "psnr": db}
+        for method, asked, image, db in [
+            *(("new", 9, "a", 31.0), ("new", 9, "b", 33.0), ("new", 5, "a", 90.0), ("new", 9, "c", 90.0)),
+            *(("old", 9, "a", 30.0), ("old", 9, "b", 30.0)),
+        ]
+    ]
+    assert gain_over_pictures(fits, 9, "new", "old") == pytest.approx((2.0, 1.0))  # of 1 and 3 dB
+    assert gain_over_pictures(fits, 5, "new", "old") == (None, None)
+    parts = [
+        {"table": "parts", "without": without, "image": image, "seed": seed, "psnr": db}
+        for without, image, seed, db in [
+            *(
+                ("nothing", "a", 0, 30.0),
+                ("nothing", "b", 0, 30.0),
+                ("nothing", "a", 1, 30.0),
+                ("nothing", "b", 1, 30.0),
+            ),
+            *(("growth", "a", 0, 29.0), ("growth", "b", 0, 27.0), ("growth", "a", 1, 28.0), ("growth", "b", 1, 26.0)),
+            *(("nothing", "c", 0, 99.0), ("growth", "c", 0, 0.0)),  # not of every seed
+        ]
+    ]
+    assert worth({"rows": parts}, "parts", "growth", "nothing") == pytest.approx((-2.5, 0.5**0.5))
+
+
+def test_means() -> None:
+    assert (mean([1, 2]), mean([1, None]), mean([])) == (1.5, None, None)
+    assert (number(-0.001, "+.2f"), number(-0.01, "+.2f"), number(None, ".1f")) == ("+0.00", "-0.01", "-")
+    found = in_all([{"image": i, "codec": c} for i, c in (("a", 1), ("b", 1), ("a", 2))], "codec")
+    assert found == [{"image": "a", "codec": 1}, {"image": "a", "codec": 2}]
+
+
+def test_a_run_goes_on_with_its_own_rows_alone(tmp_path: Path) -> None:
+    path, rows = tmp_path / "run.json", [{"psnr": 1}]
+    where: dict[str, Any] = {
+        **origin(),
+        "commit": "a" * 12,
+        "settings": {"bpp": 1},
+        "command": "python -m benchmarks.rd",
+    }
+    path.write_text(json.dumps({**where, "rows": rows}))
+    assert kept_rows(path, where) == rows
+    machine: Any = where["machine"]
+    for other in (
+        {"commit": "b" * 12},
+        {"settings": {"bpp": 2}},
+        {"machine": {**machine, "cores": 64}},
+        {"command": "SG_THREADS=1 python -m benchmarks.rd"},
+    ):
+        assert kept_rows(path, {**where, **other}) == []
+    assert kept_rows(tmp_path / "none.json", where) == []
