@@ -10,7 +10,6 @@ from PIL import Image, ImageOps
 
 import sgmethod  # noqa: F401 (registers .sg with Pillow)
 
-
 SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
