@@ -37,7 +37,7 @@ def write_site(photos: Path, site: Path) -> None:
     """Write a page of every photograph in a folder."""
     (site / "photos").mkdir(parents=True, exist_ok=True)
     pictures = []
-    for path in sorted(path for path in photos.iterdir() if path.suffix in SUFFIXES):
+    for path in sorted(path for path in photos.iterdir() if path.suffix.lower() in SUFFIXES):
         with Image.open(path) as photo:
             upright = ImageOps.exif_transpose(photo)
         upright.thumbnail((1600, 1600))

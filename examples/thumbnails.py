@@ -16,7 +16,7 @@ SUFFIXES = (".jpg", ".jpeg", ".png")
 def make_thumbnails(photos: Path, thumbnails: Path) -> None:
     """Write a thumbnail of at most 320 x 320 pixels and 2,000 bytes of each photograph in a folder."""
     thumbnails.mkdir(exist_ok=True)
-    for path in sorted(path for path in photos.iterdir() if path.suffix in SUFFIXES):
+    for path in sorted(path for path in photos.iterdir() if path.suffix.lower() in SUFFIXES):
         with Image.open(path) as photo:
             small = ImageOps.exif_transpose(photo).convert("RGB")
         small.thumbnail((320, 320))

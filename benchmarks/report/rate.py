@@ -157,7 +157,8 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
         "Kodak's: text, screenshots, drawings.\n"
         "- Human judgement: these are metrics ([what people see](seen.md)).\n"
         "- Exact ratios of times: rows were not measured side by side, and our times include the search for the "
-        "quality that fits, while those of other codecs do not ([speed](speed.md))."
+        "quality that fits, while those of other codecs do not ([speed](speed.md)). AVIF is decoded by one thread "
+        "here, and there by all."
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.tables import MISSING, mean, number, table
 
-__all__ = ["MISSING", "Content", "Draw", "Page", "load", "mean", "number", "percent", "several", "table"]
+__all__ = ["MISSING", "Content", "Draw", "Page", "load", "mean", "number", "percent", "seconds", "several", "table"]
 
 Content = dict[str, Any]  # of a JSON
 Draw = Callable[[Any], None]  # on the axes of matplotlib
@@ -92,6 +92,11 @@ def load(results: Path, name: str) -> Content | None:
 def percent(rate: float | None) -> str:
     """A difference in rate, with its sign."""
     return MISSING if rate is None else number(rate, "+.1f") + " %"
+
+
+def seconds(value: float | None) -> str:
+    """With two digits, or more before the point."""
+    return number(value, ".2g" if value is not None and value < 10 else ".0f")
 
 
 def several(words: Sequence[str]) -> str:

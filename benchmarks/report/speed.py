@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.report.plots import style
-from benchmarks.report.section import MISSING, Content, Draw, Page, several, table
+from benchmarks.report.section import MISSING, Content, Draw, Page, seconds, several, table
 from benchmarks.speed.growth import AXES, exponent, growth_table, means
 
 SIZES = ("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels")
@@ -99,7 +99,7 @@ def sizes_table(by_size: Mapping[float, Rows]) -> str:
     for key, name in METHODS.items():
         found = [at(rows, *key) for rows in by_size.values()]
         if any(found):
-            lines.append([name, *(f"{one[0]:.2g} s, {one[1]:.1f} dB" if one else MISSING for one in found)])
+            lines.append([name, *(f"{seconds(one[0])} s, {one[1]:.1f} dB" if one else MISSING for one in found)])
     counts = {size: len({row["picture"] for row in rows}) for size, rows in by_size.items()}
     titles = [f"{size:g} megapixels ({n} picture{'s' * (n > 1)})" for size, n in counts.items()]
     return table(" | ".join(["method", *titles]), lines)

@@ -81,11 +81,6 @@ def name_of(row: dict[str, Any]) -> str:
     return f"{row['method']}, speed {row['setting']}" if row["setting"] else str(row["method"])
 
 
-def mean_bytes(rows: Rows, name: str) -> float:
-    """The mean size of a method's files."""
-    return statistics.fmean(row["bytes"] for row in rows if name_of(row) == name)
-
-
 def means(rows: Rows, settings: dict[str, Any], axis: str) -> Iterator[tuple[str, list[tuple[float, float, float]]]]:
     """For each method and setting: along the axis, seconds and PSNR, means over the pictures."""
     fixed = AXES[axis]
@@ -115,8 +110,8 @@ def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
         db = mean([level for at, _, level in points if at == every[-1]])
         cells = [f"{seconds[at]:.2f}" if at in seconds else MISSING for at in every]
         last = [row for row in rows if row[axis] == every[-1] and row[AXES[axis]] == settings[AXES[axis]]]
-        size, limit = mean_bytes(last, name), last[0]["max_bytes"]
-        above = f" ({size:,.0f} bytes)" if size > limit else ""
+        size = mean([row["bytes"] for row in last if name_of(row) == name])
+        above = f" ({size:,.0f} bytes)" if size is not None and size > last[0]["max_bytes"] else ""
         lines.append([name, *cells, number(power, ".2f"), number(db, ".2f") + above])
     unit = "MP" if axis == "megapixels" else "bytes"
     titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "grows with the power", "PSNR at the last"]

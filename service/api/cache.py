@@ -7,7 +7,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from service.api.problems import FOR_NOW, ProblemError
+from service.api.problems import ProblemError
+
+GONE = 410  # for all who ask; other refusals may be for one client alone, or for one of two jobs with equal files
 
 
 class _Making:
@@ -32,7 +34,7 @@ class PictureCache:
 
     async def get_or_make(self, etag: str, make: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
         """The file, from memory or from `make`, which runs once for all who ask for it meanwhile, as long as one of
-        them waits. When it is refused to the first of them for now, the others have it made in their own names.
+        them waits. When it is refused to the first of them, the others have it made in their own names.
         """
         while True:
             if etag in self._files:
@@ -46,7 +48,7 @@ class PictureCache:
             try:
                 file = await asyncio.shield(making.task)
             except ProblemError as refusal:
-                if is_mine or refusal.status not in FOR_NOW:
+                if is_mine or refusal.status == GONE:
                     raise
             else:
                 self._put(etag, file)

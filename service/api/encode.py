@@ -151,8 +151,8 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int, cli
             answer = await picture(ended, accepted_format(request), PictureQuery(), context, request)
         else:
             answer = await bitstream(ended, context, request)
-    except ProblemError as refusal:
-        if refusal.status not in FOR_NOW:
+    except (ProblemError, OSError, JobTableError) as trouble:
+        if isinstance(trouble, ProblemError) and trouble.status not in FOR_NOW:
             raise
         return later
     answer.headers.update({**headers, **VARIES})

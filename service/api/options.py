@@ -132,7 +132,7 @@ class EncodeOptions(BaseModel):
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
         """The budget; the default is raised to the smallest file that a tiny image can have."""
-        budget, pixels = self.budget, image.width * image.height
+        budget = self.budget
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
         if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
@@ -140,8 +140,8 @@ class EncodeOptions(BaseModel):
             raise ProblemError(422, detail)
         if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
             raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
-        if budget.kind == "gaussians" and budget.value > pixels:
-            raise ProblemError(422, f"{budget.value:.0f} Gaussians exceed the image's {pixels} pixels")
+        if budget.kind == "gaussians":
+            budget.max_gaussians(image.width, image.height)  # raises BudgetError
         allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
         if allowed is not None and allowed < least:
             detail = f"a file of profile {self.profile} takes at least {least} bytes, the budget is {allowed}"

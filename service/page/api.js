@@ -37,8 +37,11 @@ export async function ask(path, options = {}) {
   throw new Refusal(response.status, words ? words + said : detail);
 }
 
-export const json = async (path, options) => (await ask(path, options)).json();
-export const bytesOf = async (path, options) => new Uint8Array(await (await ask(path, options)).arrayBuffer());
+const whole = (body) => body.catch(() => {
+  throw new Refusal(503, "The service cannot be reached.");
+});
+export const json = async (path, options) => whole((await ask(path, options)).json());
+export const bytesOf = async (path, options) => new Uint8Array(await whole((await ask(path, options)).arrayBuffer()));
 export const hasKey = () => $("key").value.trim() !== "";
 
 export const jobPath = (id) => `jobs/${id}`;
@@ -46,7 +49,7 @@ export const jobPath = (id) => `jobs/${id}`;
 /** The fields of a budget, beside its value, that the service would not choose by itself; timeLimit: in seconds. */
 export function choices({ kind, tune, effort, timeLimit }) {
   const fields = [];
-  if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]); // a budget in dB goes with one alone
+  if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]);
   if ((effort ?? USUAL.effort) !== USUAL.effort) fields.push(["effort", effort]);
   if (timeLimit) fields.push(["time_limit_s", timeLimit]);
   return fields;

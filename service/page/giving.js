@@ -1,4 +1,4 @@
-// How pictures come in: picked, dropped anywhere, pasted; and within what budget they are encoded.
+// How pictures come in, and within what budget they are encoded.
 
 import { local, remembered, session } from "./keeping.js";
 import { $ } from "./parts.js";
@@ -8,7 +8,7 @@ const AIMS = { bytes: ["Bytes", 20000], psnr: ["dB", 32] };
 
 /** Call `given` with the files, however they come. */
 export function listen(given) {
-  $("choose").addEventListener("click", () => $("file").click()); // a label would scroll to the field
+  $("choose").addEventListener("click", () => $("file").click());
   $("file").addEventListener("change", () => {
     given([...$("file").files]);
     $("file").value = ""; // so that the same file can be picked again

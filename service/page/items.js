@@ -1,4 +1,4 @@
-// The pictures on the page: each is a sample, a file that was opened, or a job of the service.
+// The pictures on the page: samples, files that were opened, jobs of the service.
 
 import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
 import { keep, kept } from "./keeping.js";
@@ -45,7 +45,7 @@ export class Item {
   constructor(name, changed) {
     Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
-    this.size = this.opened = this.soFar = null; // soFar: { image, bytes } of what a running job has
+    this.size = this.opened = this.soFar = null; // soFar: { tag, image, bytes }
   }
 
   tell(change = {}) {
@@ -217,7 +217,7 @@ export class Item {
     this.stopping = true;
     this.tell({ words: "Finishing early" });
     await ask(`${jobPath(this.id)}/stop`, { method: "POST" }).catch((error) => {
-      if (error.status !== 409) this.stopping = false; // it may have just been done, or begun anew
+      if (error.status !== 409) this.stopping = false;
     });
   }
 
@@ -237,5 +237,6 @@ export class Item {
     if (this.file) decoder.ask("close", { key: this.file.key });
     const shown = [this.original, this.decoded, this.smooth, this.soFar?.image];
     for (const image of [...shown, ...Object.values(this.rivals ?? {}).map((rival) => rival.image)]) image?.close();
+    this.original = this.decoded = null;
   }
 }

@@ -1,4 +1,4 @@
-// What a reload finds again: originals of jobs and opened files in the browser's own database, the budget and the key.
+// What a reload finds again: originals and opened files in the browser's database, the budget and the key.
 
 const MOST = 12;
 const NAME = "sgmethod";
@@ -38,7 +38,7 @@ export async function kept(id) {
   }
 }
 
-/** The browser's storages. Where site data are blocked, reaching one throws or gives null; an object replaces it. */
+/** The browser's storages; plain objects where site data are blocked. */
 export const [local, session] = ["localStorage", "sessionStorage"].map((name) => {
   try {
     return window[name] ?? {};

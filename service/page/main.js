@@ -183,7 +183,7 @@ async function again() {
   item.state = "sending"; // once
   show(item);
   await item.setOriginal(source);
-  item.encode(budget());
+  if (item.busy) item.encode(budget());
 }
 
 /** What the address names. */

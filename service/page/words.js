@@ -28,7 +28,7 @@ export function expected(bytes) {
   return `about ${count(gaussians)} Gaussians${gaussians < 50 ? ", too few for more than a rough idea of it" : ""}`;
 }
 
-/** How close a file has come, by its SSIM. Bounds from photographs, thumbnails and text at 0.05 to 2 bits per pixel. */
+/** How close a file has come, by its SSIM. Bounds from 0.05 to 2 bits per pixel. */
 export function closeness(ssim) {
   if (ssim < 0.72) return "a rough idea of the original";
   return ssim < 0.97 ? "fine detail is lost" : "hardly different from the original";

@@ -30,7 +30,7 @@ class ByteLimit(RateControl):
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """Several times the expected number: some take few bits."""
-        return min(self.pixels, int(settings.densify.most * self.expected_gaussians()))
+        return min(super().most_gaussians(settings, times, at), int(settings.densify.most * self.expected_gaussians()))
 
     def payload_limit(self, empty: StreamV2) -> int:
         return max(self.max_bytes - empty.file_bytes, 0)

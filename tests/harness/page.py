@@ -80,7 +80,10 @@ class Page(ABC):
 
     def says(self, words: str, where: str = "#status") -> None:
         """Wait until an element says so."""
-        wait_until(lambda: words in self.text(where))
+        try:
+            wait_until(lambda: words in self.text(where))
+        except AssertionError:
+            raise AssertionError(f"{where} says {self.text(where)!r}, and not {words!r}") from None
 
     def give(self, kind: str, data: bytes, name: str) -> None:
         """Drop a file onto the window, or paste it."""

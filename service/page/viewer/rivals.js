@@ -27,8 +27,11 @@ async function measureNow(item, told) {
   const { width, height } = item.decoded;
   if (item.original.width !== width || item.original.height !== height) return;
   const bytes = item.sg.length;
-  await worker.ask("original", { image: item.original });
-  item.measured = await worker.ask("measure", { image: item.decoded });
+  // both at once, as an item that is removed closes them
+  [, item.measured] = await Promise.all([
+    worker.ask("original", { image: item.original }),
+    worker.ask("measure", { image: item.decoded }),
+  ]);
   told();
   for (const [name, type, suffix] of CODECS) {
     const rival = await worker

@@ -1,4 +1,4 @@
-// The large picture: two pictures on one canvas with a divider between them, moved and zoomed together.
+// Two pictures on one canvas with a divider between them, moved and zoomed together.
 
 import { latest } from "../parts.js";
 
