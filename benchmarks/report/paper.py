@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks import published
 from benchmarks.ablation import report as ablation
+from benchmarks.machine import threads_of
 from benchmarks.published import quoted_values
 from benchmarks.rd.report import against_quoted, means
 from benchmarks.report.plots import style
@@ -113,7 +114,7 @@ def compression(contents: Mapping[str, Content]) -> list[str]:
             lines.append([f"{row['method']} ({GPU})", "DIV2K x2", *map(number, figures, RATE_FORMS)])
     for name, codec, asked in (("rd/paper", "paper", None), ("rd/kodak", "rd", (0.15, 0.4))):
         own = [row for row in contents[name]["rows"] if row["codec"] == codec]
-        cores = "one CPU core" if contents[name]["command"].startswith("SG_THREADS=1 ") else CPU
+        cores = "one CPU core" if threads_of(contents[name]) == 1 else CPU
         for most in asked or sorted({row["max_bpp"] for row in own}):
             at = [row for row in own if row["max_bpp"] == most]
             bpp, psnr, ms_ssim, seconds, ms = (mean([row[key] for row in at]) for key in RATE_KEYS)

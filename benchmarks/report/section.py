@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.machine import threads_of
 from benchmarks.tables import MISSING, mean, number, table
 
 __all__ = ["MISSING", "Content", "Draw", "Page", "load", "mean", "number", "percent", "seconds", "several", "table"]
@@ -68,7 +69,7 @@ class Page:
         """One line: rows as CSV and JSON, and when and on what they were measured."""
         files = [
             f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json)"
-            f"{', by one thread' if content['command'].startswith('SG_THREADS=1 ') else ''})"
+            f"{', by one thread' if threads_of(content) == 1 else ''})"
             for name, content in self.contents.items()
         ]
         where = self.contents.values()

@@ -103,13 +103,13 @@ def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
     """A table of seconds along the axis, and of the power with which they grow."""
     found = dict(means(rows, settings, axis))
     every = sorted({at for points in found.values() for at, *_ in points})
+    last = [row for row in rows if row[axis] == every[-1] and row[AXES[axis]] == settings[AXES[axis]]]
     lines = []
     for name, points in found.items():
         seconds = {at: taken for at, taken, _ in points}
         power = exponent([*seconds], [*seconds.values()])
         db = mean([level for at, _, level in points if at == every[-1]])
         cells = [f"{seconds[at]:.2f}" if at in seconds else MISSING for at in every]
-        last = [row for row in rows if row[axis] == every[-1] and row[AXES[axis]] == settings[AXES[axis]]]
         size = mean([row["bytes"] for row in last if name_of(row) == name])
         above = f" ({size:,.0f} bytes)" if size is not None and size > last[0]["max_bytes"] else ""
         lines.append([name, *cells, number(power, ".2f"), number(db, ".2f") + above])

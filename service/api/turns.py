@@ -138,7 +138,8 @@ class Streams:
             yield
         finally:
             self._open[client] -= 1
-            self._open += Counter()  # without those who have none
+            if not self._open[client]:
+                del self._open[client]
 
 
 class ClientTasks:

@@ -18,12 +18,14 @@ const WORDS = {
   503: "The service is overloaded. Please try again in a moment.",
 };
 
+const outOfReach = () => {
+  throw new Refusal(503, "The service cannot be reached.");
+};
+
 export async function ask(path, options = {}) {
   const key = $("key").value.trim();
   if (key) options = { ...options, headers: { ...options.headers, Authorization: `Bearer ${key}` } };
-  const response = await fetch(new URL(path, location), options).catch(() => {
-    throw new Refusal(503, "The service cannot be reached.");
-  });
+  const response = await fetch(new URL(path, location), options).catch(outOfReach);
   if (response.ok) return response;
   if (response.status === 401) {
     $("key-field").hidden = false;
@@ -37,11 +39,9 @@ export async function ask(path, options = {}) {
   throw new Refusal(response.status, words ? words + said : detail);
 }
 
-const whole = (body) => body.catch(() => {
-  throw new Refusal(503, "The service cannot be reached.");
-});
-export const json = async (path, options) => whole((await ask(path, options)).json());
-export const bytesOf = async (path, options) => new Uint8Array(await whole((await ask(path, options)).arrayBuffer()));
+export const json = async (path, options) => (await ask(path, options)).json().catch(outOfReach);
+export const bytesOf = async (path, options) =>
+  new Uint8Array(await (await ask(path, options)).arrayBuffer().catch(outOfReach));
 export const hasKey = () => $("key").value.trim() !== "";
 
 export const jobPath = (id) => `jobs/${id}`;

@@ -57,7 +57,7 @@ function refresh(item) {
   }
   tools.refresh(file);
   if (isNew && decoded) {
-    if (isNewlyDecoded) offerWidths(item.size); // a width may have been typed since
+    if (isNewlyDecoded) offerWidths(item.size); // once: a width may be typed since
     fillLines(item);
     if (original && !item.isMeasured) measure(item, () => changed(item));
     item.isMeasured = Boolean(original);
@@ -86,7 +86,7 @@ function refresh(item) {
 
 /** The address names the picture, for a reload and for going back. */
 function enter(item) {
-  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere
+  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere is followed
   if (address !== item.place) {
     history[!entered || entered === item ? "replaceState" : "pushState"](null, "", `#${item.place}`);
     address = item.place;
@@ -152,7 +152,7 @@ async function give(files) {
       trouble(refusals.join(" "));
       continue;
     }
-    // A sample makes room.
+    // A sample makes room, which nobody gave.
     const first = items.findIndex((item) => item.sample);
     const gone = first >= 0 ? items.splice(first, 1)[0] : null;
     const item = added(file.name || "pasted.png");
@@ -180,7 +180,7 @@ async function again() {
   const item = added(current.name);
   const { source, format } = current;
   item.format = format;
-  item.state = "sending"; // once
+  item.state = "sending"; // before a second click
   show(item);
   await item.setOriginal(source);
   if (item.busy) item.encode(budget());

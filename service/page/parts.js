@@ -50,7 +50,7 @@ export class Remote {
       else done(value);
     });
     this.#worker.addEventListener("error", ({ message }) => {
-      if (message) return;
+      if (message) return; // it has started
       for (const { failed } of this.#calls.values()) failed(new Error("A part of this page is missing."));
       this.#calls.clear();
       this.#worker = null;

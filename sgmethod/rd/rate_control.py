@@ -213,7 +213,7 @@ class GaussianCount(RateControl):
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """The limit, and a surplus early."""
-        return min(self.pixels, MOST_GAUSSIANS, int(self.max_gaussians * excess(times, at)))
+        return min(super().most_gaussians(settings, times, at), int(self.max_gaussians * excess(times, at)))
 
     def merit(self, coded: Coded) -> tuple[float, float]:
         return -coded.error, -coded.size
