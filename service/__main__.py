@@ -1,4 +1,4 @@
-"""The command line: python -m service serve | web | worker | check | sweep."""
+"""The command line: python -m service serve | web | worker | alive | check | sweep."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import sys
+import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 
@@ -22,12 +23,14 @@ from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
 from service.settings import LONGEST_KEPT_S, Settings, unknown_settings
+from service.storage.files import UNFINISHED
 from service.worker.sweeping import ORPHAN_AGE_S, sweep
 from sgmethod.errors import SgError
 
 BAD_SETTING = 2
 TROUBLE = 1
 INTERRUPTED = 128 + signal.SIGINT
+SILENT_S = 15.0  # after which a worker, which reports every 2 s, counts as dead
 
 
 def main() -> int:
@@ -77,9 +80,10 @@ def _parser() -> argparse.ArgumentParser:
     serve = commands.add_parser("serve", help="run the web process and workers, and restart any that die")
     web = commands.add_parser("web", help="run only the web process")
     worker = commands.add_parser("worker", help="run a single worker")
+    alive = commands.add_parser("alive", help="exit with status 0 if a worker of this host, or container, is alive")
     check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
     sweep = commands.add_parser("sweep", help="delete orphaned files, and jobs older than SG_RETENTION_S")
-    runs = ((serve, _serve), (web, _web), (worker, _worker), (check, _check), (sweep, _sweep))
+    runs = (serve, _serve), (web, _web), (worker, _worker), (alive, _alive), (check, _check), (sweep, _sweep)
     for command, run in runs:
         command.set_defaults(run=run)
     sweep.add_argument("--dry-run", action="store_true", help="report how many would be deleted, and delete nothing")
@@ -127,6 +131,8 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     given = arguments.socket
     with _sandbox(settings, arguments) as requests:
         listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
+        if not settings.storage_url:  # uploads on their way lie where they will be stored: /tmp may be small
+            tempfile.tempdir = str(settings.data_dir.resolve() / UNFINISHED)
         run_web(settings, Sandbox(requests), absent, listen)
 
 
@@ -139,6 +145,16 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
         table = open_job_table(settings)
         Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()
         table.close()
+
+
+def _alive(settings: Settings, _arguments: argparse.Namespace) -> int:
+    table, host = open_job_table(settings), f"{socket.gethostname()}:"
+    silent_s = [seconds for name, seconds in table.census().workers.items() if name.startswith(host)]
+    table.close()
+    if min(silent_s, default=SILENT_S) < SILENT_S:
+        return 0
+    print(f"no worker of {socket.gethostname()} has reported in the last {SILENT_S:g} s", file=sys.stderr)
+    return TROUBLE
 
 
 def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractContextManager[socket.socket]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,7 +20,7 @@ from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key
 from tests.harness.data import ROOT
-from tests.harness.job_table import IMAGE, submitted
+from tests.harness.job_table import IMAGE, change, submitted
 from tests.harness.pictures import SMALL
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import Outcome, run
@@ -96,6 +98,26 @@ def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
             run_command("sweep", f"--orphan-age-s={age}", data_dir=settings.data_dir)
 
 
+def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
+    """Containers ask whether their own one is; those of other containers do not count."""
+    settings: dict[str, Any] = {"data_dir": tmp_path, "database_url": database_url}
+    table = open_job_table(Settings(**settings))
+
+    def status() -> int:
+        result = run_command("alive", **settings)
+        assert ("no worker of" in result.stderr) == (result.status != 0)
+        return result.status
+
+    ours, others = f"{socket.gethostname()}:17", f"{socket.gethostname()}0:17"
+    table.sign(others)
+    assert status() == 1
+    table.sign(ours)
+    assert status() == 0
+    change(table, "UPDATE workers SET seen_at = seen_at - 20 WHERE name = ?", ours)
+    assert status() == 1
+    table.close()
+
+
 def test_a_check_that_nobody_reads_to_its_end(tmp_path: Path) -> None:
     """As `python -m service check | head -1` does it."""
     command = [sys.executable, "-m", "service", "check"]
@@ -113,7 +135,7 @@ def test_a_check_that_nobody_reads_to_its_end(tmp_path: Path) -> None:
 def test_a_database_out_of_reach_is_one_clear_line(
     run_command: RunCommand, tmp_path: Path, postgres: PostgresServer
 ) -> None:
-    for command in ("serve", "web", "worker", "sweep"):
+    for command in ("serve", "web", "worker", "alive", "sweep"):
         result = run_command(command, data_dir=tmp_path, database_url=postgres.url("there_is_none"), port=0)
         assert (result.status, result.stdout) == (1, "")  # and nobody is told of an address where nothing answers
         (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -10,7 +14,8 @@ import pytest
 
 from tests.harness.data import JAVASCRIPT, PICTURE, STATIC
 from tests.harness.pictures import SMALL, png
-from tests.harness.service import SMALL_QUEUE, Service, assert_problem
+from tests.harness.processes import wait_until
+from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
 
@@ -185,6 +190,22 @@ def test_image_larger_than_the_limit(web: Service) -> None:
     assert fits.status_code == 202
     assert assert_problem(large, 413)["max_bytes"] == 200_000
     assert_problem(web.post(SMALL.ljust(200_000, b"\0")), 413)
+
+
+def test_uploads_on_their_way_lie_in_the_data_folder(start_service: StartService) -> None:
+    """A container's /tmp is small."""
+    web = start_service("web")
+    size, kind = 2 << 20, "Content-Type: image/png"
+    with socket.create_connection((web.client.base_url.host, web.client.base_url.port)) as connection:
+        head = f"POST /encode HTTP/1.1\r\nHost: localhost\r\n{kind}\r\nContent-Length: {size}\r\n\r\n"
+        connection.sendall(head.encode() + bytes(size - 1))
+
+        def folders() -> set[Path]:
+            files = Path(f"/proc/{web.process.pid}/fd").iterdir()
+            return {Path(os.readlink(file)).parent for file in files if file.is_symlink()}
+
+        wait_until(lambda: web.data_dir / "unfinished" in folders())
+        assert Path(tempfile.gettempdir()) not in folders()
 
 
 def test_one_key_makes_one_job(web: Service) -> None:
