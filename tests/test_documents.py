@@ -63,6 +63,15 @@ def test_curl_in_the_readmes_fails_when_the_service_does() -> None:
             assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
 
 
+def test_nginx_in_containers_asks_the_web_container() -> None:
+    """And looks its name up again, as its address changes: .ci/containers tries it."""
+    compose, text = (ROOT / "docs" / name for name in ("compose.public.yaml", "nginx.conf"))
+    (change,) = re.findall(r"sed '(s/.*/)' ", compose.read_text())
+    changed = subprocess.run(["sed", change, text], capture_output=True, text=True, check=True).stdout
+    servers = re.findall(r"^    (\w[^#\n]*\bserver [^;]*;)", changed, re.MULTILINE)
+    assert servers == ["zone sgmethod 64k; resolver 127.0.0.11 valid=2s; server web:8000 resolve max_fails=0;"]
+
+
 def test_the_notebooks_index_has_every_question_and_its_verdict() -> None:
     themes = set(NOTEBOOK.glob("*.md")) - {NOTEBOOK / "README.md"}
     questions = [(question, path.name) for path in themes for question in re.findall(r"^## (.*)", prose(path), re.M)]

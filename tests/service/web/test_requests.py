@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -202,7 +201,7 @@ def test_uploads_on_their_way_lie_in_the_data_folder(start_service: StartService
 
         def folders() -> set[Path]:
             files = Path(f"/proc/{web.process.pid}/fd").iterdir()
-            return {Path(os.readlink(file)).parent for file in files if file.is_symlink()}
+            return {file.readlink().parent for file in files if file.is_symlink()}
 
         wait_until(lambda: web.data_dir / "unfinished" in folders())
         assert Path(tempfile.gettempdir()) not in folders()
