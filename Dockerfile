@@ -48,7 +48,7 @@ WORKDIR /data
 VOLUME /data
 EXPOSE 8000
 # Never through HTTP_PROXY.
-HEALTHCHECK --interval=5s --timeout=5s --start-period=20s --retries=3 \
+HEALTHCHECK --interval=10s --timeout=5s --start-period=20s --retries=3 \
     CMD ["python", "-c", "import os, urllib.request as r; r.build_opener(r.ProxyHandler({})).open('http://127.0.0.1:' + os.environ['SG_PORT'] + '/livez', timeout=4)"]
 # Web process and workers in one container; "web" or "worker" in place of "serve" runs one of them alone.
 ENTRYPOINT ["python", "-m", "service"]
