@@ -13,7 +13,6 @@ from email.utils import formatdate
 from typing import Annotated, Any, BinaryIO
 from urllib.parse import quote
 
-from anyio import to_thread
 from fastapi import Query, Request, Response
 from pydantic import Field
 
@@ -95,7 +94,7 @@ async def picture(
     headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
 
     async def made() -> bytes:
-        with await to_thread.run_sync(_open_bitstream, context, job, result) as file:
+        with await context.store(_open_bitstream, context, job, result) as file:
             try:
                 return await context.tasks.draw(request.state.caller.client, file, query, kind)
             except RefusedError as error:
@@ -159,7 +158,7 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
     }
     if (answer := not_modified(request, headers)) is not None:
         return answer
-    data = await to_thread.run_sync(_bitstream, context, job, result)
+    data = await context.store(_bitstream, context, job, result)
     return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
 
 
@@ -170,7 +169,7 @@ async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -
     headers = {"Cache-Control": "private, no-cache"}
     key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
     try:
-        data = await to_thread.run_sync(context.storage.get, key)
+        data = await context.store(context.storage.get, key)
     except FileNotFoundError:
         return Response(status_code=204, headers=headers)
     headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
@@ -205,7 +204,7 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
     headers = {"ETag": f'"{job.id}-rival.{kind}"', **_kept(job, context)}
 
     async def made() -> bytes:
-        with await to_thread.run_sync(open_image, context, job) as image:
+        with await context.store(open_image, context, job) as image:
             return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
 
     return await _remembered(request, context, headers, kind, made)
