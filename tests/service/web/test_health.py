@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
 import signal
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import httpx
 import pytest
 
+from service.api.context import WORK_THREADS
 from tests.harness.data import PICTURE
 from tests.harness.job_table import grow_older
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import STAND_IN, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
@@ -63,6 +68,22 @@ def test_a_storage_and_a_job_table_out_of_reach(start_service: StartService) -> 
     assert_problem(web.client.get("/readyz"), 503, "job table")
     assert web.client.get("/livez").status_code == 200
     assert web.figures()["sgmethod_job_table_up"] == 0
+
+
+def test_nothing_waits_behind_requests_that_wait_for_a_lock(start_service: StartService) -> None:
+    web = start_service("web")
+    jobs = [web.accepted() for _ in range(WORK_THREADS + 10)]
+    lock = sqlite3.connect(web.data_dir / "jobs.sqlite3", isolation_level=None)
+    with contextlib.closing(lock), ThreadPoolExecutor(len(jobs)) as pool:
+        lock.execute("BEGIN IMMEDIATE")
+        deletions = [pool.submit(web.client.delete, f"/jobs/{job}") for job in jobs]
+        threads = Path("/proc", str(web.process.pid), "task")
+        wait_until(lambda: len(list(threads.iterdir())) > WORK_THREADS)  # all that there are for this
+        for path in ("/livez", "/readyz", "/", "/static/main.js", "/jobs", f"/jobs/{jobs[-1]}", "/metrics"):
+            assert httpx.get(web.url + path, timeout=PATIENCE_S).status_code == 200
+            assert not any(deletion.done() for deletion in deletions)
+        lock.execute("ROLLBACK")
+        assert {deletion.result().status_code for deletion in deletions} == {204}
 
 
 def test_workers_are_known_by_name(start_service: StartService) -> None:
