@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -244,6 +245,12 @@ def keys_of(*owners: str) -> str:
 def bearer(key: str) -> dict[str, str]:
     """The header that shows a key."""
     return {"Authorization": f"Bearer {key}"}
+
+
+def max_age(answer: httpx.Response) -> int:
+    """For how many seconds a client may cache an answer."""
+    assert answer.status_code == 200, answer.text
+    return int(re.findall(r"max-age=(\d+)", answer.headers["cache-control"])[0])
 
 
 def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
