@@ -48,6 +48,7 @@ def _settings(settings: Settings) -> str:
 
 def _database(settings: Settings) -> str:
     table = open_job_table(settings)
+    table.check_writable()
     jobs = table.census().jobs
     table.close()
     kind = "PostgreSQL" if settings.uses_postgres else f"SQLite, {settings.database_path}"

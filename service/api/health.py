@@ -32,7 +32,7 @@ async def ready(context: UseContext) -> models.HealthView:
     """200 if jobs are accepted and processed: the job table and storage respond, and workers take jobs."""
     census = await _census(context)
     if census is None:
-        raise ProblemError(503, "the job table is not responding", reason="table")
+        raise ProblemError(503, "the job table is not responding, or takes no changes", reason="table")
     free_bytes = await _free_bytes(context)
     if free_bytes < context.settings.min_free_bytes:
         raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
@@ -55,9 +55,13 @@ async def metrics(context: UseContext) -> Response:
 
 
 async def _census(context: Context) -> Census | None:
+    def ask() -> Census:
+        context.table.check_writable()
+        return context.table.census()
+
     try:
         with fail_after(PATIENCE_S):
-            return await to_thread.run_sync(context.table.census, limiter=context.watching, abandon_on_cancel=True)
+            return await to_thread.run_sync(ask, limiter=context.watching, abandon_on_cancel=True)
     except (JobTableError, TimeoutError) as error:
         log.error("the job table is not responding: %r", error)
         return None

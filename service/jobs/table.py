@@ -85,6 +85,10 @@ class JobTable(ABC):
         """
 
     @abstractmethod
+    def check_writable(self) -> None:
+        """Raises JobTableError if the database can be read but not changed."""
+
+    @abstractmethod
     def close(self) -> None:
         """Let go of connections."""
 

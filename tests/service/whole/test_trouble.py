@@ -29,14 +29,18 @@ DISK_BYTES, ROOM_BYTES = 2**24, 2**21  # of the file system; of one upload, four
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 
 
+def mount(*options: str) -> None:
+    """Mount something, or skip the test."""
+    if subprocess.run(["mount", *options], capture_output=True, check=False).returncode:
+        pytest.skip("a file system cannot be mounted here, so its trouble was not tested: run the tests as root")
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of its own, with little room, where services keep their data."""
     folder = tmp_path / "data0"
     folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a file system cannot be mounted here, so full disks were not tested: run the tests as root")
+    mount("-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder))
     yield folder
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
@@ -95,6 +99,23 @@ def test_full_disk_in_words(small_disk: Path, start_service: StartService, run_c
     result = run_command("sweep", data_dir=small_disk)
     assert (result.status, result.stdout) == (1, "")
     assert "disk is full" in result.stderr
+
+
+def test_a_disk_that_becomes_read_only(start_service: StartService) -> None:
+    """As after an error of the disk. What can only be read is not ready."""
+    web = start_service("web")
+    done = web.published(PICTURE)
+    mount("--bind", str(web.data_dir), str(web.data_dir))
+    try:
+        mount("-o", "remount,bind,ro", str(web.data_dir))
+        assert_problem(web.post(), 503)
+        assert_problem(web.client.get("/readyz"), 503, "takes no changes")
+        assert web.figures()["sgmethod_job_table_up"] == 0
+        assert web.client.get(f"/decode/{done}.png").status_code == 200
+    finally:
+        subprocess.run(["umount", "--lazy", str(web.data_dir)], check=True)
+    assert web.client.get("/readyz").status_code == 200
+    web.accepted()
 
 
 def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgres: PostgresServer) -> None:
