@@ -113,7 +113,7 @@ class SqliteJobTable(JobTable):
     def check_writable(self) -> None:
         self._follow_file()
         try:
-            # A new one: the idle ones were opened before the disk became read-only. BEGIN IMMEDIATE succeeds even there.
+            # A new one: the idle ones are from before the disk became read-only. BEGIN IMMEDIATE succeeds even there.
             with closing(self._connect(0.0)) as db:
                 db.execute("DELETE FROM workers WHERE 0")
         except sqlite3.Error as error:
