@@ -29,7 +29,9 @@ async def live() -> models.HealthView:
 
 
 async def ready(context: UseContext) -> models.HealthView:
-    """200 if jobs are accepted and processed: the job table and storage respond, and workers take jobs."""
+    """200 if jobs are accepted and processed: the job table and storage respond, the sandbox does tasks, and workers
+    take jobs.
+    """
     census = await _census(context)
     if census is None:
         raise ProblemError(503, "the job table is not responding, or takes no changes", reason="table")
@@ -41,6 +43,9 @@ async def ready(context: UseContext) -> models.HealthView:
         if stalled_s > STALLED_LEASES * context.settings.lease_s:
             detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
+    if trouble := await context.tasks.trouble(PATIENCE_S):
+        log.error("the sandbox does no tasks: %s", trouble)
+        raise ProblemError(503, "the sandbox does no tasks, without which no image is read", reason="sandbox")
     return models.HealthView(status="ok", version=VERSION)
 
 

@@ -26,6 +26,7 @@ FORMAT_BYTES = 256  # of a file, which tell its format
 HEADERS_AT_ONCE, MOST_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
+KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # for which a trial is not repeated: anybody may ask for one
 
 
 class Turns:
@@ -153,6 +154,8 @@ class ClientTasks:
         self._metrics = metrics
         self._headers = Turns(HEADERS_AT_ONCE, MOST_WAITING_HEADERS)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
+        self._trying = asyncio.Lock()
+        self._next_trial, self._trouble = 0.0, ""
         self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
             "memory_bytes": settings.job_memory_bytes // 4,
             "cpu_s": settings.decode_time_s,
@@ -205,6 +208,23 @@ class ClientTasks:
         except TaskError as error:
             raise ProblemError(422, f"the image cannot be read: {error}") from error
 
+    async def trouble(self, patience_s: float) -> str:
+        """Why the sandbox does no tasks; empty if it has done one within the last seconds, or now."""
+        async with self._trying:
+            if time.monotonic() >= self._next_trial:
+                try:
+                    await self._sandbox.try_out(patience_s)
+                    self._worked()
+                except (OSError, TaskError) as error:
+                    self._trouble = str(error)
+                    self._next_trial = time.monotonic() + KNOWN_BAD_S
+            return self._trouble
+
+    def _worked(self) -> None:
+        self._trouble, self._next_trial = "", time.monotonic() + KNOWN_GOOD_S
+
     async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result:
         async with turns.turn(client):
-            return await self._sandbox.ask(task, file)
+            result = await self._sandbox.ask(task, file)
+        self._worked()
+        return result

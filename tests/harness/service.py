@@ -72,6 +72,10 @@ class ServiceProcess:
         self.url = words[3].rstrip(",")
         self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
 
+    def wait_ready(self) -> None:
+        """Wait until it can do all that it is for, the sandbox too."""
+        wait_until(lambda: self.client.get("/readyz").status_code == 200)
+
     def family(self) -> dict[int, Process]:
         """All its processes that are alive, by number."""
         alive = processes()

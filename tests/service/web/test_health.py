@@ -27,6 +27,7 @@ STALL_S = 1000  # which no test waits for
 
 def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> None:
     web = start_service("web", lease_s=1)
+    web.wait_ready()
     assert web.client.get("/readyz").status_code == web.client.head("/readyz").status_code == 200
     job_id = web.accepted()
     problem = wait_until(lambda: (answer := web.client.get("/readyz")).status_code == 503 and answer)
@@ -70,8 +71,21 @@ def test_a_storage_and_a_job_table_out_of_reach(start_service: StartService) -> 
     assert web.figures()["sgmethod_job_table_up"] == 0
 
 
+def test_a_sandbox_that_does_no_tasks(start_service: StartService) -> None:
+    service = start_service(lease_s=STALL_S, extra=STAND_IN)
+    service.wait_ready()
+    sandbox = service.ours("sandbox")[0]  # the others are its forks
+    os.kill(sandbox, signal.SIGSTOP)
+    wait_until(lambda: service.client.get("/readyz").status_code == 503)
+    assert_problem(service.client.get("/readyz"), 503, "sandbox")
+    assert service.client.get("/livez").status_code == 200
+    os.kill(sandbox, signal.SIGCONT)
+    service.wait_ready()
+
+
 def test_nothing_waits_behind_requests_that_wait_for_a_lock(start_service: StartService) -> None:
     web = start_service("web")
+    web.wait_ready()
     jobs = [web.accepted() for _ in range(WORK_THREADS + 10)]
     lock = sqlite3.connect(web.data_dir / "jobs.sqlite3", isolation_level=None)
     with contextlib.closing(lock), ThreadPoolExecutor(len(jobs)) as pool:

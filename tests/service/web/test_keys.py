@@ -27,7 +27,9 @@ KEYS = f"ann:{digest(ANN)},bob:{digest(BOB)}"
 @pytest.fixture(scope="module")
 def guarded(start_for_module: StartService, new_table: Callable[[], str]) -> Service:
     """A web process that knows ann and bob."""
-    return start_for_module("web", api_keys=KEYS, link_secret=SECRET, database_url=new_table())
+    service = start_for_module("web", api_keys=KEYS, link_secret=SECRET, database_url=new_table())
+    service.wait_ready()
+    return service
 
 
 @pytest.fixture
@@ -232,7 +234,9 @@ SITES = [  # Host, Origin, the answers to a GET and to a POST
 @pytest.fixture(scope="module")
 def named(start_for_module: StartService) -> Service:
     """A web process without keys, which has a name and a friend."""
-    return start_for_module("web", host_names="Pictures.example", cors_origins="https://friend.example")
+    service = start_for_module("web", host_names="Pictures.example", cors_origins="https://friend.example")
+    service.wait_ready()
+    return service
 
 
 @pytest.mark.parametrize(("host", "origin", "get", "post"), SITES)
