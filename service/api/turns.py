@@ -26,6 +26,7 @@ FORMAT_BYTES = 256  # of a file, which tell its format
 HEADERS_AT_ONCE, MOST_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
+WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases before it tells a size; it touches neither
 KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # for which a trial is not repeated: anybody may ask for one
 
 
@@ -165,8 +166,10 @@ class ClientTasks:
     async def read_header(self, client: str, image: UploadFile) -> SourceImage:
         """What an image's header says; no pixel is decoded."""
         size_bytes = image.size or 0
-        limits = {**self._limits, "memory_bytes": HEADER_MEMORY_BYTES + size_bytes, "cpu_s": HEADER_CPU_S}
-        header: HeaderFigures = await self._figures(self._headers, client, image, ReadHeader(**limits))
+        pixels = self._limits["max_pixels"]
+        memory_bytes = HEADER_MEMORY_BYTES + size_bytes + WEBP_BYTES_PER_PIXEL * pixels
+        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels)
+        header: HeaderFigures = await self._figures(self._headers, client, image, task)
         return SourceImage(header.format, header.width, header.height, size_bytes)
 
     async def draw(
