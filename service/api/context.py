@@ -35,9 +35,10 @@ class Context:
     """The pieces of the running service.
 
     tasks: what the sandbox does for clients; accepting: turns in which an upload is held in memory, which bounds what
-    all of them take together; streams: of events, and waits; stopping: whether the service is to stop; watching,
-    reading, writing, storing: threads of probes, of the job table and of the storage. Each kind has its own, so that
-    what waits for a lock or a silent bucket holds up nothing else.
+    all of them take together; streams: of events, and waits; stopping: whether the service is to stop.
+
+    reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: those of
+    probes. Each kind has its own, so that what waits for a lock or a silent bucket holds up nothing else.
     """
 
     settings: Settings
@@ -50,7 +51,8 @@ class Context:
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics
-    watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+    watching_table: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+    watching_storage: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
     reading: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
     writing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
     storing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))

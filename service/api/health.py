@@ -66,7 +66,7 @@ async def _census(context: Context) -> Census | None:
 
     try:
         with fail_after(PATIENCE_S):
-            return await to_thread.run_sync(ask, limiter=context.watching, abandon_on_cancel=True)
+            return await to_thread.run_sync(ask, limiter=context.watching_table, abandon_on_cancel=True)
     except (JobTableError, TimeoutError) as error:
         log.error("the job table is not responding: %r", error)
         return None
@@ -81,7 +81,7 @@ async def _free_bytes(context: Context) -> float:
 
     try:
         with fail_after(PATIENCE_S):
-            free_bytes = await to_thread.run_sync(ask, limiter=context.watching, abandon_on_cancel=True)
+            free_bytes = await to_thread.run_sync(ask, limiter=context.watching_storage, abandon_on_cancel=True)
     except (OSError, TimeoutError) as error:
         log.error("the storage is not responding: %r", error)
         raise ProblemError(503, "the storage is not responding", reason="storage") from error

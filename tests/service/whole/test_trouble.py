@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -14,6 +15,7 @@ import psycopg
 import pytest
 from PIL import Image
 
+from service.api.context import PROBE_THREADS, WORK_THREADS
 from service.storage.bucket import SILENCE, SMALL_BYTES
 from tests.harness.data import PICTURE, ROOT
 from tests.harness.job_table import grow_older
@@ -220,6 +222,23 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
         assert_problem(answer, 503, "right now")
         assert answer.headers["retry-after"]
     assert service.client.get(done["status_url"]).status_code == 200
+
+
+def test_nothing_waits_behind_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
+    """Though more requests wait for it, probes among them, than there are threads for that."""
+    settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}
+    service = start_service(**settings, extra={**own_s3.environment, **STAND_IN})
+    done = service.wait(service.accepted())
+    own_s3.freeze()
+    with ThreadPoolExecutor(3 * WORK_THREADS) as pool:
+        paths = [done["bitstream_url"]] * 2 * WORK_THREADS + ["/readyz"] * 2 * PROBE_THREADS
+        waiting = [pool.submit(httpx.get, service.url + path, timeout=PATIENCE_S) for path in paths]
+        wait_until(lambda: any(each.done() for each in waiting))  # the probes lose patience first
+        for path in ("/livez", "/", "/static/main.js", "/jobs", done["status_url"]):
+            assert httpx.get(service.url + path, timeout=PATIENCE_S).status_code == 200
+        assert not all(each.done() for each in waiting)  # of which half wait for the others
+        assert service.figures()["sgmethod_job_table_up"] == 1
+        assert {each.result().status_code for each in waiting} == {503}
 
 
 def test_workers_that_share_only_a_database_and_a_bucket(
