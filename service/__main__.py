@@ -175,7 +175,7 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
     return TROUBLE if failures else 0
 
 
-def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
+def _sweep(settings: Settings, arguments: argparse.Namespace) -> int:
     table = open_job_table(settings)
     swept = sweep(
         table,
@@ -188,6 +188,8 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
     table.close()
     verb = "would remove" if arguments.dry_run else "removed"
     print(f"{verb} finished jobs: {swept.jobs}, files that no job needs: {swept.files}")
+    _warn([f"could not remove {swept.stuck} files; the lines above say why"] if swept.stuck else [])
+    return TROUBLE if swept.stuck else 0
 
 
 def _announce(settings: Settings) -> socket.socket:

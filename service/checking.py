@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import shutil
 import tempfile
@@ -11,16 +12,21 @@ from pathlib import Path
 
 from service.jobs.job import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
+from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, check_layers
 from service.settings import UPLOADS_OF_ROOM, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 
+SANDBOX_STARTS_S = 30.0  # at the latest
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 
 
 class CheckError(Exception):
     """One thing is not as it must be; one sentence."""
+
+
+TROUBLE = (CheckError, JobTableError, MissingPackagesError, SandboxError, TaskError, SgError, OSError, ImportError)
 
 
 def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
@@ -38,7 +44,7 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
     for name, run in checks.items():
         try:
             yield name, True, run(settings)
-        except (CheckError, JobTableError, MissingPackagesError, SandboxError, SgError, OSError, ImportError) as error:
+        except TROUBLE as error:
             yield name, False, str(error)
 
 
@@ -48,6 +54,7 @@ def _settings(settings: Settings) -> str:
 
 def _database(settings: Settings) -> str:
     table = open_job_table(settings)
+    table.check_writable()
     jobs = table.census().jobs
     table.close()
     kind = "PostgreSQL" if settings.uses_postgres else f"SQLite, {settings.database_path}"
@@ -84,5 +91,8 @@ def _kernels(_settings: Settings) -> str:
 
 
 def _sandbox(settings: Settings) -> str:
-    """A missing layer, as on older systems and in some containers, is a failure only where it is required."""
-    return "; ".join(check_layers(required=settings.require_sandbox)) or "every layer is there"
+    """Whether it does a task. A missing layer, as on older systems, is a failure only where it is required."""
+    layers = check_layers(required=settings.require_sandbox)  # before there is a second thread
+    with own_sandbox(settings.encode_threads) as requests:
+        asyncio.run(Sandbox(requests).try_out(SANDBOX_STARTS_S))
+    return "; ".join(layers) or "every layer is there"

@@ -32,14 +32,15 @@ _LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})(\.[a-z]{2,4})?")
 @dataclass(frozen=True)
 class Caller:
     """client: takes turns with others, the owner of a key or else an address; owner: whose key came with the
-    request; linked_job: the one job that a link lets its bearer read.
+    request; linked_job: the one job that a link lets its bearer read, until link_expires (seconds since 1970).
 
-    The latter two are None where the service has no keys, and everything is everyone's.
+    All but the client are None where the service has no keys, and everything is everyone's.
     """
 
     client: str
     owner: str | None = None
     linked_job: str | None = None
+    link_expires: int | None = None
 
 
 def address_of(peer: Sequence[object] | None) -> str:
@@ -116,9 +117,10 @@ class Gate:
 
     def _check_site(self, headers: Headers, method: str) -> None:
         """Raises ProblemError 421 or 403."""
-        host, origin = headers.get("host", ""), headers.get("origin")
-        name = _name_in(host)
-        if not {"*", name} & self._host_names and _address_in(name) is None:
+        host, origin = headers.get("host"), headers.get("origin")
+        name = _name_in(host or "")
+        # Plain probes speak HTTP/1.0 and name no host; browsers always do.
+        if host is not None and not {"*", name} & self._host_names and _address_in(name) is None:
             raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
         if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
             return
@@ -142,4 +144,4 @@ class Gate:
             raise ProblemError(401, "this link is not valid", headers=CHALLENGE)
         if link.expires < time.time():
             raise ProblemError(401, "this link has expired", headers=CHALLENGE)
-        return Caller(address, linked_job=link.job_id)
+        return Caller(address, linked_job=link.job_id, link_expires=link.expires)

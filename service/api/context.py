@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Request
@@ -25,6 +25,8 @@ from service.storage.files import Storage
 log = logging.getLogger(__name__)
 
 PROBE_THREADS = 4
+WORK_THREADS = 40  # of each kind
+T = TypeVar("T")
 JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
 
 
@@ -33,8 +35,10 @@ class Context:
     """The pieces of the running service.
 
     tasks: what the sandbox does for clients; accepting: turns in which an upload is held in memory, which bounds what
-    all of them take together; streams: of events, and waits; stopping: whether the service is to stop; watching:
-    threads of probes, which must not queue behind other work.
+    all of them take together; streams: of events, and waits; stopping: whether the service is to stop.
+
+    reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: those of
+    probes. Each kind has its own, so that what waits for a lock or a silent bucket holds up nothing else.
     """
 
     settings: Settings
@@ -47,7 +51,23 @@ class Context:
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics
-    watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+    watching_table: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+    watching_storage: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+    reading: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
+    writing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
+    storing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
+
+    async def read(self, ask: Callable[..., T], *values: object) -> T:
+        """What a call that reads the job table gives."""
+        return await to_thread.run_sync(ask, *values, limiter=self.reading)
+
+    async def write(self, change: Callable[..., T], *values: object) -> T:
+        """What a call that changes the job table gives."""
+        return await to_thread.run_sync(change, *values, limiter=self.writing)
+
+    async def store(self, ask: Callable[..., T], *values: object) -> T:
+        """What a call of the storage gives."""
+        return await to_thread.run_sync(ask, *values, limiter=self.storing)
 
     def discard(self, key: str) -> None:
         """Remove a file that no job needs. Where that fails it is left to the sweep: what was asked for is done."""
@@ -57,12 +77,13 @@ class Context:
             log.warning("%s cannot be removed yet: %s", key, error)
 
 
-def _context(request: Request) -> Context:
+# As plain functions, these would wait for one of the threads that files of the page are read in.
+async def _context(request: Request) -> Context:
     context: Context = request.app.state.context
     return context
 
 
-def _caller(request: Request) -> Caller:
+async def _caller(request: Request) -> Caller:
     caller: Caller = request.state.caller
     return caller
 
@@ -80,7 +101,7 @@ async def _known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> J
     """The job, if the caller may know of it; a foreign one looks the same as none."""
     if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
         raise no_such_job()
-    job = await to_thread.run_sync(context.table.get, job_id, caller.owner)
+    job = await context.read(context.table.get, job_id, caller.owner)
     if job is None:
         raise no_such_job()
     return job

@@ -8,7 +8,6 @@ import json
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from anyio import to_thread
 from fastapi import Depends, Request, Response
 from fastapi.responses import JSONResponse
 
@@ -74,14 +73,14 @@ async def encode(
     decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
     check_image_type(request)
-    await to_thread.run_sync(context.table.check_queue, caller.owner, key)  # before the body is read
+    await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
         options = read_options(fields)
         header = await context.tasks.read_header(caller.client, file)
         async with context.accepting.turn(caller.client):
             await file.seek(0)
             image = await file.read()
-            job = await to_thread.run_sync(_accept, context, caller.owner, key, options, header, image)
+            job = await context.store(_accept, context, caller.owner, key, options, header, image)
     return await _answer(request, context, job, wait_s, caller.client)
 
 
@@ -92,11 +91,11 @@ async def encode_again(
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
     options = read_options(await fields_alone(request))
-    await to_thread.run_sync(context.table.check_queue, caller.owner, key)
+    await context.read(context.table.check_queue, caller.owner, key)
     async with context.accepting.turn(caller.client):
-        with await to_thread.run_sync(open_image, context, job) as file:
-            image = await to_thread.run_sync(file.read)
-        again = await to_thread.run_sync(_accept, context, caller.owner, key, options, job.image, image)
+        with await context.store(open_image, context, job) as file:
+            image = await context.store(file.read)
+        again = await context.store(_accept, context, caller.owner, key, options, job.image, image)
     return await _answer(request, context, again, wait_s, caller.client)
 
 

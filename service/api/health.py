@@ -29,10 +29,12 @@ async def live() -> models.HealthView:
 
 
 async def ready(context: UseContext) -> models.HealthView:
-    """200 if jobs are accepted and processed: the job table and storage respond, and workers take jobs."""
+    """200 if jobs are accepted and processed: the job table and storage respond, the sandbox does tasks, and workers
+    take jobs.
+    """
     census = await _census(context)
     if census is None:
-        raise ProblemError(503, "the job table is not responding", reason="table")
+        raise ProblemError(503, "the job table is not responding, or takes no changes", reason="table")
     free_bytes = await _free_bytes(context)
     if free_bytes < context.settings.min_free_bytes:
         raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
@@ -41,6 +43,9 @@ async def ready(context: UseContext) -> models.HealthView:
         if stalled_s > STALLED_LEASES * context.settings.lease_s:
             detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
+    if trouble := await context.tasks.trouble(PATIENCE_S):
+        log.error("the sandbox does no tasks: %s", trouble)
+        raise ProblemError(503, "the sandbox does no tasks, without which no image is read", reason="sandbox")
     return models.HealthView(status="ok", version=VERSION)
 
 
@@ -55,9 +60,13 @@ async def metrics(context: UseContext) -> Response:
 
 
 async def _census(context: Context) -> Census | None:
+    def ask() -> Census:
+        context.table.check_writable()
+        return context.table.census()
+
     try:
         with fail_after(PATIENCE_S):
-            return await to_thread.run_sync(context.table.census, limiter=context.watching, abandon_on_cancel=True)
+            return await to_thread.run_sync(ask, limiter=context.watching_table, abandon_on_cancel=True)
     except (JobTableError, TimeoutError) as error:
         log.error("the job table is not responding: %r", error)
         return None
@@ -72,7 +81,7 @@ async def _free_bytes(context: Context) -> float:
 
     try:
         with fail_after(PATIENCE_S):
-            free_bytes = await to_thread.run_sync(ask, limiter=context.watching, abandon_on_cancel=True)
+            free_bytes = await to_thread.run_sync(ask, limiter=context.watching_storage, abandon_on_cancel=True)
     except (OSError, TimeoutError) as error:
         log.error("the storage is not responding: %r", error)
         raise ProblemError(503, "the storage is not responding", reason="storage") from error

@@ -9,7 +9,6 @@ from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import Annotated
 
-from anyio import to_thread
 from fastapi import Depends, Query, Request, Response
 from fastapi.sse import ServerSentEvent
 from pydantic import Field
@@ -43,19 +42,19 @@ class LinksQuery(Parameters):
     expires_s: int = Field(default=3600, ge=1, le=LONGEST_LINK_S, description="seconds until the links expire")
 
 
-def status(job: KnownJob, context: UseContext, response: Response) -> models.JobView:
+async def status(job: KnownJob, context: UseContext, response: Response) -> models.JobView:
     """State, queue position, progress, trace so far, and the result or error."""
     response.headers.update(NEVER_STORED)
-    return models.with_trace(job, context.table.trace(job.id), context.settings)
+    return models.with_trace(job, await context.read(context.table.trace, job.id), context.settings)
 
 
-def jobs(
+async def jobs(
     context: UseContext, caller: UseCaller, response: Response, query: Annotated[PageQuery, Query()]
 ) -> models.JobPage:
     """All jobs, newest first, in pages; with API keys, only those of the caller's key."""
     response.headers.update(NEVER_STORED)
     limit, settings = query.limit, context.settings
-    page = context.table.page(limit + 1, query.before, caller.owner, query.state)
+    page = await context.read(context.table.page, limit + 1, query.before, caller.owner, query.state)
     chosen = "" if query.state is None else f"&state={query.state}"
     where = f"{settings.root_path}/jobs?limit={limit}"
     older = f"{where}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
@@ -75,7 +74,7 @@ async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
         await asyncio.sleep(pause_s)
         if time.monotonic() >= deadline or context.stopping():
             return None
-        seen = await to_thread.run_sync(context.table.get, job.id)
+        seen = await context.read(context.table.get, job.id)
         if seen is None:
             raise ProblemError(409, "the job was removed before it was done")
         job = seen
@@ -116,7 +115,7 @@ async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
             last = summary
         if job.attempt != attempt:
             attempt, sent = job.attempt, 0
-        points = await to_thread.run_sync(context.table.trace, job.id, sent)
+        points = await context.read(context.table.trace, job.id, sent)
         if points:
             sent += len(points)
             progress = max(progress, models.progress(points))
@@ -128,14 +127,14 @@ async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
         await asyncio.sleep(EVENTS_POLL_S)
         if context.stopping():
             return
-        seen = await to_thread.run_sync(context.table.get, job.id)
+        seen = await context.read(context.table.get, job.id)
         if seen is None:
             yield ServerSentEvent(event="removed", data={})
             return
         job = seen
 
 
-def links(
+async def links(
     job: KnownJob, context: UseContext, response: Response, query: Annotated[LinksQuery, Query()]
 ) -> models.LinksView:
     """Links to the picture and the bitstream that anyone can open until they expire."""
@@ -153,14 +152,14 @@ def links(
     )
 
 
-def stop(job: KnownJob, context: UseContext, response: Response) -> models.AcceptedView:
+async def stop(job: KnownJob, context: UseContext, response: Response) -> models.AcceptedView:
     """Finish a running job early and keep its result, which stays within the budget. This takes about a quarter of the
     time spent so far. A finished job is unchanged; 409 for a queued or failed one, which has no result to keep.
     """
     view = models.accepted(job, context.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})
-    if job.state != "done" and not context.table.stop(job.id):
-        now = context.table.get(job.id)
+    if job.state != "done" and not await context.write(context.table.stop, job.id):
+        now = await context.read(context.table.get, job.id)
         if now is None:
             raise no_such_job()
         if now.state != "done":
@@ -168,12 +167,12 @@ def stop(job: KnownJob, context: UseContext, response: Response) -> models.Accep
     return view
 
 
-def remove(job: KnownJob, context: UseContext) -> None:
+async def remove(job: KnownJob, context: UseContext) -> None:
     """Cancel the job if it is not done, and delete everything stored for it."""
-    removed = context.table.remove(job.id)
+    removed = await context.write(context.table.remove, job.id)
     if removed is None:
         return
     # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
-    context.discard(source_key(removed.id))
+    await context.store(context.discard, source_key(removed.id))
     if removed.result is not None:
-        context.discard(removed.result.bitstream_key)
+        await context.store(context.discard, removed.result.bitstream_key)

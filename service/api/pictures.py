@@ -13,7 +13,6 @@ from email.utils import formatdate
 from typing import Annotated, Any, BinaryIO
 from urllib.parse import quote
 
-from anyio import to_thread
 from fastapi import Query, Request, Response
 from pydantic import Field
 
@@ -23,7 +22,7 @@ from service.api.problems import RETRY_AFTER, ProblemError
 from service.api.requests import (
     BITSTREAM_TYPE,
     FORM_TYPE,
-    IMMUTABLE,
+    LONGEST_CACHED_S,
     NEVER_STORED,
     VARIES,
     Parameters,
@@ -92,10 +91,10 @@ async def picture(
     result = _result_of(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
-    headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
+    headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context), **query.disposition()}
 
     async def made() -> bytes:
-        with await to_thread.run_sync(_open_bitstream, context, job, result) as file:
+        with await context.store(_open_bitstream, context, job, result) as file:
             try:
                 return await context.tasks.draw(request.state.caller.client, file, query, kind)
             except RefusedError as error:
@@ -154,12 +153,12 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
     result = _result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
-        **_kept(job, context),
+        **_kept(request, job, context),
         "Content-Disposition": f'attachment; filename="{job.id}.sg"',
     }
     if (answer := not_modified(request, headers)) is not None:
         return answer
-    data = await to_thread.run_sync(_bitstream, context, job, result)
+    data = await context.store(_bitstream, context, job, result)
     return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
 
 
@@ -170,7 +169,7 @@ async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -
     headers = {"Cache-Control": "private, no-cache"}
     key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
     try:
-        data = await to_thread.run_sync(context.storage.get, key)
+        data = await context.store(context.storage.get, key)
     except FileNotFoundError:
         return Response(status_code=204, headers=headers)
     headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
@@ -202,10 +201,11 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
     size = int(_result_of(job).stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
-    headers = {"ETag": f'"{job.id}-rival.{kind}"', **_kept(job, context)}
+    check_image_kept(job, context)  # what was made of it goes with it, from memory too
+    headers = {"ETag": f'"{job.id}-rival.{kind}"', **_kept(request, job, context, _image_until(job, context))}
 
     async def made() -> bytes:
-        with await to_thread.run_sync(open_image, context, job) as image:
+        with await context.store(open_image, context, job) as image:
             return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
 
     return await _remembered(request, context, headers, kind, made)
@@ -213,14 +213,26 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
 
 def open_image(context: Context, job: Job) -> BinaryIO:
     """The image of a job. Raises ProblemError 410 if it is kept no longer, whether or not it has been removed yet."""
-    kept_s = context.settings.source_retention_s
-    if job.finished_at is None or time.time() < job.finished_at + kept_s:
-        try:
-            return context.storage.open(source_key(job.id))
-        except FileNotFoundError:
-            if (refusal := _late(job.created_at)) is not None:
-                raise refusal from None
-    raise ProblemError(410, "the image of this job has been deleted; send it again")
+    check_image_kept(job, context)
+    try:
+        return context.storage.open(source_key(job.id))
+    except FileNotFoundError:
+        raise _late(job.created_at) or _image_gone() from None
+
+
+def check_image_kept(job: Job, context: Context) -> None:
+    """Raises ProblemError 410 if the time of a job's image is over."""
+    until = _image_until(job, context)
+    if until is not None and time.time() >= until:
+        raise _image_gone()
+
+
+def _image_until(job: Job, context: Context) -> float | None:
+    return None if job.finished_at is None else job.finished_at + context.settings.source_retention_s
+
+
+def _image_gone() -> ProblemError:
+    return ProblemError(410, "the image of this job has been deleted; send it again")
 
 
 def _result_of(job: Job) -> EncodeResult:
@@ -251,7 +263,7 @@ def _late(stored_at: float | None) -> ProblemError | None:
     """The refusal of a file that the storage lacks, if it was stored just now: a store that copies between places may
     have it in a moment.
     """
-    if stored_at is None or time.time() > stored_at + LATE_S:
+    if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # ahead: the clock was put back since
         return None
     detail = "the storage does not have this file yet"
     return ProblemError(503, detail, reason="storage", headers=RETRY_AFTER)
@@ -262,8 +274,14 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
     return ProblemError(500, "the bitstream of this job is missing or damaged")
 
 
-def _kept(job: Job, context: Context) -> dict[str, str]:
-    """How long clients may cache the file, and how long it is kept here."""
-    expires = models.expires_at(job, context.settings)
-    until = {} if expires is None else {"Expires": formatdate(expires, usegmt=True)}
-    return {"Cache-Control": IMMUTABLE, **until}
+def _kept(request: Request, job: Job, context: Context, image_until: float | None = None) -> dict[str, str]:
+    """How long clients may cache the file, and when it goes. An answer to a link is cached no longer than the link
+    holds, and one that is made of the image no longer than until image_until.
+    """
+    ends = [end for end in (request.state.caller.link_expires, image_until) if end is not None]
+    most_s = min([LONGEST_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])
+    # Private, because an id is a secret that shared caches should not keep.
+    headers = {"Cache-Control": f"private, max-age={most_s}, immutable"}
+    if (removed := models.expires_at(job, context.settings)) is not None:
+        ends.append(removed)
+    return {**headers, "Expires": formatdate(min(ends), usegmt=True)} if ends else headers

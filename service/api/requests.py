@@ -19,8 +19,8 @@ from service.sandbox.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
-# Headers of answers. Private, because an id is a secret that shared caches should not keep.
-IMMUTABLE = "private, max-age=31536000, immutable"
+LONGEST_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
+# Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
 

@@ -22,11 +22,11 @@ BINARY = {"schema": {"type": "string", "format": "binary"}}
 NOT_MODIFIED: dict[Any, Any] = {304: {"description": "the client has it already"}}
 
 
-def _no_query(_query: Annotated[Parameters, Query()]) -> None:
+async def _no_query(_query: Annotated[Parameters, Query()]) -> None:
     """Raises RequestValidationError if there are parameters."""
 
 
-def _given_once(request: Request) -> None:
+async def _given_once(request: Request) -> None:
     """Raises ProblemError 422."""
     for name in request.query_params:
         if len(request.query_params.getlist(name)) > 1:

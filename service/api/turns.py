@@ -26,6 +26,8 @@ FORMAT_BYTES = 256  # of a file, which tell its format
 HEADERS_AT_ONCE, MOST_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
+WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases before it tells a size; it touches neither
+KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # for which a trial is not repeated: anybody may ask for one
 
 
 class Turns:
@@ -153,6 +155,8 @@ class ClientTasks:
         self._metrics = metrics
         self._headers = Turns(HEADERS_AT_ONCE, MOST_WAITING_HEADERS)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
+        self._trying = asyncio.Lock()
+        self._next_trial, self._trouble = 0.0, ""
         self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
             "memory_bytes": settings.job_memory_bytes // 4,
             "cpu_s": settings.decode_time_s,
@@ -162,8 +166,10 @@ class ClientTasks:
     async def read_header(self, client: str, image: UploadFile) -> SourceImage:
         """What an image's header says; no pixel is decoded."""
         size_bytes = image.size or 0
-        limits = {**self._limits, "memory_bytes": HEADER_MEMORY_BYTES + size_bytes, "cpu_s": HEADER_CPU_S}
-        header: HeaderFigures = await self._figures(self._headers, client, image, ReadHeader(**limits))
+        pixels = self._limits["max_pixels"]
+        memory_bytes = HEADER_MEMORY_BYTES + size_bytes + WEBP_BYTES_PER_PIXEL * pixels
+        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels)
+        header: HeaderFigures = await self._figures(self._headers, client, image, task)
         return SourceImage(header.format, header.width, header.height, size_bytes)
 
     async def draw(
@@ -205,6 +211,23 @@ class ClientTasks:
         except TaskError as error:
             raise ProblemError(422, f"the image cannot be read: {error}") from error
 
+    async def trouble(self, patience_s: float) -> str:
+        """Why the sandbox does no tasks; empty if it has done one within the last seconds, or now."""
+        async with self._trying:
+            if time.monotonic() >= self._next_trial:
+                try:
+                    await self._sandbox.try_out(patience_s)
+                    self._worked()
+                except (OSError, TaskError) as error:
+                    self._trouble = str(error)
+                    self._next_trial = time.monotonic() + KNOWN_BAD_S
+            return self._trouble
+
+    def _worked(self) -> None:
+        self._trouble, self._next_trial = "", time.monotonic() + KNOWN_GOOD_S
+
     async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result:
         async with turns.turn(client):
-            return await self._sandbox.ask(task, file)
+            result = await self._sandbox.ask(task, file)
+        self._worked()
+        return result

@@ -28,11 +28,16 @@ ADD = """
 INSERT INTO totals VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET amount = totals.amount + excluded.amount
 """
 NOTE = "INSERT INTO notices VALUES (?, ?, ?, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING"
+# Due too if it is put off for longer than it ever is: then the clock was put back.
 DUE = """
-SELECT job, body, epoch() - ended_at AS age_s FROM notices
-WHERE address = ? AND due_at <= epoch() ORDER BY due_at LIMIT 1
+WITH clock AS MATERIALIZED (SELECT epoch() AS now)
+SELECT job, body, due_at, now - ended_at AS age_s FROM notices, clock
+WHERE address = ? AND (due_at <= now OR due_at - now > ? OR due_at - now > ? + now - ended_at) ORDER BY due_at LIMIT 1
 """
-PUT_OFF = "UPDATE notices SET due_at = epoch() + ? WHERE job = ? AND address = ? AND due_at <= epoch()"
+PUT_OFF = """
+UPDATE notices SET due_at = epoch() + ?, ended_at = CASE WHEN ended_at > epoch() THEN epoch() ELSE ended_at END
+WHERE job = ? AND address = ? AND due_at = ?
+"""
 
 
 @dataclass(frozen=True)
@@ -75,11 +80,11 @@ def take_notice(db: Database, address: str) -> Notice | None:
 
     It is due again after a pause, whatever becomes of the worker that tries now.
     """
-    row = db.execute(DUE, (address,)).fetchone()
+    row = db.execute(DUE, (address, LONGEST_PAUSE_S, FIRST_PAUSE_S)).fetchone()
     if row is None:
         return None
     pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), LONGEST_PAUSE_S)
-    first = db.execute(PUT_OFF, (pause_s, row["job"], address)).rowcount == 1
+    first = db.execute(PUT_OFF, (pause_s, row["job"], address, row["due_at"])).rowcount == 1
     return Notice(row["job"], address, row["body"]) if first else None
 
 

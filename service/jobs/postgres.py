@@ -169,5 +169,10 @@ class PostgresJobTable(JobTable):
             for _ in range(rows - tokens):
                 self._wake(db)
 
+    def check_writable(self) -> None:
+        with self._connection() as db:
+            if db.execute("SHOW transaction_read_only").fetchone()["transaction_read_only"] == "on":
+                raise JobTableError("PostgreSQL is read-only, as a standby is; let SG_DATABASE_URL lead to the primary")
+
     def close(self) -> None:
         self._pool.close()

@@ -6,7 +6,7 @@ import queue
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from service.jobs.job import JobRules, JobTableError
@@ -60,9 +60,9 @@ class SqliteJobTable(JobTable):
             self._file = None  # it is set up when it is next asked for
             raise
 
-    def _connect(self) -> sqlite3.Connection:
+    def _connect(self, patience_s: float = BUSY_TIMEOUT_S) -> sqlite3.Connection:
         # A connection serves one thread at a time, though not always the same one.
-        db = sqlite3.connect(self._path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
+        db = sqlite3.connect(self._path, timeout=patience_s, isolation_level=None, check_same_thread=False)
         db.row_factory = sqlite3.Row
         db.create_function("epoch", 0, time.time)
         return db
@@ -109,6 +109,16 @@ class SqliteJobTable(JobTable):
         while not stop.requested:
             if not run_next():
                 stop.wait(POLL_S)
+
+    def check_writable(self) -> None:
+        self._follow_file()
+        try:
+            # A new one: the idle ones are from before the disk became read-only. BEGIN IMMEDIATE succeeds even there.
+            with closing(self._connect(0.0)) as db:
+                db.execute("DELETE FROM workers WHERE 0")
+        except sqlite3.Error as error:
+            if not getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):  # then somebody else is writing
+                raise JobTableError(f"{self._path}: {error}") from error
 
     def close(self) -> None:
         while True:

@@ -98,6 +98,7 @@ SIGN = """
 INSERT INTO workers VALUES (?, epoch(), ?)
 ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at, failures = excluded.failures
 """
+SEEN = "SELECT name, epoch() - seen_at AS seconds, failures FROM workers WHERE seen_at <= epoch() + ?"
 SERVED = """
 INSERT INTO served SELECT owner, started_at FROM jobs WHERE number = ?
 ON CONFLICT (owner) DO UPDATE SET at = excluded.at

@@ -46,6 +46,7 @@ NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted t
 # When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
 WATCHED = 1 / 2
 FORGOTTEN_S = 900.0  # a worker silent for longer is no longer listed
+AHEAD_S = 2.0  # a sign of life from further ahead is one from before the clock was put back
 
 
 class JobTable(ABC):
@@ -82,6 +83,10 @@ class JobTable(ABC):
 
         run_next tells whether it ran a job, and never raises.
         """
+
+    @abstractmethod
+    def check_writable(self) -> None:
+        """Raises JobTableError if the database can be read but not changed."""
 
     @abstractmethod
     def close(self) -> None:
@@ -149,7 +154,7 @@ class JobTable(ABC):
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
             figures = db.execute(sql.CENSUS).fetchone()
-            seen = db.execute("SELECT name, epoch() - seen_at AS seconds, failures FROM workers").fetchall()
+            seen = db.execute(sql.SEEN, (AHEAD_S,)).fetchall()
             so_far = endings.totals(db)
         counts = {row["state"]: row["jobs"] for row in rows}
         return Census(
@@ -241,7 +246,7 @@ class JobTable(ABC):
         """Note that the worker lives, whether or not it has a job. failures: of its background work so far."""
         with self._transaction() as db:
             db.execute(sql.SIGN, (worker, failures))
-            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
+            db.execute("DELETE FROM workers WHERE epoch() - seen_at NOT BETWEEN ? AND ?", (-AHEAD_S, FORGOTTEN_S))
             if given_up := endings.give_up_notices(db):
                 log.error("gave up on %d webhooks", given_up)
 

@@ -9,6 +9,7 @@ import select
 import signal
 import socket
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from typing import BinaryIO
@@ -16,7 +17,18 @@ from typing import BinaryIO
 from service.process.loops import Rounds, StopSignal
 from service.process.supervisor import WATCH_S, Supervised
 from service.sandbox.confinement import environment
-from service.sandbox.frames import Begun, Crashed, Ended, FrameError, FrameReader, Message, Refused, Result, Task
+from service.sandbox.frames import (
+    Begun,
+    Crashed,
+    Ended,
+    FrameError,
+    FrameReader,
+    Message,
+    ReadHeader,
+    Refused,
+    Result,
+    Task,
+)
 from sgmethod import errors
 
 READ_BYTES = 1 << 18
@@ -24,6 +36,7 @@ READ_BYTES = 1 << 18
 PATIENCE_S = 60.0
 TRIES = 2  # a process may have died of something else than its task
 EARLY_END = b"!"
+TINY_IMAGE = b"P6 1 1 255 rgb"
 MODULE = "service.sandbox.server"
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 ENDS_S = 2.0
@@ -92,6 +105,17 @@ class Sandbox:
                 case Ended(status=status) if status == -signal.SIGPROF:
                     raise TaskError("it exceeds the time limit")
         raise TaskError("its decoder crashed")
+
+    async def try_out(self, patience_s: float) -> None:
+        """Have it read the header of a tiny image. Raises TaskError, OSError."""
+        with tempfile.TemporaryFile() as file:
+            file.write(TINY_IMAGE)
+            file.flush()
+            task = ReadHeader(memory_bytes=1 << 28, cpu_s=1.0, max_pixels=1)
+            try:
+                await asyncio.wait_for(self.ask(task, file), patience_s)
+            except TimeoutError:
+                raise SandboxGoneError("the sandbox does not answer") from None
 
 
 class RunningTask:

@@ -38,8 +38,8 @@ _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
 
 
 class Fork:
-    """A process for one task. control: where it gets the task; answer: its socket to the client, once it has one, which
-    both use, and which therefore blocks.
+    """A process for one task. control: where it gets the task, and whose other end it holds until it ends; answer: its
+    socket to the client, once it has one, which both use, and which therefore blocks.
     """
 
     def __init__(self, number: int, control: socket.socket) -> None:
@@ -66,8 +66,8 @@ class Server:
                 if key.fileobj is self._requests:
                     if not self._take():
                         return
-                elif isinstance(key.fileobj, int):
-                    self._reap(key.fileobj, key.data)
+                elif key.fileobj is key.data.control:
+                    self._reap(key.data)
                 elif key.data.answer is not None:  # it may have been closed since the events were read
                     self._serve(key.data, key.data.answer)
 
@@ -83,7 +83,7 @@ class Server:
                         run_fork(theirs.fileno(), parent)
                 fork = Fork(number, ours)
                 try:
-                    self._selector.register(os.pidfd_open(number), selectors.EVENT_READ, fork)
+                    self._selector.register(ours, selectors.EVENT_READ, fork)
                 except OSError:  # nobody would notice its end
                     os.kill(number, signal.SIGKILL)
                     os.waitpid(number, 0)
@@ -107,8 +107,7 @@ class Server:
         while self._waiting:
             fork = self._waiting.pop(0)
             try:
-                with fork.control:
-                    socket.send_fds(fork.control, [line], [answer.fileno(), file])
+                socket.send_fds(fork.control, [line], [answer.fileno(), file])
             except OSError:  # it has died while it waited
                 continue
             fork.answer = answer
@@ -134,14 +133,15 @@ class Server:
         if not asked:
             self._leave(fork, answer)
 
-    def _reap(self, descriptor: int, fork: Fork) -> None:
-        self._selector.unregister(descriptor)
-        os.close(descriptor)
+    def _reap(self, fork: Fork) -> None:
+        """The fork has let go of its end of control. If it still runs, it was taken over."""
+        self._selector.unregister(fork.control)
+        fork.control.close()
+        os.kill(fork.number, signal.SIGKILL)
         _, status = os.waitpid(fork.number, 0)
         fork.status = os.waitstatus_to_exitcode(status)
         if fork in self._waiting:
             self._waiting.remove(fork)
-            fork.control.close()
             print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
             time.sleep(PAUSE_S)  # the next may end likewise
         if fork.answer is not None:
@@ -180,7 +180,8 @@ def run_fork(control: int, parent: int) -> NoReturn:
         set_name("waits for a task")
         os.nice(PICTURE_NICENESS)
         warm_fork()
-        line, descriptors, _, _ = socket.recv_fds(socket.socket(fileno=control), TASK_BYTES, 2)
+        held = socket.socket(fileno=control)  # until this process ends, which the sandbox learns by it
+        line, descriptors, _, _ = socket.recv_fds(held, TASK_BYTES, 2)
         if line:
             answer, file = descriptors
             status = _run_task(line, answer, file, parent)

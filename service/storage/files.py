@@ -5,8 +5,10 @@ Keys are made here, of a job's id and an attempt. Nothing that a client names ev
 
 from __future__ import annotations
 
-import contextlib
+import errno
+import logging
 import re
+import secrets
 import shutil
 import time
 from collections.abc import Iterator
@@ -14,6 +16,8 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from sgmethod.io.files import sync_folder, write_atomically
+
+log = logging.getLogger(__name__)
 
 UNFINISHED = "unfinished"  # files that are being written, and probes of whether they can be
 FOLDERS = ("sources", "bitstreams", UNFINISHED)
@@ -62,7 +66,7 @@ class Storage(Protocol):
         ...
 
     def check(self) -> None:
-        """Whether the storage can be reached at all. Raises OSError if not."""
+        """Whether the storage can be reached, and takes files if that costs nothing to try. Raises OSError if not."""
         ...
 
     def free_bytes(self) -> int | None:
@@ -106,6 +110,13 @@ class DiskStorage:
     def check(self) -> None:
         for folder in FOLDERS:
             (self._root / folder).stat()
+        probe = self._path(f"{UNFINISHED}/{secrets.token_hex(16)}")
+        try:
+            probe.touch(mode=0o600)  # which a disk refuses that has become read-only
+        except OSError as error:
+            if error.errno != errno.ENOSPC:  # of which free_bytes() tells
+                raise
+        probe.unlink(missing_ok=True)
 
     def free_bytes(self) -> int | None:
         return shutil.disk_usage(self._root).free
@@ -115,6 +126,10 @@ class DiskStorage:
         for folder in FOLDERS:
             for path in (self._root / folder).iterdir():
                 key = f"{folder}/{path.name}"
-                with contextlib.suppress(FileNotFoundError):  # another process finished with it meanwhile
+                try:
                     if is_key(key) and path.stat().st_mtime < oldest:
                         yield key
+                except FileNotFoundError:  # another process finished with it meanwhile
+                    continue
+                except OSError as error:
+                    log.warning("%s cannot be looked at: %s", key, error)

@@ -74,7 +74,7 @@ class Worker:
             self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
         )
         if swept != Swept(0, 0):
-            log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
+            log.info("removed %d finished jobs and %d files; %d files stay", swept.jobs, swept.files, swept.stuck)
 
     def _run_next(self) -> bool:
         """Like run_one, but log and wait out trouble with the job table or the storage."""
@@ -88,7 +88,8 @@ class Worker:
         for job in self._table.reconcile():
             log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
             if not self._table.keeps_sources:
-                self._storage.delete(source_key(job.id))
+                with contextlib.suppress(OSError):  # the sweep removes it
+                    self._storage.delete(source_key(job.id))
         claim = self._table.claim(self._name)
         if claim is None:
             return False

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 from service.jobs.table import JobTable
 from service.storage.files import Storage, source_key
+
+log = logging.getLogger(__name__)
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
@@ -16,10 +19,11 @@ OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part o
 
 @dataclass(frozen=True)
 class Swept:
-    """How many of each went, or would go."""
+    """How many of each went, or would go; and how many files could not be removed, of whatever kind."""
 
     jobs: int
     files: int
+    stuck: int = 0
 
 
 def sweep(
@@ -34,21 +38,23 @@ def sweep(
     """Remove jobs that ended more than retention_s seconds ago (0: none), images of jobs that ended more than
     source_retention_s seconds ago, and files that no job needs.
 
-    With dry_run nothing is removed. Raises JobTableError, OSError.
+    With dry_run nothing is removed. A file that cannot be removed, such as one under legal hold, is logged and left to
+    the next sweep. Raises JobTableError, OSError.
     """
     expired = table.finished(retention_s) if retention_s else []
     # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
     ended = table.finished(source_retention_s, with_image=True)
     keep = table.needed_keys()
     files = {*map(source_key, ended), *(key for key in storage.old(orphan_age_s) if key not in keep)}
-    if not dry_run:
-        for key in files:  # first: on a full disk, the job table cannot be written before
-            storage.delete(key)
-        for job_id in ended:
+    if dry_run:
+        return Swept(len(expired), len(files))
+    # First: on a full disk, the job table cannot be written before.
+    stuck = {key for key in files if not _removed(storage, key)}
+    for job_id in ended:
+        if source_key(job_id) not in stuck:
             table.source_removed(job_id)
-        for job_id in expired:
-            _remove(table, storage, job_id)
-    return Swept(len(expired), len(files))
+    of_jobs = [key for job_id in expired for key in _remove(table, storage, job_id)]
+    return Swept(len(expired), len(files) - len(stuck), len(stuck.union(of_jobs)))
 
 
 def pause_s(*kept_s: float) -> float:
@@ -57,10 +63,20 @@ def pause_s(*kept_s: float) -> float:
     return min(max(wanted_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
 
 
-def _remove(table: JobTable, storage: Storage, job_id: str) -> None:
+def _remove(table: JobTable, storage: Storage, job_id: str) -> list[str]:
+    """Remove a job; gives the keys of its files that stay, as orphans."""
     removed = table.remove(job_id)
-    if removed is None:
-        return
-    storage.delete(source_key(job_id))  # which may be kept for as long
-    if removed.result is not None:
-        storage.delete(removed.result.bitstream_key)
+    keys = [] if removed is None else [source_key(job_id)]  # which may be kept for as long
+    if removed is not None and removed.result is not None:
+        keys.append(removed.result.bitstream_key)
+    return [key for key in keys if not _removed(storage, key)]
+
+
+def _removed(storage: Storage, key: str) -> bool:
+    """Remove a file; False if that fails."""
+    try:
+        storage.delete(key)
+    except OSError as error:
+        log.warning("%s cannot be removed: %s", key, error)
+        return False
+    return True

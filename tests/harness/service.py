@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -70,6 +71,10 @@ class ServiceProcess:
             raise AssertionError(self.log.read_text())
         self.url = words[3].rstrip(",")
         self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
+
+    def wait_ready(self) -> None:
+        """Wait until it can do all that it is for, the sandbox too."""
+        wait_until(lambda: self.client.get("/readyz").status_code == 200)
 
     def family(self) -> dict[int, Process]:
         """All its processes that are alive, by number."""
@@ -244,6 +249,12 @@ def keys_of(*owners: str) -> str:
 def bearer(key: str) -> dict[str, str]:
     """The header that shows a key."""
     return {"Authorization": f"Bearer {key}"}
+
+
+def max_age(answer: httpx.Response) -> int:
+    """For how many seconds a client may cache an answer."""
+    assert answer.status_code == 200, answer.text
+    return int(re.findall(r"max-age=(\d+)", answer.headers["cache-control"])[0])
 
 
 def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:

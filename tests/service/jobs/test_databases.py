@@ -117,6 +117,30 @@ def test_rule_6_durability_settings_of_sqlite(path: Path) -> None:
     assert values == ["wal", 2, 1, 30_000]
 
 
+def test_a_standby_answers_but_takes_no_changes(url: str, jobs: PostgresJobTable) -> None:
+    """As the primary that a failover has made one."""
+    jobs.check_writable()
+    with psycopg.connect(url, autocommit=True) as other:
+        name = other.execute("SELECT current_database()").fetchone()[0]  # type: ignore[index]
+        other.execute(f'ALTER DATABASE "{name}" SET default_transaction_read_only = on'.encode())
+        others = "FROM pg_stat_activity WHERE pid <> pg_backend_pid() AND datname = %s"
+        other.execute(f"SELECT pg_terminate_backend(pid) {others}".encode(), [name])
+    with pytest.raises(JobTableError, match="read-only"):
+        jobs.check_writable()
+    assert jobs.census().notices == 0
+
+
+def test_a_lock_that_is_held_is_no_read_only_disk(path: Path) -> None:
+    jobs = SqliteJobTable(path, RULES)
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        jobs.check_writable()
+    path.unlink()
+    with pytest.raises(JobTableError, match="No such file"):
+        jobs.check_writable()
+    assert not path.exists()
+
+
 def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobTable) -> None:
     """Its jobs are made anew from the table."""
     job_id = submitted(jobs)

@@ -221,6 +221,30 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     assert table.census().workers == {}
 
 
+def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
+    """A webhook is due as soon as the clock shows that it was put off for too long, and then waits as any other; a
+    worker that is gone has not just been seen.
+    """
+    table = open_job_table(LONG_S, webhooks=("http://a.example",))
+    submitted(table)
+    assert table.finish(claimed(table), RESULT)
+    for tried in (False, True):  # at once at first, and after a pause
+        assert table.due_notice("http://a.example") is not None
+        assert table.due_notice("http://a.example") is None
+        change(table, "UPDATE notices SET ended_at = ended_at + ?, due_at = due_at + ?", 1000, 1000)
+        assert table.due_notice("http://a.example") is not None, tried
+        assert table.due_notice("http://a.example") is None
+        change(table, "UPDATE notices SET due_at = ended_at")
+    table.sign("gone")
+    table.sign("alive")
+    change(table, "UPDATE workers SET seen_at = seen_at + ?", 1000)
+    assert table.census().silent_s is None
+    table.sign("alive")
+    assert list(table.census().workers) == ["alive"]
+    with table._connection() as db:
+        assert db.execute("SELECT count(*) AS number FROM workers").fetchone()["number"] == 1
+
+
 def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
     table = open_table(database_url, folder, LONG_S)
     ids.put(table.submit(new("the same key"))[0].id)

@@ -40,6 +40,15 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
 
 
+def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> None:
+    """Its layers may all be there, and still it may do no task."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, sys\nif 'service.sandbox.server' in sys.orig_argv:\n    os.fork = lambda: open('/nowhere')\n"
+    )
+    result = run_command("check", data_dir=tmp_path / "data", PYTHONPATH=tmp_path)
+    assert (result.status, verdicts(result)["sandbox"]) == (1, "FAILED"), result
+
+
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two profiles do; the service does not."""
     paper = EncodeOptions(profile="paper")

@@ -162,7 +162,7 @@ def test_tasks_see_nothing_of_each_other() -> None:
         assert report.bitstream == b"False"
         descriptors = Path(f"/proc/{running_encoder(sleeper.job_id)}/fd")
         opened = [str(entry.readlink()).partition(":")[0] for entry in descriptors.iterdir()]
-        assert sorted(opened) == ["/dev/null"] * 3 + ["socket"]
+        assert sorted(opened) == ["/dev/null"] * 3 + ["socket"] * 2  # to its client, and to the sandbox
 
 
 def test_secrets_stay_behind() -> None:

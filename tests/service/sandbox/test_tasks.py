@@ -153,6 +153,20 @@ def test_ends(taken_over: Sandbox, program: str, end: object) -> None:
     assert messages_of(taken_over, task(), f"import ctypes, os\n{program}".encode())[-1] == end
 
 
+def test_a_system_without_pidfd_open() -> None:
+    """Kernels before 5.3 lack it, and older container engines refuse it. Each end is noticed all the same."""
+    refuse = "import os\ndef refuse(*_):\n    raise OSError(38, 'Function not implemented')\nos.pidfd_open = refuse"
+    with sandbox(f"{TAKEN_OVER}\n{refuse}", STAND_IN) as (tasks, _):
+        for number in range(4):
+            assert messages_of(tasks, task(), f"import os; os._exit({number})".encode())[-1] == Ended(status=number)
+
+
+def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
+    program = b"import os, time\nfor number in range(3, 64):\n    if number != answer._descriptor:\n        try:\n"
+    program += b"            os.close(number)\n        except OSError:\n            pass\ntime.sleep(1000)"
+    assert messages_of(taken_over, task(), program)[-1] == Ended(status=-signal.SIGKILL)
+
+
 def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
     for said in ("b'Z' + bytes(4)", "b'S' + bytes([18, 192, 0, 0])", "b'S' + bytes([0, 0, 0, 2]) + b'[]'"):
         program = f"import os, time\nos.write(answer._descriptor, {said})\ntime.sleep(1000)"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import ssl
 import stat
@@ -67,6 +69,16 @@ def test_what_was_put_is_there(storage: Storage, open_storage: OpenStorage) -> N
         with pytest.raises(FileNotFoundError):
             read(source_key(JOB))
     assert set(storage.old(A_MOMENT_S)) == keys - {source_key(JOB)}
+
+
+def test_a_disk_that_has_become_read_only(disk: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It can still be looked at. That a disk is full says its free room alone."""
+    disk.check()
+    assert list(disk.old(A_MOMENT_S)) == []
+    for code, refused in ((errno.EROFS, True), (errno.ENOSPC, False)):
+        monkeypatch.setattr(Path, "touch", failing(Path.touch, OSError(code, "no")))
+        with pytest.raises(OSError, match="no") if refused else contextlib.nullcontext():
+            disk.check()
 
 
 def test_files_of_others_are_left_alone(storage: Storage, tmp_path: Path) -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
 import signal
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import httpx
 import pytest
 
+from service.api.context import WORK_THREADS
 from tests.harness.data import PICTURE
 from tests.harness.job_table import grow_older
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import STAND_IN, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
@@ -22,6 +27,7 @@ STALL_S = 1000  # which no test waits for
 
 def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> None:
     web = start_service("web", lease_s=1)
+    web.wait_ready()
     assert web.client.get("/readyz").status_code == web.client.head("/readyz").status_code == 200
     job_id = web.accepted()
     problem = wait_until(lambda: (answer := web.client.get("/readyz")).status_code == 503 and answer)
@@ -63,6 +69,35 @@ def test_a_storage_and_a_job_table_out_of_reach(start_service: StartService) -> 
     assert_problem(web.client.get("/readyz"), 503, "job table")
     assert web.client.get("/livez").status_code == 200
     assert web.figures()["sgmethod_job_table_up"] == 0
+
+
+def test_a_sandbox_that_does_no_tasks(start_service: StartService) -> None:
+    service = start_service(lease_s=STALL_S, extra=STAND_IN)
+    service.wait_ready()
+    sandbox = service.ours("sandbox")[0]  # the others are its forks
+    os.kill(sandbox, signal.SIGSTOP)
+    wait_until(lambda: service.client.get("/readyz").status_code == 503)
+    assert_problem(service.client.get("/readyz"), 503, "sandbox")
+    assert service.client.get("/livez").status_code == 200
+    os.kill(sandbox, signal.SIGCONT)
+    service.wait_ready()
+
+
+def test_nothing_waits_behind_requests_that_wait_for_a_lock(start_service: StartService) -> None:
+    web = start_service("web")
+    web.wait_ready()
+    jobs = [web.accepted() for _ in range(WORK_THREADS + 10)]
+    lock = sqlite3.connect(web.data_dir / "jobs.sqlite3", isolation_level=None)
+    with contextlib.closing(lock), ThreadPoolExecutor(len(jobs)) as pool:
+        lock.execute("BEGIN IMMEDIATE")
+        deletions = [pool.submit(web.client.delete, f"/jobs/{job}") for job in jobs]
+        threads = Path("/proc", str(web.process.pid), "task")
+        wait_until(lambda: len(list(threads.iterdir())) > WORK_THREADS)  # all that there are for this
+        for path in ("/livez", "/readyz", "/", "/static/main.js", "/jobs", f"/jobs/{jobs[-1]}", "/metrics"):
+            assert httpx.get(web.url + path, timeout=PATIENCE_S).status_code == 200
+            assert not any(deletion.done() for deletion in deletions)
+        lock.execute("ROLLBACK")
+        assert {deletion.result().status_code for deletion in deletions} == {204}
 
 
 def test_workers_are_known_by_name(start_service: StartService) -> None:

@@ -11,12 +11,13 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.api.requests import LONGEST_CACHED_S
 from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
 from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, run
-from tests.harness.service import RunCommand, Service, StartService, assert_problem, bearer
+from tests.harness.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 
 SECRET = "0123456789abcdef" * 2
 ANN, BOB = "key-of-ann", "key-of-bob"
@@ -26,7 +27,9 @@ KEYS = f"ann:{digest(ANN)},bob:{digest(BOB)}"
 @pytest.fixture(scope="module")
 def guarded(start_for_module: StartService, new_table: Callable[[], str]) -> Service:
     """A web process that knows ann and bob."""
-    return start_for_module("web", api_keys=KEYS, link_secret=SECRET, database_url=new_table())
+    service = start_for_module("web", api_keys=KEYS, link_secret=SECRET, database_url=new_table())
+    service.wait_ready()
+    return service
 
 
 @pytest.fixture
@@ -186,7 +189,9 @@ def test_links_expire(guarded: Service, ann: httpx.Client) -> None:
     done = guarded.published(PICTURE, "ann")
     late, soon = (Link("decode", done, int(time.time()) + seconds).query(SECRET) for seconds in (-1, 50))
     assert_problem(guarded.client.get(f"/decode/{done}.png?{late}"), 401, "expired")
-    assert guarded.client.get(f"/decode/{done}.png?{soon}").status_code == 200
+    answer = guarded.client.get(f"/decode/{done}.png?{soon}")
+    assert 0 < max_age(answer) <= 50  # no cache keeps it for longer than the link holds
+    assert max_age(ann.get(f"/decode/{done}.png")) == LONGEST_CACHED_S
     foreign = Link("decode", done, int(time.time()) + 50).query("another secret")
     assert_problem(guarded.client.get(f"/decode/{done}.png?{foreign}"), 401, "not valid")
     assert ann.post(f"/jobs/{done}/links?expires_s=604800").status_code == 200
@@ -229,7 +234,9 @@ SITES = [  # Host, Origin, the answers to a GET and to a POST
 @pytest.fixture(scope="module")
 def named(start_for_module: StartService) -> Service:
     """A web process without keys, which has a name and a friend."""
-    return start_for_module("web", host_names="Pictures.example", cors_origins="https://friend.example")
+    service = start_for_module("web", host_names="Pictures.example", cors_origins="https://friend.example")
+    service.wait_ready()
+    return service
 
 
 @pytest.mark.parametrize(("host", "origin", "get", "post"), SITES)
@@ -238,6 +245,12 @@ def test_pages_of_other_sites_are_kept_out(named: Service, host: str, origin: st
     headers = {"Host": host, **({} if origin is None else {"Origin": origin})}
     assert named.client.get("/jobs", headers=headers).status_code == get
     assert named.client.post("/decode", content=b"nothing", headers=headers).status_code == post
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+@pytest.mark.parametrize("path", ["/livez", "/readyz"])
+def test_probes_of_http_1_0_name_no_host(named: Service, method: str, path: str) -> None:
+    assert named.raw(f"{method} {path} HTTP/1.0\r\n\r\n".encode()).startswith(b"HTTP/1.1 200 ")
 
 
 def test_keys_keep_out_whom_they_do_not_let_in(ann: httpx.Client) -> None:

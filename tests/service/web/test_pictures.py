@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from email.utils import parsedate_to_datetime
 
 import httpx
 import numpy as np
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from service.api.requests import LONGEST_CACHED_S
 from service.sandbox.pictures import Rival, as_large
 from sgmethod.view import View
 from tests.harness import pictures
 from tests.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
+from tests.harness.job_table import change
 from tests.harness.pictures import SMALL, page_of_text, saved
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import Service, StartService, assert_problem, max_age
 
 TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
@@ -92,10 +95,16 @@ def test_rivals_are_as_large(keeping: Service) -> None:
         assert pixels_of(answer).shape == original.shape
         assert 0.97 < len(answer.content) / len(coffee) < 1.1
         assert 20 < np.square(pixels_of(answer) - original).mean() < 300  # 23 to 35 dB
-        assert answer.headers["expires"] == keeping.client.get(f"/decode/{job}.png").headers["expires"]
+        goes = parsedate_to_datetime(answer.headers["expires"]).isoformat()
+        assert goes[:19] == keeping.job(job)["image_expires_at"][:19]
+        assert max_age(answer) <= 1000  # keeping's images
         again = keeping.client.get(f"/jobs/{job}/rival.{kind}", headers={"If-None-Match": answer.headers["etag"]})
         assert again.status_code == 304
         assert keeping.client.head(f"/jobs/{job}/rival.{kind}").headers["content-length"] == str(len(answer.content))
+    assert max_age(keeping.client.get(f"/decode/{job}.png")) == LONGEST_CACHED_S
+    with keeping.table() as table:
+        change(table, "UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", job)
+    assert_problem(keeping.client.get(f"/jobs/{job}/rival.avif"), 410, "has been deleted")  # from memory too
     assert_problem(keeping.client.get(f"/jobs/{waiting}/rival.avif"), 409, "queued")
     assert keeping.client.get(f"/jobs/{job}/rival.png").status_code == 404
     assert_problem(keeping.client.post(f"/jobs/{waiting}/stop"), 409, "no result to keep")

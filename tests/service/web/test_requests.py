@@ -10,9 +10,10 @@ from typing import Any
 
 import httpx
 import pytest
+from PIL import Image
 
 from tests.harness.data import JAVASCRIPT, PICTURE, STATIC
-from tests.harness.pictures import SMALL, png
+from tests.harness.pictures import SMALL, png, saved
 from tests.harness.processes import wait_until
 from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 
@@ -205,6 +206,17 @@ def test_uploads_on_their_way_lie_in_the_data_folder(start_service: StartService
 
         wait_until(lambda: web.data_dir / "unfinished" in folders())
         assert Path(tempfile.gettempdir()) not in folders()
+
+
+def test_a_webp_within_the_limit_is_taken(keeping: Service) -> None:
+    """Of which libwebp reserves memory for all pixels before it tells how many there are."""
+    file = bytearray(saved(Image.new("RGB", (64, 64)), "WEBP"))
+    size = file.index(b"\x9d\x01\x2a") + 3  # width and height of a VP8 frame, 16 bits each
+    for width, height, status in ((8000, 6000, 202), (7143, 7000, 422)):
+        file[size : size + 4] = width.to_bytes(2, "little") + height.to_bytes(2, "little")
+        answer = keeping.post(bytes(file))
+        assert answer.status_code == status, answer.text
+    assert_problem(answer, 422, "too large: 7143 x 7000 pixels")
 
 
 def test_one_key_makes_one_job(web: Service) -> None:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -14,6 +15,7 @@ import psycopg
 import pytest
 from PIL import Image
 
+from service.api.context import PROBE_THREADS, WORK_THREADS
 from service.storage.bucket import SILENCE, SMALL_BYTES
 from tests.harness.data import PICTURE, ROOT
 from tests.harness.job_table import grow_older
@@ -29,14 +31,18 @@ DISK_BYTES, ROOM_BYTES = 2**24, 2**21  # of the file system; of one upload, four
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 
 
+def mount(*options: str) -> None:
+    """Mount something, or skip the test."""
+    if subprocess.run(["mount", *options], capture_output=True, check=False).returncode:
+        pytest.skip("a file system cannot be mounted here, so its trouble was not tested: run the tests as root")
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of its own, with little room, where services keep their data."""
     folder = tmp_path / "data0"
     folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a file system cannot be mounted here, so full disks were not tested: run the tests as root")
+    mount("-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder))
     yield folder
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
@@ -95,6 +101,23 @@ def test_full_disk_in_words(small_disk: Path, start_service: StartService, run_c
     result = run_command("sweep", data_dir=small_disk)
     assert (result.status, result.stdout) == (1, "")
     assert "disk is full" in result.stderr
+
+
+def test_a_disk_that_becomes_read_only(start_service: StartService) -> None:
+    """As after an error of the disk. What can only be read is not ready."""
+    web = start_service("web")
+    done = web.published(PICTURE)
+    mount("--bind", str(web.data_dir), str(web.data_dir))
+    try:
+        mount("-o", "remount,bind,ro", str(web.data_dir))
+        assert_problem(web.post(), 503)
+        assert_problem(web.client.get("/readyz"), 503, "takes no changes")
+        assert web.figures()["sgmethod_job_table_up"] == 0
+        assert web.client.get(f"/decode/{done}.png").status_code == 200
+    finally:
+        subprocess.run(["umount", "--lazy", str(web.data_dir)], check=True)
+    assert web.client.get("/readyz").status_code == 200
+    web.accepted()
 
 
 def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgres: PostgresServer) -> None:
@@ -199,6 +222,23 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
         assert_problem(answer, 503, "right now")
         assert answer.headers["retry-after"]
     assert service.client.get(done["status_url"]).status_code == 200
+
+
+def test_nothing_waits_behind_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
+    """Though more requests wait for it, probes among them, than there are threads for that."""
+    settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}
+    service = start_service(**settings, extra={**own_s3.environment, **STAND_IN})
+    done = service.wait(service.accepted())
+    own_s3.freeze()
+    with ThreadPoolExecutor(3 * WORK_THREADS) as pool:
+        paths = [done["bitstream_url"]] * 2 * WORK_THREADS + ["/readyz"] * 2 * PROBE_THREADS
+        waiting = [pool.submit(httpx.get, service.url + path, timeout=PATIENCE_S) for path in paths]
+        wait_until(lambda: any(each.done() for each in waiting))  # the probes lose patience first
+        for path in ("/livez", "/", "/static/main.js", "/jobs", done["status_url"]):
+            assert httpx.get(service.url + path, timeout=PATIENCE_S).status_code == 200
+        assert not all(each.done() for each in waiting)  # of which half wait for the others
+        assert service.figures()["sgmethod_job_table_up"] == 1
+        assert {each.result().status_code for each in waiting} == {503}
 
 
 def test_workers_that_share_only_a_database_and_a_bucket(

@@ -65,6 +65,40 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed
 
 
+def test_a_file_that_cannot_be_removed_holds_up_no_other(
+    open_job_table: OpenTable, storage: Storage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Such as an object under legal hold. Its image goes on counting, and it goes once it may."""
+    table = open_job_table(LONG_S, source_retention_s=60.0)
+    orphans = [source_key(new_job_id()) for _ in range(3)]
+    for key in orphans:
+        storage.put(key, b"left over")
+    jobs = [submitted(table, storage) for _ in range(4)]
+    for _ in jobs:
+        claim = claimed(table)
+        storage.put(bitstream_key(claim.job_id, 1), b"bitstream")
+        assert table.finish(claim, EncodeResult(bitstream_key(claim.job_id, 1), "", {"bytes": 9}))
+    held = {orphans[0], source_key(jobs[0]), bitstream_key(jobs[1], 1)}
+    remove = storage.delete
+
+    def delete(key: str) -> None:
+        if key in held:
+            raise PermissionError(f"AccessDenied: {key}")
+        remove(key)
+
+    monkeypatch.setattr(storage, "delete", delete)
+    times = {"source_retention_s": AT_ONCE_S, "orphan_age_s": AT_ONCE_S}
+    assert sweep(table, storage, retention_s=1000, **times) == Swept(0, 5, 2)
+    assert table.census().stored_bytes == IMAGE.size_bytes + 4 * 9
+    assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == Swept(4, 0, 3)
+    assert table.page(10) == []
+    assert stored(storage) == held
+    assert all(f"{key} cannot be removed: AccessDenied" in caplog.text for key in held)
+    held.clear()
+    assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == Swept(0, 3)
+    assert stored(storage) == set()
+
+
 def test_files_go_even_if_a_full_disk_leaves_no_room_for_the_job_table(
     open_job_table: OpenTable, storage: Storage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
