@@ -141,6 +141,36 @@ def test_a_missing_extra_is_named() -> None:
     assert ran.stdout.split("pip install ")[1:] == [f"'sgmethod[{name}]'\n" for name in extras]
 
 
+WITH_OPENCV = """
+import importlib, sys, types
+import numpy, sgmethod
+kind, picture = sys.argv[1], numpy.arange(768, dtype=numpy.uint8).reshape(16, 16, 3)
+if kind == "plain":
+    import cv2
+    del cv2.ximgproc
+else:
+    sys.modules["cv2"] = types.ModuleType("cv2") if kind == "empty" else None
+for _ in range(2):
+    try:
+        print(len(sgmethod.encode(picture, bytes=100, effort=1).data) <= 100)
+    except sgmethod.MissingPackageError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize("kind", ["plain", "missing", "empty"])
+def test_any_opencv_will_do(kind: str) -> None:
+    """Even without contributed modules; where there is none, or only its folder, the message says what to install."""
+    ran = subprocess.run([sys.executable, "-c", WITH_OPENCV, kind], capture_output=True, text=True, check=True)
+    for line in ran.stdout.splitlines():
+        if kind == "plain":
+            assert line == "True"
+        else:
+            assert line.startswith("OpenCV, which encoding needs, cannot be imported (")
+            assert line.endswith("opencv-contrib-python-headless")
+    assert len(ran.stdout.splitlines()) == 2
+
+
 # --- Pillow
 
 

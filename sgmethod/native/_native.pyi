@@ -180,6 +180,9 @@ def keep_in_range(
 ) -> None:
     """Clamp scale, slant and amplitude to the limits of a fit, and means to within reach sqrt(l1 l3) of the picture."""
 
+def superpixels(lab: FloatArray, side: int, compactness: float) -> NDArray[np.int32]:
+    """Labels [height, width] of an image [3, height, width] in CIELAB, as cv2.ximgproc's SLIC has them."""
+
 def rd_rate_gradient(
     quantum: float,
     weight: float,

@@ -1,9 +1,11 @@
+#include <algorithm>
 #include <utility>
 
 #include "bindings/arrays.h"
 #include "core/thread_pool.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
+#include "start/superpixels.h"
 
 using namespace nb::literals;
 
@@ -43,6 +45,18 @@ void keep_in_range(float reach, float width, float height, RowsOut<2> means, Row
   });
 }
 
+auto superpixels(Image lab, int region, float compactness) {
+  const int height = side(lab, 1), width = side(lab, 2);
+  require(1 <= region && region <= std::min(width, height), "a region has 1 pixel along a side, or up to the image's");
+  std::vector<int32_t> labels;
+  {
+    nb::gil_scoped_release release;
+    labels = sg::superpixels(lab.data(), width, height, region, compactness);
+  }
+  using Labels = nb::ndarray<nb::numpy, int32_t, nb::shape<-1, -1>>;
+  return own<Labels>(std::move(labels), {static_cast<size_t>(height), static_cast<size_t>(width)});
+}
+
 }  // namespace
 
 void bind_fit(nb::module_& m) {
@@ -57,4 +71,5 @@ void bind_fit(nb::module_& m) {
         "second"_a.noconvert(), "bias"_a.noconvert());
   m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(),
         "factors"_a.noconvert(), "colors"_a.noconvert());
+  m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);
 }
