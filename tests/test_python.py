@@ -10,7 +10,6 @@ import threading
 import warnings
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from PIL import Image, UnidentifiedImageError
 import sgmethod
 from service.api.requests import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, SgFile, View
-from sgmethod.io.png import encode_png
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
@@ -259,16 +257,3 @@ def test_results_are_in_order_and_made_by_as_many_threads_as_told() -> None:
         with pytest.raises(ZeroDivisionError):
             in_parallel(lambda n: 1 // n, [1, 0, 2])
     assert in_parallel(lambda _: threading.current_thread(), range(3)) == [threading.current_thread()] * 3
-
-
-@pytest.mark.usefixtures("set_threads")
-def test_threads_that_the_system_refuses_are_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    refused = Mock(side_effect=RuntimeError("can't start new thread"))
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", refused)
-        for threads in (1, 5):
-            sgmethod.set_threads(threads)
-            assert in_parallel(lambda n: n * n, range(9)) == [n * n for n in range(9)]
-            assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(PIXELS)))), PIXELS)
-            assert refused.called == (threads > 1)
-    assert in_parallel(lambda _: threading.current_thread(), range(1)) != [threading.current_thread()]

@@ -4,6 +4,8 @@ Only NumPy arrays are typed, although tensors would be accepted: torch exports i
 interrupt that arrives there is lost, because the binding takes any error for "not an array of this kind".
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,6 +46,9 @@ def thread_count() -> int:
     """Threads used by kernels, including the calling one; fewer if the system refuses to create them."""
 
 def set_thread_count(count: int) -> None: ...
+def in_parallel(count: int, task: Callable[[int], None]) -> None:
+    """Call task(0) to task(count - 1) on the kernels' threads; after an error, skip those that have not begun."""
+
 def stay_alone() -> None:
     """From now on run the calling thread's kernels on it alone, at the same time as other threads run theirs."""
 
