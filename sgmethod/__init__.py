@@ -6,6 +6,7 @@
 The rooms and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors
+    opencv      OpenCV, or how to install it
     budget      what an encode may spend; conversion of numbers
     trace       progress of an encode
     scene       the set of Gaussians

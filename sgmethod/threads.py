@@ -1,11 +1,8 @@
-"""The number of threads, and a pool of them for NumPy and OpenCV, which release Python's lock while they compute."""
+"""The number of threads, on which NumPy, OpenCV and zlib run too: they release Python's lock while they compute."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import TypeVar
 
 from sgmethod.budget import checked_integer
@@ -26,26 +23,15 @@ def set_threads(count: int) -> None:
 
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Map a function over items on as many threads as the kernels use; results in order.
+    """Map a function over items on the kernels' threads; results in order. The first error is raised.
 
-    The first error is raised. The function must not call in_parallel() itself.
+    No lock of Python's is involved, which an interrupt could leave taken.
     """
-    threads, items = native.thread_count(), list(items)
-    if threads > 1:
-        pool = _pool(threads)
-        try:
-            return list(pool.map(function, items))
-        except RuntimeError:  # no more threads allowed; an error of the function itself is raised again below
-            _pool.cache_clear()
-            pool.shutdown()
-    return [function(item) for item in items]
+    items = list(items)
+    results: dict[int, Result] = {}
 
+    def compute(index: int) -> None:
+        results[index] = function(items[index])
 
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Thread pool, kept because starting threads takes as long as computing a small picture."""
-    return ThreadPoolExecutor(threads, "sgmethod")
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked child has none of the pool's threads
+    native.in_parallel(len(items), compute)
+    return [results[index] for index in range(len(items))]

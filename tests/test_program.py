@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
+import sys
 import threading
 import time
 import warnings
@@ -20,6 +22,7 @@ from sgmethod.io import formats
 from sgmethod.io.image import read_header
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
 from sgmethod.threads import in_parallel
+from tests.harness.data import ROOT
 from tests.rd.short import shortened
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
@@ -105,6 +108,74 @@ def test_a_child_forked_while_a_picture_is_read_reads_and_warns(monkeypatch: pyt
     assert in_child(warned) == expected
     assert expected.endswith(b"1")
     reading.join()
+
+
+INTERRUPTED = """
+import signal, sys
+import numpy as np
+import sgmethod
+picture = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
+encode = lambda: sgmethod.encode(picture, bytes=300, effort=1).data
+sgmethod.set_threads(2)
+steps, at, expected = 0, 0, encode()
+def step(frame, event, _):
+    global steps
+    while frame is not None and frame.f_code.co_name != "in_parallel":
+        frame = frame.f_back
+    steps += frame is not None
+    if frame is not None and steps == at:
+        signal.raise_signal(signal.SIGINT)
+for at in range(1, 100):
+    steps = 0
+    sys.setprofile(step)
+    try:
+        encode()
+    except KeyboardInterrupt:
+        pass
+    sys.setprofile(None)
+    assert steps == at, steps  # it was interrupted
+    assert at % 5 or encode() == expected
+print("works")
+"""
+
+
+def test_an_encode_that_is_interrupted_spoils_none_after_it() -> None:
+    """At each of the first steps of work on several threads; the program ends, too."""
+    ran = subprocess.run([sys.executable, "-c", INTERRUPTED], check=True, capture_output=True, timeout=PATIENCE_S)
+    assert (ran.stdout, ran.stderr) == (b"works\n", b"")
+
+
+ENDS = """
+import sys, threading
+import sgmethod
+from sgmethod.threads import in_parallel
+from tests.harness.data import golden_path
+data = golden_path("v1-paper.sg").read_bytes()
+works = {
+    "decode": lambda: sgmethod.decode(data),
+    "info": lambda: sgmethod.info(data),
+    "python": lambda: in_parallel(lambda n: sum(range(20_000)), range(40)),
+}
+work, begun = works[sys.argv[1]], threading.Barrier(3)
+sgmethod.set_threads(3)
+def loop():
+    work()
+    begun.wait()
+    while True:
+        work()
+for _ in range(2):
+    threading.Thread(target=loop, daemon=True).start()
+begun.wait()
+sum(range(int(sys.argv[2])))
+"""
+
+
+@pytest.mark.parametrize("work", ["decode", "info", "python"])
+def test_a_program_ends_while_a_daemon_thread_works(work: str) -> None:
+    for patience in (1, 100_000, 1_000_000):
+        command = [sys.executable, "-c", ENDS, work, str(patience)]
+        ran = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=PATIENCE_S)
+        assert ran.stderr == b""
 
 
 @contextmanager

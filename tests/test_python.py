@@ -10,7 +10,6 @@ import threading
 import warnings
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from PIL import Image, UnidentifiedImageError
 import sgmethod
 from service.api.requests import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, SgFile, View
-from sgmethod.io.png import encode_png
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
@@ -141,6 +139,36 @@ def test_a_missing_extra_is_named() -> None:
     assert ran.stdout.split("pip install ")[1:] == [f"'sgmethod[{name}]'\n" for name in extras]
 
 
+WITH_OPENCV = """
+import importlib, sys, types
+import numpy, sgmethod
+kind, picture = sys.argv[1], numpy.arange(768, dtype=numpy.uint8).reshape(16, 16, 3)
+if kind == "plain":
+    import cv2
+    del cv2.ximgproc
+else:
+    sys.modules["cv2"] = types.ModuleType("cv2") if kind == "empty" else None
+for _ in range(2):
+    try:
+        print(len(sgmethod.encode(picture, bytes=100, effort=1).data) <= 100)
+    except sgmethod.MissingPackageError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize("kind", ["plain", "missing", "empty"])
+def test_any_opencv_will_do(kind: str) -> None:
+    """Even without contributed modules; where there is none, or only its folder, the message says what to install."""
+    ran = subprocess.run([sys.executable, "-c", WITH_OPENCV, kind], capture_output=True, text=True, check=True)
+    for line in ran.stdout.splitlines():
+        if kind == "plain":
+            assert line == "True"
+        else:
+            assert line.startswith("OpenCV, which encoding needs, cannot be imported (")
+            assert line.endswith("opencv-contrib-python-headless")
+    assert len(ran.stdout.splitlines()) == 2
+
+
 # --- Pillow
 
 
@@ -229,16 +257,3 @@ def test_results_are_in_order_and_made_by_as_many_threads_as_told() -> None:
         with pytest.raises(ZeroDivisionError):
             in_parallel(lambda n: 1 // n, [1, 0, 2])
     assert in_parallel(lambda _: threading.current_thread(), range(3)) == [threading.current_thread()] * 3
-
-
-@pytest.mark.usefixtures("set_threads")
-def test_threads_that_the_system_refuses_are_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    refused = Mock(side_effect=RuntimeError("can't start new thread"))
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", refused)
-        for threads in (1, 5):
-            sgmethod.set_threads(threads)
-            assert in_parallel(lambda n: n * n, range(9)) == [n * n for n in range(9)]
-            assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(PIXELS)))), PIXELS)
-            assert refused.called == (threads > 1)
-    assert in_parallel(lambda _: threading.current_thread(), range(1)) != [threading.current_thread()]

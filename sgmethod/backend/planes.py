@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from sgmethod.opencv import cv2
 
 Beyond = Literal["edge", "constant"]
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +18,7 @@ from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame, Target, Visibility
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.fitting.visibility import amplitudes
+from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import PyramidSettings
 from sgmethod.threads import in_parallel

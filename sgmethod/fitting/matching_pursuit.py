@@ -25,12 +25,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.planes import even, halved
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
 from sgmethod.threads import in_parallel
 

@@ -17,13 +17,13 @@ from __future__ import annotations
 from copy import copy
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.planes import all_halved, halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import MovingTargetSettings
 from sgmethod.threads import in_parallel

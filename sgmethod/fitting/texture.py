@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import TARGET_WHITE, TEXTURE_CELL, TEXTURE_OCTAVES, TEXTURE_STRENGTHS, Target
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.opencv import cv2
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import TextureSettings
 

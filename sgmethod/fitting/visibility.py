@@ -9,11 +9,11 @@ linear problem, and fit, densification, pruning and refining all minimise the sa
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import VISIBLE, Visibility
+from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import VisibilitySettings
 

@@ -14,16 +14,14 @@ take 60 % of the time of one.
 from __future__ import annotations
 
 import struct
-import threading
 import zlib
 from collections.abc import Callable
-from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.io.chunks import PNG_MAGIC
-from sgmethod.native import native
+from sgmethod.threads import in_parallel
 
 FILTER_UP = 2  # PNG specification, 9.2: each byte minus the one above it
 SRGB = b"\0"  # 11.3.2.5: perceptual intent
@@ -41,27 +39,16 @@ def zlib_compress(data: memoryview) -> bytes:
     """Deflate with zlib, on two threads if allowed: the halves form one stream (RFC 1950, 1951)."""
     rows = data.cast("B")
     middle = len(rows) // 2
-    first: list[bytes] = []
 
-    def compress_first() -> None:
-        compressor = zlib.compressobj(ZLIB_LEVEL, wbits=WITHOUT_HEADER)
-        first.append(compressor.compress(rows[:middle]) + compressor.flush(zlib.Z_SYNC_FLUSH))
+    def deflate(half: int) -> bytes:
+        if half == 0:
+            compressor = zlib.compressobj(ZLIB_LEVEL, wbits=WITHOUT_HEADER)
+            return compressor.compress(rows[:middle]) + compressor.flush(zlib.Z_SYNC_FLUSH)
+        before = rows[max(0, middle - WINDOW_BYTES) : middle]  # the second half may refer back to it
+        compressor = zlib.compressobj(ZLIB_LEVEL, wbits=WITHOUT_HEADER, zdict=before)
+        return compressor.compress(rows[middle:]) + compressor.flush()
 
-    thread = threading.Thread(target=compress_first)
-    with suppress(RuntimeError):  # the system allows no more threads
-        if native.thread_count() > 1:
-            thread.start()
-    before = rows[max(0, middle - WINDOW_BYTES) : middle]  # the second half may refer back to it
-    compressor = zlib.compressobj(ZLIB_LEVEL, wbits=WITHOUT_HEADER, zdict=before)
-    second = compressor.compress(rows[middle:]) + compressor.flush()
-    checksum = zlib.adler32(rows)
-    if thread.ident is None:
-        compress_first()
-    else:
-        thread.join()
-        if not first:
-            raise MemoryError("no memory to compress a picture")
-    return ZLIB_HEADER + first[0] + second + struct.pack(">I", checksum)
+    return ZLIB_HEADER + b"".join(in_parallel(deflate, range(2))) + struct.pack(">I", zlib.adler32(rows))
 
 
 def encode_png(pixels: NDArray[np.uint8], compress: Compress = zlib_compress) -> bytes:

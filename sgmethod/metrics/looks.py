@@ -144,14 +144,14 @@ def _fourth(plane: Plane) -> Plane:
 
 def _sum(planes: Sequence[Plane]) -> NDArray[np.float64]:
     """Sum each plane over its pixels: [3, N]."""
-    import cv2
+    from sgmethod.opencv import cv2
 
     return np.array([cv2.sumElems(plane)[:3] for plane in planes]).T
 
 
 def _xyb(pixels: NDArray[Any]) -> Plane:
     """Convert a picture [H, W, 3] to the eye's opponent colours, offset to be positive."""
-    import cv2
+    from sgmethod.opencv import cv2
 
     cones = cv2.transform(_linear(pixels), TO_CONES)
     return np.asarray(cv2.transform(cv2.pow(cones, 1 / 3, cones), TO_XYB), np.float32)
@@ -159,7 +159,7 @@ def _xyb(pixels: NDArray[Any]) -> Plane:
 
 def _linear(pixels: NDArray[Any]) -> Plane:
     """Convert uint8 sRGB to linear light, float32 [H, W, 3]; float32 is linear already."""
-    import cv2
+    from sgmethod.opencv import cv2
 
     if pixels.dtype == np.float32:
         return pixels
@@ -169,7 +169,7 @@ def _linear(pixels: NDArray[Any]) -> Plane:
 
 def _window(plane: Plane) -> Plane:
     """Gaussian-weighted means, with zeros left and right of the picture; margins above and below are cut off."""
-    import cv2
+    from sgmethod.opencv import cv2
 
     weights = window_weights()
     filtered = cv2.sepFilter2D(plane, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_CONSTANT)
@@ -178,7 +178,7 @@ def _window(plane: Plane) -> Plane:
 
 def _halved(pixels: NDArray[Any]) -> Plane:
     """Reduce to half the size by means over 2 x 2 pixels in linear light; at odd sides, over the pixels there are."""
-    import cv2
+    from sgmethod.opencv import cv2
 
     height, width = pixels.shape[:2]
     half = np.empty((-(-height // 2), -(-width // 2), 3), np.float32)

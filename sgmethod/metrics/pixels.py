@@ -128,7 +128,7 @@ def window_weights() -> Float64Array:
 
 def _window(x: Plane) -> Plane:
     """Gaussian-weighted means over all windows inside x: [H, W, C] -> [H - 10, W - 10, C]."""
-    import cv2  # not needed by psnr()
+    from sgmethod.opencv import cv2  # not needed by psnr()
 
     weights = window_weights()
     margin = WINDOW_SIZE // 2
@@ -138,7 +138,7 @@ def _window(x: Plane) -> Plane:
 
 def _halve(x: Pixels, peak: int) -> Plane:
     """Reduce to half the size by means over 2 x 2 pixels, with zeros in front of odd sides; the peak becomes 1."""
-    import cv2
+    from sgmethod.opencv import cv2
 
     height, width, channels = x.shape
     even: npt.NDArray[Any] = np.pad(x, ((height % 2, 0), (width % 2, 0), (0, 0))) if height % 2 or width % 2 else x

@@ -4,6 +4,8 @@ Only NumPy arrays are typed, although tensors would be accepted: torch exports i
 interrupt that arrives there is lost, because the binding takes any error for "not an array of this kind".
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,6 +46,9 @@ def thread_count() -> int:
     """Threads used by kernels, including the calling one; fewer if the system refuses to create them."""
 
 def set_thread_count(count: int) -> None: ...
+def in_parallel(count: int, task: Callable[[int], None]) -> None:
+    """Call task(0) to task(count - 1) on the kernels' threads; after an error, skip those that have not begun."""
+
 def stay_alone() -> None:
     """From now on run the calling thread's kernels on it alone, at the same time as other threads run theirs."""
 
@@ -179,6 +184,9 @@ def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
 ) -> None:
     """Clamp scale, slant and amplitude to the limits of a fit, and means to within reach sqrt(l1 l3) of the picture."""
+
+def superpixels(lab: FloatArray, side: int, compactness: float) -> NDArray[np.int32]:
+    """Labels [height, width] of an image [3, height, width] in CIELAB, as cv2.ximgproc's SLIC has them."""
 
 def rd_rate_gradient(
     quantum: float,

@@ -11,7 +11,6 @@ import statistics
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +22,7 @@ from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
+from sgmethod.opencv import cv2
 from sgmethod.rd import encode as pipeline
 from sgmethod.rd.aim import Aim, LooksAim, PsnrAim
 from sgmethod.rd.byte_limit import ByteBudget, ByteLimit

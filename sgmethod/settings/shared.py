@@ -38,7 +38,7 @@ class StartSettings:
     shared_by_area: bool = True  # False: regions of a category get equally many Gaussians, whatever their area
     gaussians_per_region: int = 10  # SLIC regions follow the number of Gaussians
     compactness: float = 10.0  # of SLIC: its balance of distance and colour
-    superpixels: Superpixels = "skimage"  # the library for SLIC
+    superpixels: Superpixels = "skimage"  # the library whose SLIC it is
     tensor_smoothing_px: float = 2.0  # standard deviation of the structure tensor's window, which orients the start
 
 

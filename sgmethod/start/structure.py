@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.native import native
+from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
 from sgmethod.settings.shared import StartSettings
 
-NARROW_PX, SLIC_ROUNDS = 8, 10
+NARROW_PX = 8
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
@@ -64,13 +65,10 @@ def _slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int
 
 
 def _opencv_slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int32]:
-    """SLIC by OpenCV. A narrow picture becomes one region, because it has no room for OpenCV's seeds."""
+    """Superpixels as in OpenCV's contrib module. A narrow picture becomes one region: it has no room for seeds."""
     height, width = image.shape[:2]
     if min(height, width) < NARROW_PX:
         return np.zeros((height, width), np.int32)
     side = min(round(math.sqrt(height * width / regions)), height, width)
     lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
-    slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, max(side, 1), compactness)
-    slic.iterate(SLIC_ROUNDS)
-    slic.enforceLabelConnectivity()
-    return np.asarray(slic.getLabels(), np.int32)
+    return native.superpixels(np.ascontiguousarray(lab.transpose(2, 0, 1)), max(side, 1), compactness)

@@ -57,9 +57,13 @@ def test_any_allocation_may_fail(preload: Preload, whose: str) -> None:
 
 
 FEWER_THREADS = """
-import ctypes
+import ctypes, io
+import numpy as np
+from PIL import Image
 from sgmethod import decode
+from sgmethod.io.png import encode_png
 from sgmethod.native import native
+from sgmethod.threads import in_parallel
 from tests.native.harness.golden import GOLDEN, is_golden
 grant = ctypes.CDLL(None).grant_threads
 for granted in (0, 1, 3, 100):
@@ -69,6 +73,9 @@ for granted in (0, 1, 3, 100):
     grant(granted)
     for name in GOLDEN:
         assert is_golden(name, decode(GOLDEN[name])), (granted, name)
+    assert in_parallel(lambda n: n * n, range(9)) == [n * n for n in range(9)]
+    pixels = decode(GOLDEN["v2-color"])
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(pixels)))), pixels)
     assert native.thread_count() == 5
     grant(1000)
 print("right")

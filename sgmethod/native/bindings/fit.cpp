@@ -1,9 +1,12 @@
+#include <algorithm>
 #include <utility>
 
 #include "bindings/arrays.h"
+#include "bindings/lock.h"
 #include "core/thread_pool.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
+#include "start/superpixels.h"
 
 using namespace nb::literals;
 
@@ -20,7 +23,7 @@ struct LossOfTarget {
 double evaluate(LossOfTarget& held, Image image, ImageOut grad) {
   require_size(image, held.loss.width(), held.loss.height());
   require_size(grad, held.loss.width(), held.loss.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   return held.loss(image.data(), grad.data());
 }
 
@@ -28,7 +31,7 @@ void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, 
                 Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors, RowsOut<8> first, RowsOut<8> second,
                 RowsOut<2> bias) {
   const int n = gaussians(means, factors, colors, by_means, by_factors, by_colors, first, second, bias);
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::parallel_chunks(n, sg::kBlock, [&](int begin, int end, int) {
     sg::frame_adam(settings, rate, begin, end, rows(means, factors, colors), rows(by_means, by_factors, by_colors),
                    {first.data(), second.data(), bias.data()});
@@ -37,10 +40,22 @@ void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, 
 
 void keep_in_range(float reach, float width, float height, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors) {
   const int n = gaussians(means, factors, colors);
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::parallel_chunks(n, sg::kBlock, [&](int begin, int end, int) {
     sg::keep_in_range(reach, width, height, begin, end, rows(means, factors, colors));
   });
+}
+
+auto superpixels(Image lab, int region, float compactness) {
+  const int height = side(lab, 1), width = side(lab, 2);
+  require(1 <= region && region <= std::min(width, height), "a region has 1 pixel along a side, or up to the image's");
+  std::vector<int32_t> labels;
+  {
+    const Unlocked unlocked;
+    labels = sg::superpixels(lab.data(), width, height, region, compactness);
+  }
+  using Labels = nb::ndarray<nb::numpy, int32_t, nb::shape<-1, -1>>;
+  return own<Labels>(std::move(labels), {static_cast<size_t>(height), static_cast<size_t>(width)});
 }
 
 }  // namespace
@@ -57,4 +72,5 @@ void bind_fit(nb::module_& m) {
         "second"_a.noconvert(), "bias"_a.noconvert());
   m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(),
         "factors"_a.noconvert(), "colors"_a.noconvert());
+  m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);
 }

@@ -5,9 +5,11 @@
 #include <tuple>
 
 #include "bindings/arrays.h"
+#include "bindings/lock.h"
 #include "core/constants.h"
 #include "core/cores.h"
 #include "core/isa.h"
+#include "core/platform.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
 #include "raster/levels.h"
@@ -20,9 +22,31 @@ std::tuple<double, double, double> color_axis(int row) {
   return {axis[0], axis[1], axis[2]};
 }
 
+// Python's own float mode, in which subnormal numbers stay, within a task.
+class PythonMode {
+ public:
+  PythonMode() : saved_(sg::float_mode()) { sg::set_float_mode(saved_ & ~sg::kFlushMode); }
+  ~PythonMode() { sg::set_float_mode(saved_); }
+  PythonMode(const PythonMode&) = delete;
+  PythonMode& operator=(const PythonMode&) = delete;
+
+ private:
+  sg::FloatMode saved_;
+};
+
+void in_parallel(int count, const nb::callable& task) {
+  const Unlocked unlocked;
+  sg::parallel_for(count, [&](int i) {
+    const PythonMode mode;
+    const Locked locked;
+    within_program([&] { task(i); });
+  });
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
+  nb::set_leak_warnings(false);  // a thread that works when the program ends keeps what it works on
   m.doc() = "The compiled kernels, documented in sgmethod/native/_native.pyi.";
   m.attr("MAX_SIDE") = sg::kMaxSide;
   m.attr("CUTOFF_V1") = sg::kCutoffV1;
@@ -49,6 +73,7 @@ NB_MODULE(_native, m) {
   m.def("available_cores", &sg::available_cores);
   m.def("thread_count", &sg::thread_count);
   m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));
+  m.def("in_parallel", &in_parallel, nb::arg("count"), nb::arg("task"));
   m.def("stay_alone", &sg::stay_alone);
   m.def("release_memory", &sg::release_memory);
   bind_raster(m);

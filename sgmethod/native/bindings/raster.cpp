@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "bindings/arrays.h"
+#include "bindings/lock.h"
 #include "fit/gradients.h"
 #include "texture/texture.h"
 
@@ -20,7 +21,7 @@ sg::Rasterization* rasterization(Rows<2> means, Rows<3> factors, int width, int 
                                  int64_t max_pairs, bool pyramid, int x, int y, const sg::Texture* texture) {
   require(means.shape(0) == factors.shape(0), "means and factors differ in number");
   const int n = gaussians(means);
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   const sg::Canvas canvas{x, y, width, height, cutoff, pyramid, shared(texture)};
   return new sg::Rasterization(means.data(), factors.data(), n, canvas, isa, max_pairs);
 }
@@ -52,7 +53,7 @@ sg::MutableGaussians gradients(const sg::Rasterization& r, const Rows<3>& colors
 void render(const sg::Rasterization& r, Rows<3> colors, ImageOut image) {
   require_colors(r, colors);
   require_size(image, r.width(), r.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   r.render(colors.data(), image.data());
 }
 
@@ -60,7 +61,7 @@ void missing(const sg::Rasterization& r, Rows<3> colors, Target target, ImageOut
   require_colors(r, colors);
   require_size(target, r.width(), r.height());
   require_size(image, r.width(), r.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::missing(r, colors.data(), target.data(), image.data());
 }
 
@@ -69,7 +70,7 @@ void missing_halved(const sg::Rasterization& r, Rows<3> colors, Target target, I
   require_size(target, r.width(), r.height());
   require_size(image, (r.width() + 1) / 2, (r.height() + 1) / 2);
   require(r.canvas().x % sg::kTileWidth == 0 && r.canvas().y % sg::kTileHeight == 0, "a part begins with a whole tile");
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::missing_halved(r, colors.data(), target.data(), image.data());
 }
 
@@ -78,7 +79,7 @@ void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Co
   require(side(image, 0) == r.height() && side(image, 1) == r.width(), "image has another size");
   const auto [red, green, blue] = background;
   const float below[3] = {red, green, blue};
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   r.render_bytes(colors.data(), below, image.data());
 }
 
@@ -87,21 +88,21 @@ double squared_error(const sg::Rasterization& r, Rows<3> colors, Target target, 
   const sg::MutableGaussians out = gradients(r, colors, means, factors, out_colors);
   require_size(target, r.width(), r.height());
   const int16_t* seen = values_of(visibility, r.width(), r.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   return sg::squared_error(r, colors.data(), target.data(), out, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike);
 }
 
 double error(const sg::Rasterization& r, Rows<3> colors, Target target) {
   require_colors(r, colors);
   require_size(target, r.width(), r.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   return sg::squared_error(r, colors.data(), target.data());
 }
 
 void gram(const sg::Rasterization& r, Rows<3> colors, RowsOut<3> out_colors, std::optional<Visibility> visibility) {
   require(gaussians(colors, out_colors) == r.gaussians(), "one row per Gaussian");
   const int16_t* seen = values_of(visibility, r.width(), r.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::gram(r, colors.data(), out_colors.data(), seen);
 }
 
@@ -109,7 +110,7 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
               RowsOut<3> out_colors) {
   const sg::MutableGaussians out = gradients(r, colors, means, factors, out_colors);
   require_size(grad, r.width(), r.height());
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::backward(r, colors.data(), grad.data(), out);
 }
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "bindings/arrays.h"
+#include "bindings/lock.h"
 #include "core/thread_pool.h"
 #include "rd/codec.h"
 #include "rd/lay_out.h"
@@ -18,8 +19,8 @@ namespace {
 
 // The result of a function that runs without Python's lock.
 template <typename Function>
-auto unlocked(const Function& function) {
-  nb::gil_scoped_release release;
+auto without_lock(const Function& function) {
+  const Unlocked unlocked;
   return function();
 }
 
@@ -28,7 +29,7 @@ nb::bytes bytes_of(const std::vector<uint8_t>& bytes) { return nb::bytes(bytes.d
 void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors, RowsOut<3> by_factors,
                    RowsOut<3> by_colors) {
   const int n = gaussians(factors, colors, by_factors, by_colors);
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::parallel_chunks(n, sg::kBlock, [&](int first, int last, int) {
     sg::add_rate_gradient(quantum, weight, first, last, {nullptr, factors.data(), colors.data()},
                           {nullptr, by_factors.data(), by_colors.data()});
@@ -44,7 +45,7 @@ void steps(Target target, float cutoff, bool pyramid, float spacing, float quant
   const sg::Descent descent{{0, 0, across, down, cutoff, pyramid}, spacing, target.data(),
                             values_of(visibility, across, down), by_eye ? sg::kSeenByEye : sg::kSeenAlike,
                             quantum, price, settings, reach, width, height};
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, rows(means, factors, colors),
                {first.data(), second.data(), bias.data()});
 }
@@ -52,13 +53,13 @@ void steps(Target target, float cutoff, bool pyramid, float spacing, float quant
 int64_t quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,
                  RowsOut<3> out_factors, RowsOut<3> out_colors) {
   const int n = gaussians(means, factors, colors, out_means, out_factors, out_colors);
-  nb::gil_scoped_release release;
+  const Unlocked unlocked;
   return sg::rd_quantise(p, rows(means, factors, colors), n, rows(out_means, out_factors, out_colors));
 }
 
 nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors) {
   const int n = gaussians(means, factors, colors);
-  return bytes_of(unlocked([&] { return sg::rd_encode(p, rows(means, factors, colors), n); }));
+  return bytes_of(without_lock([&] { return sg::rd_encode(p, rows(means, factors, colors), n); }));
 }
 
 nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Target target, double price,
@@ -69,13 +70,13 @@ nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows
   require_size(target, width, height);
   const sg::RefineSettings settings{price, sweeps, seconds, max_bytes, values_of(visibility, width, height),
                                     by_eye ? sg::kSeenByEye : sg::kSeenAlike, halvings};
-  return bytes_of(unlocked([&] { return sg::rd_refine(p, rows(means, factors, colors), n, target.data(), settings); }));
+  return bytes_of(without_lock([&] { return sg::rd_refine(p, rows(means, factors, colors), n, target.data(), settings); }));
 }
 
 auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max_gaussians) {
   const auto* bytes = static_cast<const uint8_t*>(data.data());
   sg::GaussianArrays decoded =
-      unlocked([&, size = data.size()] { return sg::rd_decode(p, bytes, size, prefix, max_gaussians); });
+      without_lock([&, size = data.size()] { return sg::rd_decode(p, bytes, size, prefix, max_gaussians); });
   return std::make_tuple(own_rows<2>(std::move(decoded.means)), own_rows<3>(std::move(decoded.factors)),
                          own_rows<3>(std::move(decoded.colors)));
 }
@@ -83,7 +84,7 @@ auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max
 auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, const sg::Texture* texture) {
   const auto* bytes = static_cast<const uint8_t*>(data.data());
   sg::LaidOut laid_out =
-      unlocked([&, size = data.size()] { return sg::lay_out(p, bytes, size, prefix, shared(texture)); });
+      without_lock([&, size = data.size()] { return sg::lay_out(p, bytes, size, prefix, shared(texture)); });
   nb::object raster = nb::cast(laid_out.raster.release(), nb::rv_policy::take_ownership);
   return std::make_tuple(std::move(raster), own_rows<3>(std::move(laid_out.colors)));
 }
