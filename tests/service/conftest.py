@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -74,6 +75,7 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     def run(*arguments: str, **settings: object) -> Outcome:
         with monkeypatch.context() as patch:
             patch.setattr(sys, "argv", ["service", *arguments])
+            patch.setattr(tempfile, "tempdir", tempfile.tempdir)  # which the web process sets
             for name, value in settings.items():
                 patch.setenv(name if name.isupper() else f"SG_{name}".upper(), str(value))
             status = main()
