@@ -131,14 +131,14 @@ def test_a_standby_answers_but_takes_no_changes(url: str, jobs: PostgresJobTable
 
 
 def test_a_lock_that_is_held_is_no_read_only_disk(path: Path) -> None:
-    jobs = SqliteJobTable(path, RULES)
-    with closing(sqlite3.connect(path, isolation_level=None)) as other:
-        other.execute("BEGIN IMMEDIATE")
-        jobs.check_writable()
-    path.unlink()
-    with pytest.raises(JobTableError, match="No such file"):
-        jobs.check_writable()
-    assert not path.exists()
+    with closing(SqliteJobTable(path, RULES)) as jobs:
+        with closing(sqlite3.connect(path, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            jobs.check_writable()
+        path.unlink()
+        with pytest.raises(JobTableError, match="No such file"):
+            jobs.check_writable()
+        assert not path.exists()
 
 
 def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobTable) -> None:
