@@ -114,7 +114,7 @@ def test_progress_and_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     fit(BATCH, 20, steps=400, on_progress=seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1
-    assert 0 < seen[0] < 1
+    assert any(0 < share < 1 for share in seen)
     began = time.perf_counter()
     found = fit(BATCH, 50, steps=1_000_000, stop=lambda: time.perf_counter() > began + 0.3)
     assert time.perf_counter() - began < 10
