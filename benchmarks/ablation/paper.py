@@ -111,7 +111,7 @@ def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, 
     fit = _fitted(path, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
     tuner = Tuner(fit.gaussians, fit.level, settings, None if settings.lambda_b else budget, seed)
-    schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
+    schedule = Schedule("tune", settings.tune_steps, settings.optimiser, settings.patience)
     schedule.run(Deadline(clock), Recorder(clock), tuner.step)
     stream = tuner.stream("paper" if settings.start.structure_guided else "baseline")
     seconds = time.perf_counter() - began

@@ -31,7 +31,7 @@ from sgmethod.settings.shared import OptimiserSettings
 
 MAX_SCALE, MAX_SLANT, MAX_AMPLITUDE = 8192.0, 2048.0, 32.0  # limits during a fit; a slant is |l2| / l3
 FAINT = 0.03  # least amplitude in the limit on steps: without it, shapes of faint Gaussians would jump
-SOBEL = torch.tensor([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], dtype=torch.float64) / 8
+SOBEL = torch.tensor([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], dtype=torch.float64)
 
 # Half the second derivative of the squared error by the frame's d and S and by the colour, for an isolated Gaussian:
 # to be multiplied by pi l1 l3, and for d and S by |colour|^2.

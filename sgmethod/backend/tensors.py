@@ -65,7 +65,7 @@ class Tensors(Kernels):
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
         target = self._tensor(image)
-        along_x = self._tensor(np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], np.float32) / 8)
+        along_x = self._tensor(np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], np.float32))
         kernels = torch.stack([along_x, along_x.T])[:, None]
 
         def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:

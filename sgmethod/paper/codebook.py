@@ -1,4 +1,4 @@
-"""Residual vector quantisation of colours, two stages of eight entries (GSImage; paper, section III-C)."""
+"""Residual vector quantisation of colours, two stages of eight entries (GaussianImage; paper, section III-C)."""
 
 from __future__ import annotations
 
@@ -8,55 +8,55 @@ from torch import Tensor
 ROUNDS = 30  # of k-means
 
 
-def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int) -> Tensor:
-    """Weighted k-means, started by k-means++: points [N, D], weights [N] >= 0 -> centres [entries, D]."""
+def kmeans(points: Tensor, entries: int, seed: int) -> Tensor:
+    """K-means, started by k-means++: points [N, D] -> centres [entries, D]."""
     generator = torch.Generator().manual_seed(seed)
-    weights = weights + 1e-12
-    centres = points[torch.multinomial(weights, 1, generator=generator)]
+    centres = points[torch.randint(len(points), (1,), generator=generator)]
     while len(centres) < entries:
-        distance = torch.cdist(points, centres).square().amin(1) * weights + 1e-12
+        distance = torch.cdist(points, centres).square().amin(1) + 1e-12
         centres = torch.cat([centres, points[torch.multinomial(distance, 1, generator=generator)]])
     for _ in range(ROUNDS):
-        centres = _means(points, weights, torch.cdist(points, centres).argmin(1), centres)
+        centres = _means(points, torch.cdist(points, centres).argmin(1), centres)
     return centres
 
 
-def _means(points: Tensor, weights: Tensor, index: Tensor, fallback: Tensor) -> Tensor:
-    """Weighted mean [K, D] of the points of each index; the fallback [K, D] for an index without points."""
-    total = torch.zeros(len(fallback)).index_add_(0, index, weights)
-    sums = torch.zeros_like(fallback).index_add_(0, index, points * weights[:, None])
-    return torch.where(total[:, None] > 0, sums / total.clamp_min(1e-20)[:, None], fallback)
+def _means(points: Tensor, index: Tensor, fallback: Tensor) -> Tensor:
+    """Mean [K, D] of the points of each index; the fallback [K, D] for an index without points."""
+    total = torch.bincount(index, minlength=len(fallback))[:, None]
+    sums = torch.zeros_like(fallback).index_add_(0, index, points)
+    return torch.where(total > 0, sums / total.clamp_min(1), fallback)
 
 
 class ResidualCodebook:
-    """Two codebooks [2, 8, 3]; a colour is the sum of one entry of each.
+    """Two codebooks [2, 8, 3]: a colour is the sum of an entry of the first and one of the second for what is left.
 
-    The entries follow the colours by an exponential moving average, as in GSImage.
+    The entries follow the colours by an exponential moving average.
     """
 
-    def __init__(self, colors: Tensor, weights: Tensor, *, stages: int, entries: int, decay: float, seed: int):
+    def __init__(self, colors: Tensor, *, stages: int, entries: int, decay: float, seed: int):
         self.decay = decay
         residual, books = colors, []
         for stage in range(stages):
-            centres = kmeans(residual, weights, entries, seed + stage)
-            residual = residual - centres[torch.cdist(residual, centres).argmin(1)]
-            books.append(centres)
+            books.append(kmeans(residual, entries, seed + stage))
+            residual = residual - books[-1][torch.cdist(residual, books[-1]).argmin(1)]
         self.entries = torch.stack(books)
 
     def assign(self, colors: Tensor) -> Tensor:
-        """Find the pair of entries nearest to each colour [N, 3], over all pairs; returns indices [N, 2]."""
-        first, second = self.entries
-        pairs = (first[:, None] + second[None]).reshape(-1, 3)
-        best = torch.cdist(colors, pairs).argmin(1)
-        return torch.stack([best // len(second), best % len(second)], 1)
+        """Find for each colour [N, 3] the nearest entry, stage by stage; returns indices [N, 2]."""
+        residual, found = colors, []
+        for book in self.entries:
+            found.append(torch.cdist(residual, book).argmin(1))
+            residual = residual - book[found[-1]]
+        return torch.stack(found, 1)
 
     def lookup(self, index: Tensor) -> Tensor:
         """Return the colours [N, 3] of indices [N, 2]."""
         return self.entries[0][index[:, 0]] + self.entries[1][index[:, 1]]
 
-    def follow(self, colors: Tensor, weights: Tensor, index: Tensor) -> None:
-        """Move each entry by 1 - decay of the way to the weighted mean of the colours it represents."""
-        for stage in range(len(self.entries)):
-            others = self.lookup(index) - self.entries[stage][index[:, stage]]
-            target = _means(colors - others, weights, index[:, stage], self.entries[stage])
-            self.entries[stage] += (1 - self.decay) * (target - self.entries[stage])
+    def follow(self, colors: Tensor, index: Tensor) -> None:
+        """Move each entry by 1 - decay of the way to the mean of what it represents."""
+        residual = colors
+        for stage, book in enumerate(self.entries.clone()):
+            chosen = index[:, stage]
+            self.entries[stage] += (1 - self.decay) * (_means(residual, chosen, book) - book)
+            residual = residual - book[chosen]

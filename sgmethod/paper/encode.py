@@ -110,7 +110,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     start = place(image, n, s.start, np.random.default_rng(request.seed))
     fitted, fit_steps = fit(level, start, s, recorder, request.deadline.part_from_now(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)
-    schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate, s.patience)
+    schedule = Schedule("tune", s.tune_steps, s.optimiser, s.patience)
     steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)
     return tuner.stream(request.profile), steps
 

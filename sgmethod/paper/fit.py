@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss, Moments
+from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level, target_of
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.paper.optimiser import mover
 from sgmethod.paper.schedule import Schedule
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
@@ -25,16 +26,6 @@ def loss_of(level: Level, lambda_g: float) -> Loss:
     if lambda_g == 0:
         return level.gradients
     return level.backend.regularised(level.frame, level.image(), lambda_g)
-
-
-def add_energy_gradient(gaussians: Gaussians, gradient: Gaussians, weight: float) -> None:
-    """Add the gradient of weight * sum |c|^2 pi l1 l3, a penalty on large colours that cancel each other."""
-    l1, l3 = gaussians.factors[:, 0], gaussians.factors[:, 2]
-    area = np.float32(math.pi * weight) * l1 * l3
-    energy = np.square(gaussians.colors).sum(1) * area
-    gradient.colors[:] += 2 * gaussians.colors * area[:, None]
-    gradient.factors[:, 0] += energy / l1
-    gradient.factors[:, 2] += energy / l3
 
 
 def usable(start: Gaussians, level: Level) -> Gaussians:
@@ -55,15 +46,13 @@ def fit(
     level: Level, start: Gaussians, settings: PaperSettings, recorder: Recorder, deadline: Deadline
 ) -> tuple[Gaussians, int]:
     """Fit all Gaussians without quantisation; return them and the number of steps."""
-    s, loss = settings, loss_of(level, settings.lambda_g)
-    gaussians = level.solve_colors(usable(start, level), s.color_solve_steps)
-    moments = Moments.none(len(start))
+    loss, gaussians = loss_of(level, settings.lambda_g), usable(start, level)
+    move = mover(settings.optimiser, level, len(start))
 
     def step(rate: float) -> tuple[float, int, int]:
         mse, gradient = loss(gaussians)
-        add_energy_gradient(gaussians, gradient, s.lambda_e / level.values)
-        level.backend.step(gaussians, gradient, moments, s.optimiser, rate, 1)
+        move(gaussians, gradient, rate)
         return mse, len(start), 0
 
-    schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate, s.patience)
+    schedule = Schedule("fit", settings.fit_steps, settings.optimiser, settings.patience)
     return gaussians, schedule.run(deadline, recorder, step)

@@ -4,28 +4,26 @@ Positions are quantised by LSQ, factors by ABQ, colours by residual vector quant
 
     L_tune = MSE + lambda_g L_g + lambda_b L_b + lambda_r L_r.
 
-A byte budget fixes the sum of all bitwidths. It replaces lambda_b: the soft bitwidths are shifted by a common amount
-until the file fits, which is the same trade-off at a price set by the budget. Soft bitwidths start from the picture's
-sensitivity to each Gaussian's shape.
+Where a file must not exceed a budget of bytes, all soft bitwidths are lowered by a common amount until it fits.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.backend.protocol import Moments
 from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, StreamV1, file_bytes, record_bits
 from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import loss_of
+from sgmethod.paper.optimiser import mover
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
+from sgmethod.settings.shared import ADAM
 
 MIN_SPAN_PX = 1e-3
 FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
@@ -71,22 +69,14 @@ class Tuner:
         self.loss = loss_of(level, s.lambda_g)
         self.p = Parameters.of(gaussians)
         self.n = len(gaussians)
-        means, factors, tail = self.p.means, self.p.factors, s.range_quantile
-        self.weights = factors[:, 0] * factors[:, 2]  # the energy of a Gaussian of colour 1, up to a constant
+        means, factors = self.p.means, self.p.factors
         self.book = ResidualCodebook(
-            self.p.colors,
-            self.weights,
-            stages=CODEBOOK_STAGES,
-            entries=CODEBOOK_ENTRIES,
-            decay=s.codebook_decay,
-            seed=seed,
+            self.p.colors, stages=CODEBOOK_STAGES, entries=CODEBOOK_ENTRIES, decay=s.codebook_decay, seed=seed
         )
         self.position_bits = torch.tensor([float(s.position_bits)])
-        self.ranges = [means.amin(0), means.amax(0), factors.quantile(tail, dim=0), factors.quantile(1 - tail, dim=0)]
+        self.ranges = [means.amin(0), means.amax(0), factors.amin(0), factors.amax(0)]
         self._widen()
-        self.soft_bits = (
-            self._sensitivity_bits() if s.adaptive_bitwidth else torch.full((self.n, 1), float(s.min_bitwidth))
-        )
+        self.soft_bits = torch.full((self.n, 1), s.start_bitwidth if s.adaptive_bitwidth else float(s.min_bitwidth))
         self.shift = 0.0
         self.steps = 0
         spans = [(high - low).amax().item() for low, high in (self.ranges[:2], self.ranges[2:])]
@@ -94,8 +84,8 @@ class Tuner:
         groups = [{"params": [r], "lr": lr, "initial_lr": lr} for r, lr in zip(self.ranges, rates, strict=True)]
         if s.adaptive_bitwidth:
             groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
-        self.optimiser = torch.optim.Adam(groups, betas=(s.optimiser.beta1, s.optimiser.beta2), eps=1e-15)
-        self.moments = Moments.none(self.n)
+        self.optimiser = torch.optim.Adam(groups, betas=(ADAM.beta1, ADAM.beta2), eps=1e-15)
+        self.move = mover(s.optimiser, level, self.n)
         self.fit_budget()
 
     def _widen(self) -> None:
@@ -103,18 +93,6 @@ class Tuner:
         self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.optimiser.min_scale_px)
         for low, high in (self.ranges[:2], self.ranges[2:]):
             high.copy_(torch.maximum(high, low + MIN_SPAN_PX))
-
-    def _sensitivity_bits(self) -> Tensor:
-        """Bitwidths [N, 1] that spread the error evenly.
-
-        An isolated Gaussian's picture changes by about |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves
-        the step. The mean is the profile's, because a bitwidth that starts below the least has no gradient and would
-        stay there.
-        """
-        l1, _, l3 = self.p.factors.T
-        power = self.p.colors.square().sum(1) * l1 * l3 * (l1**-2 + 2 * l3**-2)
-        bits = 0.5 * torch.log2(power + 1e-9)[:, None]
-        return bits + (self.settings.mean_bitwidth - bits.mean())
 
     def bits(self) -> Tensor:
         """Soft bitwidths [N, 1], shifted and clamped to the allowed range."""
@@ -126,10 +104,13 @@ class Tuner:
         return file_bytes(fixed + 3 * int(hard.sum()), int((torch.bincount(hard[:, 0]) > 0).sum()))
 
     def fit_budget(self) -> None:
-        """Shift all soft bitwidths by the largest amount that keeps the file within the budget."""
+        """Lower all soft bitwidths until the file is within the budget; raise them to use it up if bits_by_budget."""
         if self.max_bytes is None or not self.settings.adaptive_bitwidth:
             return
-        low, high = -64.0, 64.0
+        low, high = -64.0, 64.0 if self.settings.bits_by_budget else 0.0
+        self.shift = high
+        if self.file_bytes() <= self.max_bytes:
+            return
         for _ in range(32):
             self.shift = (low + high) / 2
             low, high = (self.shift, high) if self.file_bytes() <= self.max_bytes else (low, self.shift)
@@ -139,7 +120,7 @@ class Tuner:
         """Gaussians as decoded, differentiable in latents, ranges and bitwidths, and their colour indices [N, 2]."""
         first, last, low, high = self.ranges
         means = lattice.quantise(self.p.means, first, last, self.position_bits)
-        factors = lattice.quantise(self.p.factors, low, high, self.bits())
+        factors = lattice.quantise(self.p.factors, low, high, self.bits(), self.settings.printed_gradient)
         index = self.book.assign(self.p.colors)
         return Parameters(means, factors, self.book.lookup(index)), index
 
@@ -160,20 +141,18 @@ class Tuner:
             for leaf in leaves:
                 leaf.requires_grad_(False)
             self._move((grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
-            self.book.follow(self.p.colors, self.weights, index)
+            self.book.follow(self.p.colors, index)
         return mse, self.n, self.file_bytes()
 
     def _move(
         self, grads: tuple[Tensor, Tensor, Tensor], others: list[Tensor], coded_colors: Tensor, rate: float
     ) -> None:
         s = self.settings
-        # L_r, with each colour weighted by its Gaussian's share of the picture, to be on the scale of the MSE.
-        energy = math.pi * self.weights / self.level.values
-        by_colors = grads[2] + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
+        by_colors = grads[2] + 2 * s.lambda_r / coded_colors.numel() * (self.p.colors - coded_colors)  # L_r
         gradient = Parameters(grads[0], grads[1], by_colors).numpy()
-        self.level.backend.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
-        # L_b, or with a budget the price at which the mean bitwidth stays the same.
-        price = others[4].mean() if self.max_bytes is not None else -s.lambda_b / self.n
+        self.move(self.p.numpy(), gradient, rate * s.tune_rate)
+        # L_b, or with a budget in its place the price at which the mean bitwidth stays the same.
+        price = others[4].mean() if s.bits_by_budget and self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
         for parameter, value in zip([*self.ranges, self.soft_bits], others, strict=True):
             parameter.grad = value

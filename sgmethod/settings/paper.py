@@ -8,40 +8,47 @@ from sgmethod.settings.shared import ADAM, STRUCTURE, OptimiserSettings, StartSe
 
 
 @dataclass(frozen=True)
+class AdanSettings:
+    """Adan as GaussianImage uses it, without weight decay: on means in atanh of [-1, 1], factors and colours."""
+
+    rate: float = 1e-3
+    halved_every: int = 20_000  # steps
+    betas: tuple[float, float, float] = (0.98, 0.92, 0.99)
+    min_scale_px: float = 0.3  # ours, as in OptimiserSettings
+
+
+@dataclass(frozen=True)
 class PaperSettings:
     """Hyper-parameters of profiles paper and baseline."""
 
     start: StartSettings = STRUCTURE
-    optimiser: OptimiserSettings = ADAM
-    color_solve_steps: int = 10  # conjugate-gradient steps for the start's colours
+    optimiser: OptimiserSettings | AdanSettings = ADAM  # ours; the paper's, which it does not name, takes 50,000 steps
 
     # Losses (sections III-D and III-E)
     lambda_g: float = 0.06  # geometry-consistent regularisation, section IV-A
-    # Bitwidth loss, used if no byte budget sets the bitwidths: a tenth of the number in section IV-A, which on the
-    # scale of our error leaves nearly all Gaussians at six bits.
-    lambda_b: float = 0.00012
-    lambda_r: float = 1.0  # commitment of colours to the codebooks (GSImage)
-    # Ours: penalty in the fit on the energy of each Gaussian alone, because large colours that cancel do not survive
-    # six bits each. 28.9 -> 29.3 dB and 28.4 -> 28.8 dB on two photographs after quantisation.
-    lambda_e: float = 0.003
+    lambda_b: float = 0.0012  # bitwidth loss, section IV-A
+    lambda_r: float = 1.0  # commitment of colours to the codebooks (GaussianImage)
 
     # Schedule: ours.
     fit_steps: int = 4000
     tune_steps: int = 2500
     tune_rate: float = 0.5  # factor on the optimiser's rates
     bits_rate: float = 0.02
-    # A range starts at these quantiles of its values: one outlier would coarsen all (28.6 -> 28.9 dB).
-    range_quantile: float = 0.01
     range_rate: float = 1e-4  # in multiples of the range's width
     patience: float = 0.3  # a phase has converged after this part of the schedule without progress
 
     # Quantisation (sections III-C and IV-A)
     position_bits: int = 12
-    adaptive_bitwidth: bool = True  # False: uniform at min_bitwidth (GSImage)
+    adaptive_bitwidth: bool = True  # False: uniform at min_bitwidth
     min_bitwidth: int = 6
     max_bitwidth: int = 16
-    mean_bitwidth: float = 7.5  # aimed at when a byte budget fixes the number of Gaussians
-    codebook_decay: float = 0.8  # GSImage
+    start_bitwidth: float = 8.0  # not in the paper
+    printed_gradient: bool = False  # of the bitwidth, as equation 7 prints it
+    codebook_decay: float = 0.8  # GaussianImage
+
+    # Budgets of bytes, which the paper does not have: ours.
+    mean_bitwidth: float = 6.2  # expected; it decides how many Gaussians a budget has room for
+    bits_by_budget: bool = False  # bitwidths are raised, too, until they use the budget, which replaces lambda_b
 
     @property
     def most_groups(self) -> int:
@@ -52,8 +59,13 @@ class PaperSettings:
 PAPER = PaperSettings()
 BASELINE = replace(
     PAPER,
-    start=replace(STRUCTURE, structure_guided=False),
+    start=replace(STRUCTURE, structure_guided=False, random_shapes=True),
+    optimiser=AdanSettings(),
     lambda_g=0.0,
+    fit_steps=50_000,
+    tune_steps=50_000,
+    tune_rate=1.0,
+    patience=1.0,
     position_bits=16,
     adaptive_bitwidth=False,
     mean_bitwidth=6.0,

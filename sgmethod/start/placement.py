@@ -74,25 +74,27 @@ def _with_rest(counts: NDArray[np.int64], n: int, order: NDArray[np.int64]) -> N
 
 
 def place(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Generator) -> Gaussians:
-    """Place n initial Gaussians on an image [H, W, 3] in [0, 1], with the colours of the pixels at their centres."""
-    if not settings.structure_guided:
-        return _place_randomly(image, n, rng)
-    regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
-    found = structure.analyse(image, regions, settings)
-    ratio = dynamic_ratio(n, image.shape[0] * image.shape[1], settings)
-    if settings.shared_by_area:
-        counts = allocate(found.complexity, found.area, n, ratio)
-    else:
-        counts = allocate_by_number(found.complexity, n, ratio)
-    means, scales = _scatter(found, counts, rng)
-    rows, columns = _pixels_below(means, image.shape[:2])
-    factors = _along_edges(scales, found.tensor[rows, columns])
-    return Gaussians(means, factors, image[rows, columns])
+    """Place n initial Gaussians on an image [H, W, 3] in [0, 1].
 
-
-def _place_randomly(image: FloatArray, n: int, rng: np.random.Generator) -> Gaussians:
+    Unless the settings say otherwise, they are round, each with its share of the picture's area as a disc, and have the
+    colours of the pixels at their centres.
+    """
     height, width = image.shape[:2]
-    means = (rng.random((n, 2)) * (width, height)).astype(np.float32)
+    if settings.structure_guided:
+        found = structure.analyse(image, min(max(n // settings.gaussians_per_region, 9), height * width), settings)
+        ratio = dynamic_ratio(n, height * width, settings)
+        if settings.shared_by_area:
+            counts = allocate(found.complexity, found.area, n, ratio)
+        else:
+            counts = allocate_by_number(found.complexity, n, ratio)
+        if settings.follows_gradient:
+            return _by_gradient(image, found, counts, rng)
+        means = _evenly(found, counts, rng)
+    else:
+        means = (rng.random((n, 2)) * (width, height)).astype(np.float32)
+    if settings.random_shapes:
+        factors, colors = rng.random((n, 3)) + np.array([0.5, 0, 0.5]), rng.random((n, 3))
+        return Gaussians(means, factors.astype(np.float32), colors.astype(np.float32))
     scale = max(math.sqrt(width * height / (math.pi * n)), MIN_START_SCALE_PX)
     factors = np.tile(np.array([scale, 0, scale], np.float32), (n, 1))
     return Gaussians(means, factors, image[_pixels_below(means, (height, width))])
@@ -101,6 +103,24 @@ def _place_randomly(image: FloatArray, n: int, rng: np.random.Generator) -> Gaus
 def _pixels_below(means: FloatArray, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     whole = np.floor(means).astype(np.int64)
     return np.clip(whole[:, 1], 0, shape[0] - 1), np.clip(whole[:, 0], 0, shape[1] - 1)
+
+
+def _evenly(found: Structure, counts: NDArray[np.int64], rng: np.random.Generator) -> FloatArray:
+    """Means [n, 2] in pixels, uniformly distributed within each region."""
+    width = found.labels.shape[1]
+    pixels = np.argsort(found.labels.ravel(), kind="stable")
+    region = np.repeat(np.arange(len(counts)), counts)
+    first = np.cumsum(found.area) - found.area
+    chosen = pixels[first[region] + (rng.random(len(region)) * found.area[region]).astype(np.int64)]
+    means = np.stack([chosen % width, chosen // width], 1) + rng.random((len(region), 2))
+    return means.astype(np.float32)
+
+
+def _by_gradient(image: FloatArray, found: Structure, counts: NDArray[np.int64], rng: np.random.Generator) -> Gaussians:
+    """Profile rd's start: denser and smaller where the gradient is strong, and along edges."""
+    means, scales = _scatter(found, counts, rng)
+    below = _pixels_below(means, image.shape[:2])
+    return Gaussians(means, _along_edges(scales, found.tensor[below]), image[below])
 
 
 def _scatter(found: Structure, counts: NDArray[np.int64], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -38,12 +38,12 @@ def test_values_and_gradient(size: tuple[int, int], lambda_g: float) -> None:
     assert not grad.any()
 
 
-def test_a_ramp_of_slope_one_has_gradient_one() -> None:
+def test_a_ramp_of_slope_one_has_gradient_eight() -> None:
     """Pins the scale of the definition's Sobel kernels, on which lambda_g depends."""
     ramp = torch.arange(5.0, dtype=torch.float64)
     target = ramp.expand(3, 4, 5)
-    image = target + ramp / 2  # G'x - Gx = 1/2 in the 2 x 3 interior pixels of 4 x 5
-    assert geometry_loss(image, target) == pytest.approx(6 / 20 * 0.25, rel=1e-6)  # worst error seen 0
+    image = target + ramp / 2  # Gx = 8 and G'x - Gx = 4 in the 2 x 3 interior pixels of 4 x 5
+    assert geometry_loss(image, target) == pytest.approx(6 / 20 * 8 * 16, rel=1e-6)  # worst error seen 0
 
 
 @pytest.mark.parametrize("lambda_g", LAMBDAS)

@@ -1,6 +1,6 @@
 // L_g = mean over pixels and channels of |Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2. The Sobel operator is linear, so
 // G'x - Gx = Sobel_x(D) with D = image - target, and with u = |Gx| Sobel_x(D) the gradient by D is 2 Sobel_x^T(u).
-// Sobel kernels are divided by 8 (a ramp of slope 1 has gradient 1). Pixels without a whole 3x3 neighbourhood have
+// Sobel kernels are the usual ones (a ramp of slope 1 has gradient 8). Pixels without a whole 3x3 neighbourhood have
 // weight 0, so the planes are padded by a frame of zeros and the transpose is the operator with the opposite sign.
 #include "fit/loss.h"
 
@@ -39,8 +39,8 @@ SG_CLONES double subtract(const float* a, const float* b, float* out, int count)
 SG_CLONES void sobel(const float* p, int64_t stride, float* gx, float* gy, int count) {
   const float *a = p - stride, *b = p + stride;
   for (int c = 0; c < count; ++c) {
-    gx[c] = ((a[c + 1] - a[c - 1]) + 2.0f * (p[c + 1] - p[c - 1]) + (b[c + 1] - b[c - 1])) * 0.125f;
-    gy[c] = ((b[c - 1] - a[c - 1]) + 2.0f * (b[c] - a[c]) + (b[c + 1] - a[c + 1])) * 0.125f;
+    gx[c] = (a[c + 1] - a[c - 1]) + 2.0f * (p[c + 1] - p[c - 1]) + (b[c + 1] - b[c - 1]);
+    gy[c] = (b[c - 1] - a[c - 1]) + 2.0f * (b[c] - a[c]) + (b[c + 1] - a[c + 1]);
   }
 }
 
@@ -86,7 +86,7 @@ ReconstructionLoss::ReconstructionLoss(const float* target, int width, int heigh
 double ReconstructionLoss::operator()(const float* image, float* grad) {
   const int bands = (height_ + kBand - 1) / kBand;
   const double values = 3.0 * static_cast<double>(width_) * height_;
-  const float mse_scale = static_cast<float>(2.0 / values), g_scale = 0.125f * lambda_g_ * mse_scale;
+  const float mse_scale = static_cast<float>(2.0 / values), g_scale = lambda_g_ * mse_scale;
   std::vector<double> squares(3 * bands);
   const auto for_rows = [&](const auto& body) {
     parallel_for(3 * bands, [&](int task) {
