@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.ablation import paper, parts, representation
+from benchmarks.ablation import gains, paper, parts, representation
 from benchmarks.ablation.report import summary
 from benchmarks.arguments import run_part, some_of
 from benchmarks.machine import RUNS, Record
@@ -76,5 +76,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    parts_of_command = {"tables": main, "representation": representation.main}
+    parts_of_command = {"tables": main, "gains": gains.main, "representation": representation.main}
     sys.exit(run_part(parts_of_command, __doc__, default="tables"))

@@ -31,12 +31,12 @@ from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
 from sgmethod.start import placement
 
 # No quantisation follows here, so the price on large colours, which only that needs, is left out.
-FLOAT = replace(PAPER, lambda_e=0.0)
+FLOAT = PAPER
 _SETTINGS = (
     FLOAT,
     replace(FLOAT, lambda_g=0.0),
     replace(FLOAT, start=replace(FLOAT.start, structure_guided=False)),
-    replace(BASELINE, lambda_e=0.0),
+    BASELINE,
 )
 VARIANTS: dict[str, PaperSettings] = dict(zip(REPRESENTATIONS[1:], _SETTINGS, strict=True))
 DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; fewer if they take longer than DRAWING_S

@@ -96,13 +96,24 @@ class Tiles:
         bits: quanta and prices [B], as of `descent`, whose other fields are alike for all pictures.
         """
         planes, errors = self._drawn(target.contiguous())
+        self._step(planes, moments, bits, descent, rate)
+        return errors.sum(1) / (3 * self._levels[0].area)
+
+    def step_by(self, by_image: Tensor, moments: Sequence[Tensor], descent: Descent, rate: float) -> None:
+        """Take the same step by a gradient of another loss by the pictures, without a price of bits."""
+        planes, free = self._new(self._batch * 3 * self._samples), torch.ones(self._batch, device=self._device)
+        self._plane(planes, 0).copy_(by_image)
+        self._step(planes, moments, (free, torch.zeros_like(free)), descent, rate)
+
+    def _step(
+        self, planes: Tensor, moments: Sequence[Tensor], bits: Sequence[Tensor], descent: Descent, rate: float
+    ) -> None:
         d, s = descent, descent.settings
         rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
         newton = s.newton_steps * d.values / (2 * math.pi)
         numbers = *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(d.width), float(d.height)
         arguments = *self._values, self._sums(planes), *moments, *bits, self._total, self._each, self._scale, *numbers
         self._launch(tile_kernels.step, self._blocks(), *arguments, self._frame.pyramid, BLOCK)
-        return errors.sum(1) / (3 * self._levels[0].area)
 
     def _drawn(self, target: Tensor | None) -> tuple[Tensor, Tensor]:
         """Planes of the pictures, or all planes with the gradient of the error in place of the pictures."""

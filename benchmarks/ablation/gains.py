@@ -1,0 +1,244 @@
+"""What the paper's start and regularisation gain in floating point, over all pictures of a folder.
+
+    python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
+
+whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
+numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
+optimiser  GaussianImage's own optimiser, shapes and colours, on the middle 160x160: random, fixed and dynamic
+
+Numbers of Gaussians are for 768x512 pixels; smaller pictures have as many for each pixel, and n_0 and N_t with them.
+All pictures of a row are fitted at once on a GPU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+from benchmarks.arguments import some_of
+from benchmarks.machine import RUNS, Record
+from benchmarks.pictures import Pixels, add_options, named_in
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
+from sgmethod.decoder import draw
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.paper import fit as paper
+from sgmethod.paper.optimiser import Adan, rate_at
+from sgmethod.scene import Gaussians, Scene
+from sgmethod.settings.paper import PAPER, AdanSettings, PaperSettings
+from sgmethod.settings.shared import StartSettings
+from sgmethod.start.placement import place
+
+PIXELS = 768 * 512
+SOBEL = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]])
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table: fits of so many Gaussians on all pictures. middle: of a picture, in pixels; None for all."""
+
+    gaussians: int
+    setting: str
+    settings: PaperSettings
+    middle: tuple[int, int] | None = None
+
+
+def starting(of: PaperSettings, name: str) -> PaperSettings:
+    """The same settings with another start."""
+    start = {
+        "random": replace(of.start, structure_guided=False),
+        "fixed": replace(of.start, threshold_factor=math.inf),
+        "dynamic": of.start,
+    }
+    return replace(of, start=start[name])
+
+
+PLAIN = replace(PAPER, lambda_g=0.0, fit_steps=3000, patience=1.0)
+THEIRS = replace(PLAIN, start=replace(PAPER.start, random_shapes=True), optimiser=AdanSettings(), fit_steps=50_000)
+STARTS = ("random", "fixed", "dynamic")
+TABLES: dict[str, list[Row]] = {
+    "whole": [
+        Row(n, f"{start}{' + regularisation' if weight else ''}", replace(starting(PLAIN, start), lambda_g=weight))
+        for n in (70_000, 30_000)
+        for weight in (0.0, PAPER.lambda_g)
+        for start in ("random", "dynamic")
+    ],
+    "optimiser": [Row(n, start, starting(THEIRS, start), (160, 160)) for n in (70_000, 30_000) for start in STARTS],
+    "numbers": [
+        Row(n, start, starting(PLAIN, start), (384, 256))
+        for n in (70_000, 90_000, 50_000, 30_000, 10_000)
+        for start in STARTS
+    ],
+}
+
+
+def pixels_of(path: Path, middle: tuple[int, int] | None) -> Pixels:
+    """A picture or its middle; turned where it is upright, so that all have one size."""
+    pixels = read_image_8_bit(path.read_bytes())
+    if pixels.shape[0] > pixels.shape[1]:
+        pixels = np.rot90(pixels)
+    if middle is not None:
+        y, x = (pixels.shape[0] - middle[1]) // 2, (pixels.shape[1] - middle[0]) // 2
+        pixels = pixels[y : y + middle[1], x : x + middle[0]]
+    return np.ascontiguousarray(pixels)
+
+
+def placed(row: Row, pixels: Pixels) -> Gaussians:
+    """The start of a row on a picture."""
+    part = pixels.shape[0] * pixels.shape[1] / PIXELS
+    start: StartSettings = row.settings.start
+    k = start.threshold_factor * part ** (1 - start.threshold_exponent)  # so that N_t is that part, too
+    start = replace(start, ratio_start=round(part * start.ratio_start), threshold_factor=k)
+    image = pixels.astype(np.float32) / np.float32(255)
+    return place(image, round(part * row.gaussians), start, np.random.default_rng(0))
+
+
+def on_cpu(rows: Sequence[Row], pictures: Sequence[Sequence[Pixels]], starts: Sequence[Gaussians]) -> list[Gaussians]:
+    """The fits of profile paper, one after another."""
+    torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
+    every = [(row, pixels) for row, of_row in zip(rows, pictures, strict=True) for pixels in of_row]
+    found = []
+    for (row, pixels), start in zip(every, starts, strict=True):
+        clock = Clock()
+        level = paper.level_of(pixels, Kernels())
+        found.append(paper.fit(level, start, row.settings, Recorder(clock), Deadline(clock, None))[0])
+    return found
+
+
+def on_gpu(
+    device: str,
+    ends: float,
+    rows: Sequence[Row],
+    pictures: Sequence[Sequence[Pixels]],
+    starts: Sequence[Gaussians],
+) -> list[Gaussians]:
+    """The same fits, all at once: rows differ in their starts alone, and no fit ends early."""
+    from sgmethod.backend.tiles import Tiles
+
+    pixels = [one for of_row in pictures for one in of_row]
+    height, width = pixels[0].shape[:2]
+    s = rows[0].settings
+    most = max(map(len, starts))
+    arrays = zip(*(one.arrays for one in starts), strict=True)
+    filled = [np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in of]) for of in arrays]
+    values = [torch.from_numpy(of).to(device) for of in filled]
+    target = torch.from_numpy(np.stack(pixels)).to(device).permute(0, 3, 1, 2).float().div(255).contiguous()
+    frame = Frame(width, height, CUTOFF_V1, pyramid=False)
+    shape = len(pixels), most
+    moments = [torch.zeros(*shape, 8, device=device), torch.zeros(*shape, 8, device=device)]
+    moments.append(torch.ones(*shape, 2, device=device))
+    no_target = np.zeros((3, 0, 0), np.int16)
+    adan = Adan(s.optimiser if isinstance(s.optimiser, AdanSettings) else AdanSettings(), width, height)
+    nowhere = torch.tensor([len(one) for one in starts], device=device)[:, None] <= torch.arange(most, device=device)
+    began = time.monotonic()
+    for step in range(s.fit_steps):
+        if step % 1000 == 100 and device != "cpu":
+            torch.cuda.synchronize()
+            print(f"step {step} of {s.fit_steps}, {time.monotonic() - began:.0f} s", flush=True)
+        if time.monotonic() > ends:
+            raise TimeoutError(f"no time is left after {step} steps")
+        rate = rate_at(s.optimiser, step / s.fit_steps, s.fit_steps)
+        tiles = Tiles(frame, *values)
+        by_image = by_picture(tiles.draw(), target, s.lambda_g)
+        if isinstance(s.optimiser, AdanSettings):
+            adan.step(values, tiles.gradients(by_image), rate)
+            values[1][nowhere] = 0
+        else:
+            descent = Descent(frame, no_target, None, 1.0, 0.0, width, height, s.optimiser)
+            tiles.step_by(by_image, moments, descent, rate)
+    found = [of.cpu().numpy() for of in values]
+    return [Gaussians(*(of[k, : len(one)].copy() for of in found)) for k, one in enumerate(starts)]
+
+
+def by_picture(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
+    """The gradient [B, 3, H, W] of MSE + lambda_g L_g by each picture drawn."""
+    left = drawn - target
+    numel = left[0].numel()
+    if lambda_g == 0:
+        return left * (2 / numel)
+    kernels = torch.stack([SOBEL, SOBEL.T])[:, None].to(left.device)
+    planes = left.flatten(0, 1)[:, None]
+    with torch.enable_grad():
+        planes.requires_grad_()
+        wanted = conv2d(target.flatten(0, 1)[:, None], kernels).abs()
+        loss = (planes.square().sum() + lambda_g * (wanted * conv2d(planes, kernels).square()).sum()) / numel
+        (found,) = torch.autograd.grad(loss, planes)
+    return found.view_as(left)
+
+
+def judged(pixels: Pixels, gaussians: Gaussians) -> dict[str, Any]:
+    """The figures of a fit."""
+    height, width = pixels.shape[:2]
+    shown = draw(Scene(gaussians, width, height, (0, 0, 0), CUTOFF_V1, False))
+    seen = ms_ssim(shown, pixels) if min(width, height) > 160 else None
+    return {"gaussians": len(gaussians), "psnr": psnr(shown, pixels), "ms_ssim": seen}
+
+
+def measure(record: Record, name: str, device: str, ends: float, paths: list[Path], together: Sequence[Row]) -> None:
+    """Measure rows that differ in their starts alone."""
+
+    def key(row: Row, path: Path) -> dict[str, Any]:
+        return {"table": name, "asked": row.gaussians, "setting": row.setting, "image": path.stem}
+
+    todo = [row for row in together if not all(record.has(**key(row, path)) for path in paths)]
+    if not todo:
+        return
+    pictures = [[pixels_of(path, row.middle) for path in paths] for row in todo]
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(placed, row, one) for row, of in zip(todo, pictures, strict=True) for one in of]
+        starts = [job.result() for job in jobs]
+        began = time.perf_counter()
+        fits = on_cpu if device == "cpu" else partial(on_gpu, device, ends)
+        found = iter(fits(todo, pictures, starts))
+        print(f"{name}, {todo[0].gaussians}: {time.perf_counter() - began:.1f} s", flush=True)
+        jobs2 = [
+            (key(row, path), pool.submit(judged, one, next(found)))
+            for row, of in zip(todo, pictures, strict=True)
+            for path, one in zip(paths, of, strict=True)
+        ]
+        for of_row, job in jobs2:
+            record.add({**of_row, **job.result()})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.ablation gains",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_options(parser, most=24)
+    parser.add_argument("--tables", type=some_of(tuple(TABLES), "table"), default=",".join(TABLES))
+    parser.add_argument("--numbers", type=lambda text: [int(n) for n in text.split(",")], help="of Gaussians; all")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--steps", type=int, help="of each fit, instead of a table's own")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="no fit goes on for longer")
+    parser.add_argument("--out", type=Path, default=RUNS / "gains.json")
+    options = parser.parse_args()
+    record = Record(options.out, "benchmarks.ablation gains", {"steps": options.steps})
+    paths, ends = named_in(options), time.monotonic() + 60 * options.minutes
+    for name in options.tables:
+        alike: dict[tuple[int, float], list[Row]] = {}
+        for row in TABLES[name]:
+            if row.gaussians in (options.numbers or [row.gaussians]):
+                settings = replace(row.settings, fit_steps=options.steps or row.settings.fit_steps)
+                key = row.gaussians, settings.lambda_g
+                alike.setdefault(key, []).append(replace(row, settings=settings))
+        for together in alike.values():
+            if time.monotonic() < ends:
+                measure(record, name, options.device, ends, paths, together)
