@@ -18,7 +18,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import compress
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -109,31 +109,20 @@ def placed(row: Row, pixels: Pixels) -> Gaussians:
     return place(image, round(part * row.gaussians), start, np.random.default_rng(0))
 
 
-def on_cpu(rows: Sequence[Row], pictures: Sequence[Sequence[Pixels]], starts: Sequence[Gaussians]) -> list[Gaussians]:
-    """The fits of profile paper, one after another."""
-    torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
-    every = [(row, pixels) for row, of_row in zip(rows, pictures, strict=True) for pixels in of_row]
-    found = []
-    for (row, pixels), start in zip(every, starts, strict=True):
-        clock = Clock()
-        level = paper.level_of(pixels, Kernels())
-        found.append(paper.fit(level, start, row.settings, Recorder(clock), Deadline(clock, None))[0])
-    return found
+def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
+    """The fit of profile paper."""
+    clock = Clock()
+    level = paper.level_of(pixels, Kernels())
+    return paper.fit(level, start, row.settings, Recorder(clock), Deadline(clock, None))[0]
 
 
 def on_gpu(
-    device: str,
-    ends: float,
-    rows: Sequence[Row],
-    pictures: Sequence[Sequence[Pixels]],
-    starts: Sequence[Gaussians],
+    device: str, ends: float, s: PaperSettings, pixels: Sequence[Pixels], starts: Sequence[Gaussians]
 ) -> list[Gaussians]:
-    """The same fits, all at once: rows differ in their starts alone, and no fit ends early."""
+    """The fits of profile paper, all at once: rows differ in their starts alone."""
     from sgmethod.backend.tiles import Tiles
 
-    pixels = [one for of_row in pictures for one in of_row]
     height, width = pixels[0].shape[:2]
-    s = rows[0].settings
     most = max(map(len, starts))
     arrays = zip(*(one.arrays for one in starts), strict=True)
     filled = [np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in of]) for of in arrays]
@@ -146,11 +135,7 @@ def on_gpu(
     no_target = np.zeros((3, 0, 0), np.int16)
     adan = Adan(s.optimiser if isinstance(s.optimiser, AdanSettings) else AdanSettings(), width, height)
     nowhere = torch.tensor([len(one) for one in starts], device=device)[:, None] <= torch.arange(most, device=device)
-    began = time.monotonic()
     for step in range(s.fit_steps):
-        if step % 1000 == 100 and device != "cpu":
-            torch.cuda.synchronize()
-            print(f"step {step} of {s.fit_steps}, {time.monotonic() - began:.0f} s", flush=True)
         if time.monotonic() > ends:
             raise TimeoutError(f"no time is left after {step} steps")
         rate = rate_at(s.optimiser, step / s.fit_steps, s.fit_steps)
@@ -190,30 +175,28 @@ def judged(pixels: Pixels, gaussians: Gaussians) -> dict[str, Any]:
     return {"gaussians": len(gaussians), "psnr": psnr(shown, pixels), "ms_ssim": seen}
 
 
-def measure(record: Record, name: str, device: str, ends: float, paths: list[Path], together: Sequence[Row]) -> None:
-    """Measure rows that differ in their starts alone."""
-
-    def key(row: Row, path: Path) -> dict[str, Any]:
-        return {"table": name, "asked": row.gaussians, "setting": row.setting, "image": path.stem}
-
-    todo = [row for row in together if not all(record.has(**key(row, path)) for path in paths)]
-    if not todo:
-        return
-    pictures = [[pixels_of(path, row.middle) for path in paths] for row in todo]
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(placed, row, one) for row, of in zip(todo, pictures, strict=True) for one in of]
-        starts = [job.result() for job in jobs]
-        began = time.perf_counter()
-        fits = on_cpu if device == "cpu" else partial(on_gpu, device, ends)
-        found = iter(fits(todo, pictures, starts))
-        print(f"{name}, {todo[0].gaussians}: {time.perf_counter() - began:.1f} s", flush=True)
-        jobs2 = [
-            (key(row, path), pool.submit(judged, one, next(found)))
-            for row, of in zip(todo, pictures, strict=True)
-            for path, one in zip(paths, of, strict=True)
-        ]
-        for of_row, job in jobs2:
-            record.add({**of_row, **job.result()})
+def measure(
+    record: Record, name: str, device: str, ends: float, paths: Sequence[Path], together: Sequence[Row]
+) -> None:
+    """Measure rows that differ in their starts alone: on a GPU all at once."""
+    keys = [
+        {"table": name, "asked": row.gaussians, "setting": row.setting, "image": path.stem}
+        for row in together
+        for path in paths
+    ]
+    every = [(row, pixels_of(path, row.middle)) for row in together for path in paths]
+    missing = [not record.has(**key) for key in keys]
+    if device == "cpu":
+        torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
+        for key, (row, pixels) in zip(compress(keys, missing), compress(every, missing), strict=True):
+            if time.monotonic() < ends:
+                record.add({**key, **judged(pixels, on_cpu(row, pixels, placed(row, pixels)))})
+    elif any(missing):
+        rows, pictures = zip(*every, strict=True)
+        with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:  # of whom none has touched the GPU
+            found = on_gpu(device, ends, rows[0].settings, pictures, [*pool.map(placed, rows, pictures)])
+            for key, figures in zip(keys, pool.map(judged, pictures, found), strict=True):
+                record.add({**key, **figures})
 
 
 def main() -> None:
