@@ -71,7 +71,13 @@ def starting(of: PaperSettings, name: str) -> PaperSettings:
 
 PLAIN = replace(PAPER, lambda_g=0.0, fit_steps=3000, patience=1.0)
 THEIRS = replace(PLAIN, start=replace(PAPER.start, random_shapes=True), optimiser=AdanSettings(), fit_steps=50_000)
-STARTS = ("random", "fixed", "dynamic")
+
+
+def starts_of(n: int) -> tuple[str, ...]:
+    """The starts that differ with so many Gaussians: the dynamic ratio begins as the fixed one."""
+    return ("random", "fixed", "dynamic") if n > 30_000 else ("random", "dynamic")
+
+
 TABLES: dict[str, list[Row]] = {
     "whole": [
         Row(n, f"{start}{' + regularisation' if weight else ''}", replace(starting(PLAIN, start), lambda_g=weight))
@@ -79,11 +85,13 @@ TABLES: dict[str, list[Row]] = {
         for weight in (0.0, PAPER.lambda_g)
         for start in ("random", "dynamic")
     ],
-    "optimiser": [Row(n, start, starting(THEIRS, start), (160, 160)) for n in (70_000, 30_000) for start in STARTS],
+    "optimiser": [
+        Row(n, start, starting(THEIRS, start), (160, 160)) for n in (70_000, 30_000) for start in starts_of(n)
+    ],
     "numbers": [
         Row(n, start, starting(PLAIN, start), (384, 256))
         for n in (70_000, 90_000, 50_000, 30_000, 10_000)
-        for start in STARTS
+        for start in starts_of(n)
     ],
 }
 
@@ -208,6 +216,7 @@ def main() -> None:
     add_options(parser, most=24)
     parser.add_argument("--tables", type=some_of(tuple(TABLES), "table"), default=",".join(TABLES))
     parser.add_argument("--numbers", type=lambda text: [int(n) for n in text.split(",")], help="of Gaussians; all")
+    parser.add_argument("--settings", type=lambda text: text.split(","), help="of a table's rows; all")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--steps", type=int, help="of each fit, instead of a table's own")
     parser.add_argument("--minutes", type=float, default=math.inf, help="no fit goes on for longer")
@@ -218,10 +227,10 @@ def main() -> None:
     for name in options.tables:
         alike: dict[tuple[int, float], list[Row]] = {}
         for row in TABLES[name]:
-            if row.gaussians in (options.numbers or [row.gaussians]):
-                settings = replace(row.settings, fit_steps=options.steps or row.settings.fit_steps)
-                key = row.gaussians, settings.lambda_g
-                alike.setdefault(key, []).append(replace(row, settings=settings))
+            numbers, settings = options.numbers or [row.gaussians], options.settings or [row.setting]
+            if row.gaussians in numbers and row.setting in settings:
+                s = replace(row.settings, fit_steps=options.steps or row.settings.fit_steps)
+                alike.setdefault((row.gaussians, s.lambda_g), []).append(replace(row, settings=s))
         for together in alike.values():
             if time.monotonic() < ends:
                 measure(record, name, options.device, ends, paths, together)
