@@ -7,6 +7,7 @@ while v, low, high and B = b (a real number there) vary; out of range it holds w
 from __future__ import annotations
 
 import itertools
+import math
 
 import pytest
 import torch
@@ -80,6 +81,17 @@ def test_gradients_are_those_of_the_surrogate(shape: str, argument: int) -> None
         assert found.view(-1)[k].item() == pytest.approx(difference, abs=GRADIENT_TOLERANCE)
 
 
+def test_the_printed_gradient_is_equation_7() -> None:
+    """Which is larger than the right one, and holds bitwidths up against their price."""
+    v, low, high, bits = abq()
+    soft = bits.clone().requires_grad_()
+    (found,) = torch.autograd.grad(quantise(v, low, high, soft, printed=True).sum(), soft)
+    top = torch.exp2(bits) - 1
+    step, q = (high - low) / top, codes(v, low, high, bits)
+    expected = torch.exp2(bits) * math.log(2) / top * torch.where((v < low) | (v > high), -step * q, v - q)
+    assert torch.allclose(found, expected.sum(1, keepdim=True))
+
+
 def test_the_bitwidth_is_rounded() -> None:
     v, low, high, bits = abq()
     leaf, soft = bits.clone().requires_grad_(), (bits + 0.4).requires_grad_()
@@ -116,71 +128,59 @@ def test_codes_do_not_leave_the_range() -> None:
         assert q[:, 0].tolist() == [0, top[1].item(), 0, top[3].item()]
 
 
-def clusters() -> tuple[Tensor, Tensor, Tensor]:
-    """Points [80, 3] in eight tight, far apart clusters, weights [80], and the cluster of each point."""
+def clusters() -> tuple[Tensor, Tensor]:
+    """Points [80, 3] in eight tight, far apart clusters, and the cluster of each point."""
     generator = torch.Generator().manual_seed(4)
     centres = torch.tensor(list(itertools.product((-3.0, 3.0), repeat=3)))
     index = torch.arange(80) % 8
-    points = centres[index] + 0.2 * torch.randn(80, 3, generator=generator)
-    return points, torch.rand(80, generator=generator) + 0.1, index
+    return centres[index] + 0.2 * torch.randn(80, 3, generator=generator), index
 
 
-def test_kmeans_finds_the_weighted_means_of_clusters() -> None:
-    points, weights, index = clusters()
-    found = kmeans(points, weights, 8, seed=0)
-    assert torch.equal(found, kmeans(points, weights, 8, seed=0))
-    others = kmeans(points, torch.where(index == 0, 0.0, weights), 7, seed=0)
-    assert (torch.cdist(others, points[index == 0]) > 4).all()  # points without weight are neglected
+def test_kmeans_finds_the_means_of_clusters() -> None:
+    points, index = clusters()
+    found = kmeans(points, 8, seed=0)
+    assert torch.equal(found, kmeans(points, 8, seed=0))
     for k in range(8):
-        inside = index == k
-        mean = (points[inside] * weights[inside, None]).sum(0) / weights[inside].sum()
-        assert (found - mean).norm(dim=1).min() < 1e-5  # worst seen 8e-7
+        assert (found - points[index == k].mean(0)).norm(dim=1).min() < 1e-5  # worst seen 8e-7
 
 
 @pytest.mark.parametrize("points", [torch.zeros(1, 3), torch.ones(50, 3), torch.eye(3)], ids=("one", "equal", "three"))
 def test_kmeans_of_few_different_points(points: Tensor) -> None:
-    found = kmeans(points, torch.ones(len(points)), 8, seed=0)
+    found = kmeans(points, 8, seed=0)
     assert found.shape == (8, 3)
     assert torch.cdist(points, found).amin(1).max() == 0
 
 
-def codebook(colors: Tensor, weights: Tensor) -> ResidualCodebook:
-    return ResidualCodebook(colors, weights, stages=2, entries=8, decay=0.8, seed=0)
+def codebook(colors: Tensor) -> ResidualCodebook:
+    return ResidualCodebook(colors, stages=2, entries=8, decay=0.8, seed=0)
 
 
-def random_colors(n: int) -> tuple[Tensor, Tensor]:
-    generator = torch.Generator().manual_seed(n)
-    return torch.randn(n, 3, generator=generator), torch.rand(n, generator=generator)
+def random_colors(n: int) -> Tensor:
+    return torch.randn(n, 3, generator=torch.Generator().manual_seed(n))
 
 
-def test_assign_finds_the_nearest_of_all_pairs() -> None:
-    colors, weights = random_colors(400)
-    book = codebook(colors, weights)
-    index = book.assign(colors)
-    pairs = book.entries[0][:, None] + book.entries[1][None]
-    nearest = torch.cdist(colors.double(), pairs.reshape(-1, 3).double()).amin(1)
-    chosen = (colors.double() - pairs[index[:, 0], index[:, 1]].double()).norm(dim=1)
-    assert (chosen - nearest).max() < 1e-6  # worst seen 3e-15; two pairs may be equally near in single precision
-    assert torch.equal(book.lookup(index), pairs[index[:, 0], index[:, 1]])
+def test_assign_takes_the_nearest_entry_of_each_stage() -> None:
+    colors = random_colors(400)
+    book = codebook(colors)
+    index, left = book.assign(colors), colors
+    for stage, entries in enumerate(book.entries):
+        nearest = torch.cdist(left.double(), entries.double()).amin(1)
+        left = left - entries[index[:, stage]]
+        assert (left.double().norm(dim=1) - nearest).abs().max() < 1e-5  # worst seen 1e-6
+    assert torch.allclose(colors - book.lookup(index), left, atol=1e-6)
     assert index.min() == 0
     assert index.max() == 7
 
 
-def test_entries_follow_the_weighted_mean_with_the_decay() -> None:
-    colors, weights = random_colors(300)
-    book = codebook(colors, weights)
+def test_entries_follow_the_mean_with_the_decay() -> None:
+    colors = random_colors(300)
+    book = codebook(colors)
     before = book.entries.clone()
     index = torch.stack([torch.arange(300) % 7, torch.arange(300) % 5], 1)  # entry 7 and entries 5, 6, 7 stand idle
-    book.follow(colors, weights, index)
-    for k in range(7):
-        mine = index[:, 0] == k
-        residual = colors[mine] - before[1][index[mine, 1]]
-        mean = (residual * weights[mine, None]).sum(0) / weights[mine].sum()
-        torch.testing.assert_close(book.entries[0, k], 0.8 * before[0, k] + 0.2 * mean, atol=1e-6, rtol=0)
-    for k in range(5):  # the second stage follows what the first has left
-        mine = index[:, 1] == k
-        residual = colors[mine] - book.entries[0][index[mine, 0]]
-        mean = (residual * weights[mine, None]).sum(0) / weights[mine].sum()
-        torch.testing.assert_close(book.entries[1, k], 0.8 * before[1, k] + 0.2 * mean, atol=1e-6, rtol=0)
-    assert torch.equal(book.entries[0, 7], before[0, 7])
-    assert torch.equal(book.entries[1, 5:], before[1, 5:])
+    book.follow(colors, index)
+    left = colors, colors - before[0][index[:, 0]]  # what each stage codes
+    for stage, used in ((0, 7), (1, 5)):
+        for k in range(used):
+            mean = left[stage][index[:, stage] == k].mean(0)
+            torch.testing.assert_close(book.entries[stage, k], 0.8 * before[stage, k] + 0.2 * mean, atol=1e-6, rtol=0)
+        assert torch.equal(book.entries[stage, used:], before[stage, used:])

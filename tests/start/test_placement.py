@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE
+from sgmethod.settings.rd import START
 from sgmethod.settings.shared import STRUCTURE
 from sgmethod.start import structure
 from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
@@ -28,8 +29,16 @@ def edge(angle: float, size: int = 64) -> FloatArray:
     return grey(np.clip(y * np.cos(angle) - x * np.sin(angle) + 0.5, 0, 1))
 
 
-def start(image: FloatArray, n: int, seed: int = 0, baseline: bool = False) -> Gaussians:
-    return place(image, n, BASELINE.start if baseline else STRUCTURE, np.random.default_rng(seed))
+STARTS = {
+    "rd": START,
+    "paper": STRUCTURE,
+    "random": replace(STRUCTURE, structure_guided=False),
+    "baseline": BASELINE.start,
+}
+
+
+def start(image: FloatArray, n: int, name: str = "paper") -> Gaussians:
+    return place(image, n, STARTS[name], np.random.default_rng(0))
 
 
 def analyse(image: FloatArray, regions: int = 16) -> Structure:
@@ -155,25 +164,25 @@ def orientation(found: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float
 PICTURES = {"photograph": PHOTO, **ODD}
 
 
-@pytest.mark.parametrize("baseline", [False, True], ids=("paper", "baseline"))
+@pytest.mark.parametrize("kind", STARTS)
 @pytest.mark.parametrize("name", PICTURES)
-def test_every_start_is_sound(name: str, baseline: bool) -> None:
+def test_every_start_is_sound(name: str, kind: str) -> None:
     image = PICTURES[name]
     height, width = image.shape[:2]
     for n in {min(n, height * width) for n in (1, 2, 3, 10, 100, 1000)}:
-        found = start(image, n, baseline=baseline)
+        found = start(image, n, kind)
         assert [array.shape for array in found.arrays] == [(n, 2), (n, 3), (n, 3)]
         assert all(array.dtype == np.float32 and np.isfinite(array).all() for array in found.arrays)
         assert ((found.means >= 0) & (found.means <= (width, height))).all()
         assert (found.factors[:, [0, 2]] > 0).all()
         assert ((found.colors >= 0) & (found.colors <= 1)).all()
-        if name == "grey" and not baseline:
+        if kind in ("paper", "random") or (name == "grey" and kind == "rd"):
             assert np.allclose(orientation(found)[1], 1, atol=1e-5)  # round; worst seen 0
 
 
 def test_colours_are_those_of_the_picture_below() -> None:
-    for baseline in (False, True):
-        found = start(PHOTO, 200, baseline=baseline)
+    for kind in ("rd", "paper", "random"):
+        found = start(PHOTO, 200, kind)
         columns, rows = np.floor(found.means).astype(int).T
         assert np.array_equal(found.colors, PHOTO[rows, columns])
 
@@ -182,15 +191,32 @@ def test_the_start_is_denser_in_the_more_complex_half() -> None:
     image = PHOTO.copy()
     image[:, :64] = 0.5
     for n in (60, 300):
-        assert (start(image, n).means[:, 0] > 63).mean() > 0.65  # 0.77 and 0.82 seen; an even start has 0.5
-    assert abs((start(image, 300, baseline=True).means[:, 0] > 63).mean() - 0.5) < 0.1
+        for kind in ("rd", "paper"):
+            assert (start(image, n, kind).means[:, 0] > 63).mean() > 0.65  # 0.7 to 0.82 seen; an even start has 0.5
+    assert abs((start(image, 300, "random").means[:, 0] > 63).mean() - 0.5) < 0.1
+
+
+def test_at_the_threshold_the_papers_start_is_even() -> None:
+    """The ratio is 1:1:1 there, and Gaussians are uniform in each category."""
+    settings = replace(STRUCTURE, ratio_start=10, threshold_factor=0.0)
+    means = place(PHOTO, 3000, settings, np.random.default_rng(0)).means
+    counts = np.histogram2d(*means.T, bins=(8, 6), range=[[0, PHOTO.shape[1]], [0, PHOTO.shape[0]]])[0]
+    assert counts.std() / counts.mean() < 1.5 / np.sqrt(counts.mean())  # as of random numbers, 1 in place of 1.5
+
+
+def test_random_shapes_are_those_of_gaussianimage() -> None:
+    found = start(PHOTO, 2000, "baseline")
+    for values, least in ((found.factors[:, 0], 0.5), (found.factors[:, 1], 0), (found.factors[:, 2], 0.5)):
+        assert least <= values.min() < least + 0.01
+        assert least + 0.99 < values.max() <= least + 1
+    assert abs(found.colors.mean() - 0.5) < 0.02
 
 
 def test_scales_cover_the_picture() -> None:
     """Discs of the starting scale have together about the picture's area."""
     for image in (PHOTO, ODD["grey"]):
-        for baseline in (False, True):
-            l1, _, l3 = start(image, 60, baseline=baseline).factors.T.astype(np.float64)
+        for kind in ("rd", "paper", "random"):
+            l1, _, l3 = start(image, 60, kind).factors.T.astype(np.float64)
             covered = np.pi * (l1 * l3).sum() / (image.shape[0] * image.shape[1])
             assert 0.5 < covered < 2, covered  # 0.7 to 1.2 seen
 
@@ -198,7 +224,7 @@ def test_scales_cover_the_picture() -> None:
 @pytest.mark.parametrize("degrees", [0, 30, 45, 90, 120, 135])
 def test_ellipses_lie_along_an_edge(degrees: float) -> None:
     angle = np.radians(degrees)
-    found = start(edge(angle), 150)
+    found = start(edge(angle), 150, "rd")
     x, y = found.means.T - 32
     distance = np.abs(y * np.cos(angle) - x * np.sin(angle))
     near = (distance < 2) & (np.maximum(np.abs(x), np.abs(y)) < 24)
