@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE
-from sgmethod.settings.rd import START
 from sgmethod.settings.shared import STRUCTURE
 from sgmethod.start import structure
 from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
@@ -30,7 +29,7 @@ def edge(angle: float, size: int = 64) -> FloatArray:
 
 
 STARTS = {
-    "rd": START,
+    "rd": replace(STRUCTURE, follows_gradient=True),  # by area, too
     "paper": STRUCTURE,
     "random": replace(STRUCTURE, structure_guided=False),
     "baseline": BASELINE.start,
