@@ -83,6 +83,19 @@ def test_covariances() -> None:
     assert close(Gaussians.from_covariances(SOME.means, lower @ lower.mT, SOME.colors), SOME)
 
 
+def test_equal_gaussians() -> None:
+    """By value, whatever the arrays are; NumPy's comparison of each element was an error."""
+    tensors = Gaussians(*(torch.from_numpy(values).clone().requires_grad_() for values in SOME.arrays))
+    moved, fewer = SOME.copy(), SOME.rows(np.arange(19))
+    moved.means[3, 0] += 1
+    assert SOME == SOME.copy() == tensors
+    assert all(other != SOME for other in (moved, fewer, None, SOME.arrays))
+    assert [moved, SOME.copy()].index(SOME) == 1
+    assert SOME not in [moved, fewer]
+    with pytest.raises(TypeError, match="unhashable type: 'Gaussians'"):
+        hash(SOME)
+
+
 def test_arrays_of_any_kind() -> None:
     wanted = sgmethod.pack(SOME, *SIZE, quantum=0.1)
     lists = Gaussians(*(values.tolist() for values in SOME.arrays))
