@@ -78,8 +78,8 @@ class Gaussians:
 
 
 def readable(values: Any) -> Any:
-    """Return a tensor of any device as one that NumPy reads; other values as they are."""
-    return values.detach().cpu() if hasattr(values, "detach") else values
+    """Return a tensor of any device and type as one that NumPy, without bfloat16, reads; other values as they are."""
+    return values.detach().cpu().double() if hasattr(values, "detach") else values
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,10 @@ def test_arrays_of_any_kind() -> None:
     lists = Gaussians(*(values.tolist() for values in SOME.arrays))
     tensors = Gaussians(*(torch.from_numpy(values).double().requires_grad_() for values in SOME.arrays))
     assert sgmethod.pack(lists, *SIZE, quantum=0.1) == sgmethod.pack(tensors, *SIZE, quantum=0.1) == wanted
+    halves = Gaussians(*(torch.from_numpy(values).bfloat16() for values in SOME.arrays))  # type: ignore[arg-type]
+    rounded = Gaussians(*(values.float().numpy() for values in halves.arrays))  # type: ignore[attr-defined]
+    assert halves == rounded
+    assert sgmethod.pack(halves, *SIZE, quantum=0.1) == sgmethod.pack(rounded, *SIZE, quantum=0.1)
 
 
 def test_a_budget_is_kept_and_used() -> None:
