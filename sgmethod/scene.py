@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,15 @@ Pixels = NDArray[np.uint8]
 Floats = NDArray[np.floating]  # of any precision
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gaussians:
     """N Gaussians over a picture.
 
     means [N, 2]: centres (x, y) in pixels, the first pixel's centre at (0.5, 0.5);
     factors [N, 3]: (l1, l2, l3) in pixels of the lower triangular L, covariance = L L^T;
     colors [N, 3]: signed RGB weights, 1 being full white.
+
+    Two are equal if all their values are. They have no hash, since their arrays may change.
     """
 
     means: FloatArray
@@ -27,6 +30,14 @@ class Gaussians:
 
     def __len__(self) -> int:
         return len(self.means)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Gaussians):
+            return NotImplemented
+        pairs = zip(self.arrays, other.arrays, strict=True)
+        return all(np.array_equal(readable(one), readable(another)) for one, another in pairs)
 
     @classmethod
     def empty(cls, n: int) -> Gaussians:
@@ -64,6 +75,11 @@ class Gaussians:
     def with_more(self, new: Gaussians) -> Gaussians:
         """Return these Gaussians followed by new ones."""
         return Gaussians(*(np.concatenate(pair) for pair in zip(self.arrays, new.arrays, strict=True)))
+
+
+def readable(values: Any) -> Any:
+    """Return a tensor of any device and type as one that NumPy, without bfloat16, reads; other values as they are."""
+    return values.detach().cpu().double() if hasattr(values, "detach") else values
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.colour import Colour, ProfileError
 from sgmethod.io.levels import BITS_PER_SAMPLE, Box, stated_colour
+from sgmethod.io.pillow_defaults import pillow_defaults
 from sgmethod.native import native
 
 # TIFF: tags; values of PLANAR and SAMPLE_FORMAT
@@ -87,8 +88,8 @@ class Opened:
 
 @contextmanager
 def only_image_errors(kind: str = "image") -> Iterator[None]:
-    """Turn everything that Pillow raises on a bad file into ImageError, and silence its warnings."""
-    with _PILLOW_LOCK, warnings.catch_warnings():
+    """Turn everything that Pillow raises on a bad file into ImageError, silence its warnings, and use its defaults."""
+    with pillow_defaults(), _PILLOW_LOCK, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             yield

@@ -6,18 +6,21 @@ import io
 import struct
 import time
 from itertools import chain
+from threading import Thread
+from types import ModuleType
 
 import numpy as np
 import pillow_heif
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageFile
 
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.levels import to_8_bit
+from sgmethod.io.pillow_defaults import pillow_defaults
 from tests.harness.pictures import photo
 from tests.io.odd_files import chunk, png, tiff
 
@@ -25,6 +28,7 @@ pillow_heif.register_heif_opener()
 PIXELS = np.ascontiguousarray(photo("kodim05-crop")[30:62, 20:68])
 PHOTO = Image.fromarray(PIXELS)
 SEE_THROUGH = pytest.mark.filterwarnings("ignore:transparency is composited over white:sgmethod.ImageWarning")
+PILLOWS = [(ImageFile, "LOAD_TRUNCATED_IMAGES", True), (Image, "MAX_IMAGE_PIXELS", 9)]
 ROUNDED = 0.501  # levels, worst seen 0.4999; in single precision what lies beside a half may go to the other side
 
 
@@ -283,6 +287,46 @@ def test_limits_are_the_callers() -> None:
     for read in (read_header, read_image_8_bit):
         with pytest.raises(ImageError, match="too large"):
             read(data, ImageLimits(max_pixels=48 * 32 - 1))
+
+
+@pytest.mark.parametrize(("module", "name", "value"), PILLOWS)
+def test_what_others_set_for_pillow_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
+) -> None:
+    files = [data[:size] for data in KINDS.values() for size in (len(data), 2 * len(data) // 3)]
+
+    def results() -> list[object]:
+        found: list[object] = []
+        for data in files:
+            try:
+                found.append(read_image_8_bit(data).tolist())
+            except ImageError as error:
+                found.append(str(error))
+        return found
+
+    before = results()
+    monkeypatch.setattr(module, name, value)
+    assert results() == before
+
+
+@pytest.mark.parametrize(("module", "name", "value"), PILLOWS)
+def test_other_threads_find_what_they_set_for_pillow(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
+) -> None:
+    """Even while this one reads."""
+    found = []
+
+    def look() -> None:
+        number = getattr(module, name)
+        found.append((number == value, bool(number), 2 * number == 2 * value, value + 1 > number))
+
+    monkeypatch.setattr(module, name, value)
+    with pillow_defaults():
+        thread = Thread(target=look)
+        thread.start()
+        thread.join()
+    look()
+    assert found == [(True, True, True, True)] * 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
