@@ -173,13 +173,13 @@ def started(image: FloatArray, n: int, settings: PaperSettings = PAPER) -> Gauss
     return place(image, n, settings.start, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("profile", [PAPER, BASELINE], ids=("paper", "baseline"))
-def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -> None:
+@pytest.mark.parametrize(("profile", "gain"), [(PAPER, 3), (BASELINE, 1)], ids=("paper", "baseline"))
+def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings, gain: float) -> None:
     settings = replace(profile, fit_steps=400)
     start = started(PHOTO, 150, settings)
     kept = recorder(0.02)
     fitted, steps = fit(level(PHOTO), start, settings, kept, unlimited())
-    assert psnr_of(fitted, PHOTO) > psnr_of(start, PHOTO) + 3
+    assert psnr_of(fitted, PHOTO) > psnr_of(start, PHOTO) + gain
     assert len(fitted) == 150
     assert steps == 400
     points = kept.points
@@ -188,7 +188,7 @@ def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -
     assert {(p.phase, p.steps, p.gaussians, p.bytes) for p in points} == {("fit", 400, 150, 0)}
     assert points[-1].step == 400
     assert points[-1].psnr == pytest.approx(psnr_of(fitted, PHOTO), abs=0.1)
-    assert points[-1].psnr > points[0].psnr + 3
+    assert points[-1].psnr > points[0].psnr + gain
 
 
 def test_adan_takes_the_steps_of_its_paper() -> None:
