@@ -26,7 +26,7 @@ KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
 FEW = "--bpp 0.5 --most 1"
-NO_RIVALS = "--methods 'rd,rd visual,paper,baseline'"
+NO_RIVALS = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command.
 SMALL = {
     "rd/kodak": f"rd {KODAK} --bpp 0.5",

@@ -4,9 +4,9 @@
                                      [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--paper-limits 1,3,10,30]
                                      [--methods rd,jpeg] [--few]
 
-The clock is wall time since the method got the pixels. rd, paper and baseline: one encode, and one under each time
+The clock is wall time since the method got the pixels. rd and paper: one encode, and one under each time
 limit; rd again with each effort. rd visual: tuned for the eye, where rd is tuned for PSNR. Other codecs: each speed or
-effort at the best quality within the budget. --seconds: for paper and baseline, where no limit is shorter. --few: two
+effort at the best quality within the budget. --seconds: for paper, where no limit is shorter. --few: two
 or three settings of each other codec, three efforts of rd.
 """
 
@@ -26,7 +26,7 @@ from sgmethod import Budget, encode
 from sgmethod.metrics import psnr
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Tune
 
-OURS = ("rd", "paper", "baseline")
+OURS = ("rd", "paper")
 VISUAL = "rd visual"
 WARMED_ON = 64  # pixels along a side, by profile paper
 OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
@@ -105,7 +105,7 @@ def main() -> None:
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--limits", type=numbers, default="0.25,0.5,1,2,4", help="seconds, of rd")
-    parser.add_argument("--paper-limits", type=numbers, default="1,3,10,30", help="seconds, of paper and baseline")
+    parser.add_argument("--paper-limits", type=numbers, default="1,3,10,30", help="seconds, of paper")
     parser.add_argument("--methods", type=some_of(METHODS, "method"), default=",".join(METHODS))
     parser.add_argument("--few", action="store_true")
     parser.add_argument("--out", type=Path, default=RUNS / "convergence" / "kodak.json")

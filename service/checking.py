@@ -86,8 +86,8 @@ def _kernels(_settings: Settings) -> str:
     from sgmethod.native import native
 
     missing = find_spec("torch") is None
-    others = "need PyTorch: pip install 'sgmethod[torch]'" if missing else "are available"
-    return f"{ISA_NAMES[native.best_isa()]}; profiles paper and baseline {others}"
+    paper = "needs PyTorch: pip install 'sgmethod[torch]'" if missing else "is available"
+    return f"{ISA_NAMES[native.best_isa()]}; profile paper {paper}"
 
 
 def _sandbox(settings: Settings) -> str:

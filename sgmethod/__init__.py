@@ -23,7 +23,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     advice      pictures that Gaussians do not suit, and the formats that suit them better
     start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
-    paper/      profiles paper and baseline
+    paper/      profile paper
     rd/         profile rd
     codec       encode(): runs a profile's pipeline and measures the decoded result
     previews/   a picture -> a text of a few hundred characters, for web pages
@@ -36,7 +36,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
 
 javascript/ holds the decoder for browsers, `<sg-img>`, and the npm package of both.
 
-Decoding needs only NumPy, Pillow and the compiled kernels; profiles paper and baseline, sgmethod.torch and encodes on
+Decoding needs only NumPy, Pillow and the compiled kernels; profile paper, sgmethod.torch and encodes on
 another device import PyTorch. Importing this package lets Pillow open and save .sg files.
 """
 

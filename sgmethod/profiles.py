@@ -7,7 +7,7 @@ from numbers import Integral
 
 from sgmethod.budget import Budget
 from sgmethod.errors import BudgetError
-from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
+from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, EFFORTS, RD, RdSettings
 from sgmethod.settings.shared import TUNES, Tune
 
@@ -27,7 +27,7 @@ __all__ = [
     "tuning",
 ]
 
-PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
+PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "paper": PAPER}
 PROFILE_NAMES = tuple(PROFILES)
 DEFAULT_PROFILE = "rd"
 DEFAULT_TUNE: Tune = "visual"  # if profile and budget allow both
@@ -75,6 +75,4 @@ def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
 
 def profile_of(settings: PaperSettings | RdSettings) -> str:
     """Return the profile that settings belong to."""
-    if isinstance(settings, RdSettings):
-        return "rd"
-    return "paper" if settings.start.structure_guided else "baseline"
+    return "rd" if isinstance(settings, RdSettings) else "paper"

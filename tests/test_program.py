@@ -200,7 +200,7 @@ STATES: dict[str, Callable[[], AbstractContextManager[object]]] = {
 
 
 @pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("profile", ["rd", "paper", "baseline"])
+@pytest.mark.parametrize("profile", ["rd", "paper"])
 def test_files_are_the_same_whatever_a_program_has_set(state: str, profile: str) -> None:
     more = {} if profile == "rd" else {"profile": profile, "bytes": 300, "effort": DEFAULT_EFFORT}
     expected = encoded(**more)

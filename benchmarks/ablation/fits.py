@@ -1,4 +1,4 @@
-"""Fits of a fixed number of Gaussians, before any is coded: profile rd, profile paper and variants of it.
+"""Fits of a fixed number of Gaussians, before any is coded: profiles rd and paper.
 
 Each fit runs in a process of its own, which has a peak of memory of its own.
 """
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.ablation.report import REPRESENTATIONS
 from benchmarks.machine import peak_bytes
 from benchmarks.pictures import Pixels
 from sgmethod.backend.kernels import Kernels
@@ -27,18 +26,9 @@ from sgmethod.io.image import read_image_8_bit
 from sgmethod.paper import fit as paper
 from sgmethod.rd.exact import ExactFit
 from sgmethod.scene import Gaussians, Scene
-from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
+from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.start import placement
 
-# No quantisation follows here, so the price on large colours, which only that needs, is left out.
-FLOAT = PAPER
-_SETTINGS = (
-    FLOAT,
-    replace(FLOAT, lambda_g=0.0),
-    replace(FLOAT, start=replace(FLOAT.start, structure_guided=False)),
-    BASELINE,
-)
-VARIANTS: dict[str, PaperSettings] = dict(zip(REPRESENTATIONS[1:], _SETTINGS, strict=True))
 DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; fewer if they take longer than DRAWING_S
 
 
@@ -70,7 +60,7 @@ def fitted(method: str, pixels: Pixels, gaussians: int, steps: int) -> Scene:
     """The fit of one of REPRESENTATIONS."""
     if method == "rd":
         return by_rd(pixels, gaussians, steps)
-    return fit_of_paper(pixels, gaussians, replace(VARIANTS[method], fit_steps=steps)).scene
+    return fit_of_paper(pixels, gaussians, replace(PAPER, fit_steps=steps)).scene
 
 
 def by_rd(pixels: Pixels, gaussians: int, steps: int) -> Scene:

@@ -28,20 +28,21 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from benchmarks.ablation.gaussian_image import Adan, AdanSettings, shaped
+from benchmarks.ablation.gaussian_image import fit as fit_by_adan
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
 from sgmethod.decoder import draw
-from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.deadline import Clock, Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import fit as paper
-from sgmethod.paper.optimiser import Adan, rate_at
 from sgmethod.scene import Gaussians, Scene
-from sgmethod.settings.paper import PAPER, AdanSettings, PaperSettings
+from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.shared import StartSettings
 from sgmethod.start.placement import place
 
@@ -51,12 +52,16 @@ SOBEL = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]])
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: fits of so many Gaussians on all pictures. middle: of a picture, in pixels; None for all."""
+    """A row of a table: fits of so many Gaussians on all pictures.
+
+    middle: of a picture, in pixels; None for all of it; theirs: GaussianImage's optimiser, shapes and colours.
+    """
 
     gaussians: int
     setting: str
     settings: PaperSettings
     middle: tuple[int, int] | None = None
+    theirs: bool = False
 
 
 def starting(of: PaperSettings, name: str) -> PaperSettings:
@@ -70,7 +75,7 @@ def starting(of: PaperSettings, name: str) -> PaperSettings:
 
 
 PLAIN = replace(PAPER, lambda_g=0.0, fit_steps=3000, patience=1.0)
-THEIRS = replace(PLAIN, start=replace(PAPER.start, random_shapes=True), optimiser=AdanSettings(), fit_steps=50_000)
+THEIRS = replace(PLAIN, fit_steps=50_000)
 
 
 def starts_of(n: int) -> tuple[str, ...]:
@@ -86,7 +91,9 @@ TABLES: dict[str, list[Row]] = {
         for start in ("random", "dynamic")
     ],
     "optimiser": [
-        Row(n, start, starting(THEIRS, start), (160, 160)) for n in (70_000, 30_000) for start in starts_of(n)
+        Row(n, start, starting(THEIRS, start), (160, 160), theirs=True)
+        for n in (70_000, 30_000)
+        for start in starts_of(n)
     ],
     "numbers": [
         Row(n, start, starting(PLAIN, start), (384, 256))
@@ -114,23 +121,28 @@ def placed(row: Row, pixels: Pixels) -> Gaussians:
     k = start.threshold_factor * part ** (1 - start.threshold_exponent)  # so that N_t is that part, too
     start = replace(start, ratio_start=round(part * start.ratio_start), threshold_factor=k)
     image = pixels.astype(np.float32) / np.float32(255)
-    return place(image, round(part * row.gaussians), start, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    found = place(image, round(part * row.gaussians), start, rng)
+    return shaped(found, rng) if row.theirs else found
 
 
 def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
-    """The fit of profile paper."""
+    """The fit of profile paper, or GaussianImage's."""
     clock = Clock()
     level = paper.level_of(pixels, Kernels())
+    if row.theirs:
+        height, width = pixels.shape[:2]
+        return fit_by_adan(start, level.gradients, width, height, AdanSettings(), row.settings.fit_steps)
     return paper.fit(level, start, row.settings, Recorder(clock), Deadline(clock, None))[0]
 
 
 def on_gpu(
-    device: str, ends: float, s: PaperSettings, pixels: Sequence[Pixels], starts: Sequence[Gaussians]
+    device: str, ends: float, row: Row, pixels: Sequence[Pixels], starts: Sequence[Gaussians]
 ) -> list[Gaussians]:
-    """The fits of profile paper, all at once: rows differ in their starts alone."""
+    """The same fits, all at once: rows differ in their starts alone."""
     from sgmethod.backend.tiles import Tiles
 
-    height, width = pixels[0].shape[:2]
+    s, (height, width) = row.settings, pixels[0].shape[:2]
     most = max(map(len, starts))
     arrays = zip(*(one.arrays for one in starts), strict=True)
     filled = [np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in of]) for of in arrays]
@@ -140,21 +152,19 @@ def on_gpu(
     shape = len(pixels), most
     moments = [torch.zeros(*shape, 8, device=device), torch.zeros(*shape, 8, device=device)]
     moments.append(torch.ones(*shape, 2, device=device))
-    no_target = np.zeros((3, 0, 0), np.int16)
-    adan = Adan(s.optimiser if isinstance(s.optimiser, AdanSettings) else AdanSettings(), width, height)
+    descent = Descent(frame, np.zeros((3, 0, 0), np.int16), None, 1.0, 0.0, width, height, s.optimiser)
+    adan = Adan(AdanSettings(), width, height)
     nowhere = torch.tensor([len(one) for one in starts], device=device)[:, None] <= torch.arange(most, device=device)
     for step in range(s.fit_steps):
         if time.monotonic() > ends:
             raise TimeoutError(f"no time is left after {step} steps")
-        rate = rate_at(s.optimiser, step / s.fit_steps, s.fit_steps)
         tiles = Tiles(frame, *values)
         by_image = by_picture(tiles.draw(), target, s.lambda_g)
-        if isinstance(s.optimiser, AdanSettings):
-            adan.step(values, tiles.gradients(by_image), rate)
+        if row.theirs:
+            adan.step(values, tiles.gradients(by_image))
             values[1][nowhere] = 0
         else:
-            descent = Descent(frame, no_target, None, 1.0, 0.0, width, height, s.optimiser)
-            tiles.step_by(by_image, moments, descent, rate)
+            tiles.step_by(by_image, moments, descent, cosine(s.optimiser.final_rate, step / s.fit_steps))
     found = [of.cpu().numpy() for of in values]
     return [Gaussians(*(of[k, : len(one)].copy() for of in found)) for k, one in enumerate(starts)]
 
@@ -202,7 +212,7 @@ def measure(
     elif any(missing):
         rows, pictures = zip(*every, strict=True)
         with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:  # of whom none has touched the GPU
-            found = on_gpu(device, ends, rows[0].settings, pictures, [*pool.map(placed, rows, pictures)])
+            found = on_gpu(device, ends, rows[0], pictures, [*pool.map(placed, rows, pictures)])
             for key, figures in zip(keys, pool.map(judged, pictures, found), strict=True):
                 record.add({**key, **figures})
 

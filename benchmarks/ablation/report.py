@@ -1,4 +1,4 @@
-"""What each setting of an ablation is worth against its anchor, and how much of that the seeds alone could make."""
+"""What each setting of an ablation is worth against its anchor, with the standard error over pictures."""
 
 from __future__ import annotations
 
@@ -14,17 +14,14 @@ Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
 By = dict[str, dict[Case, list[Row]]]  # by setting of a table
 Figure = Callable[[list[Row]], float | None]  # of the rows of one picture and seed
-Worth = tuple[float | None, float | None]  # dB, and their standard deviation over seeds
+Worth = tuple[float | None, float | None]  # dB, and their standard error over pictures
 
 ANCHORS = {
-    **{"parts": "nothing", "regularisation": "0", "ratio": "fixed, 6:2:1"},
-    **{"quantisation": "GSImage", "positions": "16"},
+    **{"parts": "nothing", "quantisation": "GSImage", "positions": "16"},
 }
 CODED = ("quantisation", "positions")  # by BD-PSNR of files with several numbers of Gaussians
 TITLES = {
     "parts": "Profile `rd` without one part",
-    "regularisation": "Profile `paper`: weight of the regularisation",
-    "ratio": "Profile `paper`: ratio of the start",
     "quantisation": "Profile `paper`: quantisation of the covariance, by BD-PSNR",
     "positions": "Profile `paper`: bits of a position, by BD-PSNR",
 }
@@ -33,7 +30,7 @@ COLUMNS = {
     **{"gaussians": ("Gaussians", ",.0f"), "seconds": ("seconds", ".1f")},
 }
 # Of fits with a fixed number of Gaussians.
-REPRESENTATIONS = ("rd", "paper", "unregularised", "random-start", "baseline")
+REPRESENTATIONS = ("rd", "paper")
 FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "frames_per_s": ",.4g", "mib": ".0f"}
 
 
@@ -46,17 +43,6 @@ def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
         if own:
             found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
     return found
-
-
-def gain_over_pictures(rows: Sequence[Row], asked: int, method: str, other: str) -> Worth:
-    """How many dB a method is better than another with one number of Gaussians, over the pictures that both have, and
-    the standard error of that."""
-    levels = {(row["method"], row["image"]): row["psnr"] for row in rows if row["asked"] == asked}
-    gains = [
-        db - levels[other, image] for (name, image), db in levels.items() if name == method and (other, image) in levels
-    ]
-    error = statistics.stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else None
-    return mean(gains), error
 
 
 def rows_of(content: Row, name: str) -> list[Row]:
@@ -79,7 +65,7 @@ def worth(content: Row, name: str, setting: str, other: str) -> Worth:
         pair = {row["setting"]: row["psnr"] for row in both if row.get("asked", 0) == most}
         return float(pair[setting] - pair[other])
 
-    return over_seeds({case: [*by[other][case], *by[setting][case]] for case in cases}, more)
+    return over_pictures({case: [*by[other][case], *by[setting][case]] for case in cases}, more)
 
 
 def complete(rows: Sequence[Row]) -> tuple[By, list[Case]]:
@@ -98,14 +84,13 @@ def complete(rows: Sequence[Row]) -> tuple[By, list[Case]]:
     return {setting: {case: cases[case] for case in kept} for setting, cases in by.items()}, kept
 
 
-def over_seeds(cases: dict[Case, list[Row]], figure: Figure) -> Worth:
-    """The mean over seeds of the mean over pictures, and the spread over seeds."""
-    by_seed: dict[int, list[float | None]] = {}
-    for (_, seed), rows in cases.items():
-        by_seed.setdefault(seed, []).append(figure(rows))
-    means = [mean(values) for values in by_seed.values()]
-    known = [value for value in means if value is not None]
-    return mean(means), statistics.stdev(known) if len(known) > 1 else None
+def over_pictures(cases: dict[Case, list[Row]], figure: Figure) -> Worth:
+    """The mean over pictures of the mean over seeds, and the standard error over pictures."""
+    by_picture: dict[str, list[float | None]] = {}
+    for (picture, _), rows in cases.items():
+        by_picture.setdefault(picture, []).append(figure(rows))
+    known = [value for values in by_picture.values() if (value := mean(values)) is not None]
+    return mean(known), statistics.stdev(known) / math.sqrt(len(known)) if len(known) > 1 else None
 
 
 def summary(content: Row) -> Iterator[str]:
@@ -120,19 +105,19 @@ def summary(content: Row) -> Iterator[str]:
             continue
         lines = []
         for setting, own in by.items():
-            db, spread = worth(content, name, setting, anchor)
-            within = db is not None and setting != anchor and abs(db) < (spread or 0)
+            db, error = worth(content, name, setting, anchor)
+            within = db is not None and setting != anchor and abs(db) < (error or 0)
             figures = (
-                number(over_seeds(own, lambda rows, name=column: mean([r.get(name) for r in rows]))[0], form)  # type: ignore[misc]
+                number(over_pictures(own, lambda rows, name=column: mean([r.get(name) for r in rows]))[0], form)  # type: ignore[misc]
                 for column, (_, form) in COLUMNS.items()
             )
-            gain = "" if setting == anchor else number(db, "+.2f") + " (within the spread)" * within
-            lines.append([setting, gain, "" if setting == anchor else number(spread, ".3f"), *figures])
+            gain = "" if setting == anchor else number(db, "+.2f") + " (within the error)" * within
+            lines.append([setting, gain, "" if setting == anchor else number(error, ".3f"), *figures])
         pictures, seeds = (len({case[k] for case in cases}) for k in (0, 1))
         titles = [
             "setting",
             f"dB against {'the whole' if anchor == 'nothing' else anchor}",
-            "spread",
+            "standard error",
             *(title for title, _ in COLUMNS.values()),
         ]
         counted = f"{pictures} picture{'s' * (pictures > 1)}, {seeds} seed{'s' * (seeds > 1)}"

@@ -4,11 +4,9 @@
                                                  [--gaussians 5000,10000,30000,70000] [--methods paper,...]
                                                  [--weights FOLDER]
 
-rd: profile rd's fit; paper: profile paper's, from a structure-guided start and with geometry-consistent regularisation;
-unregularised and random-start: one of these left out; baseline: both, which is GSImage's start and loss with our
-optimiser. --weights: a folder as benchmarks.perceptual takes it, for LPIPS. Seconds are those of the fit with its
-start, frames those of drawing at full size; MiB is the peak of the fit's process, of which Python and torch alone take
-about 250. A picture of 0.4 megapixels takes a quarter of an hour.
+rd, paper: the profile's fit. --weights: a folder as benchmarks.perceptual takes it, for LPIPS. Seconds are those of the
+fit with its start, frames those of drawing at full size; MiB is the peak of the fit's process, of which Python and
+torch alone take about 250. A picture of 0.4 megapixels takes a quarter of an hour.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Rate and quality over a folder of pictures: real files, decoded again and measured.
 
-    python -m benchmarks.rd --images FOLDER [--most N] [--pictures kodim05] [--profiles rd,paper,baseline]
+    python -m benchmarks.rd --images FOLDER [--most N] [--pictures kodim05] [--profiles rd,paper]
                             [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--rivals [NAME ...]]
                             [--weights FOLDER [--seen-bpp 0.25]]
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from benchmarks.flat import flat
-from benchmarks.report import paper, previews, rate, readme, seen, service, speed, stability
+from benchmarks.report import previews, rate, readme, seen, service, speed, stability
 from benchmarks.report.plots import save
 from benchmarks.report.section import Content, Page, load, table
 from sgmethod.io.files import write_atomically
@@ -31,14 +31,14 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
     (stability.page, (), ("stiff", "stability")),
-    (paper.page, (), ("representation", "ablation", "rd/paper", "rd/kodak")),
     (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
 APART = {"stiff": "picture"}  # of the CSV, besides the usual
 HEAD = """# Results
 
-Each page answers one question. `python -m benchmarks.report` generates them from the JSON in
-[benchmarks/results](../../benchmarks/results); no figure is typed by hand."""
+Each page answers one question. `python -m benchmarks.report` generates all but the page on the paper from the JSON in
+[benchmarks/results](../../benchmarks/results); no figure of these is typed by hand."""
+BY_HAND = ["[The paper](paper.md)", "Which of the paper's gains show here, sentence by sentence and table by table."]
 TAIL = """## Words
 
 - **bpp**: bits per pixel, 8 times the bytes of a file divided by its pixels.
@@ -74,7 +74,7 @@ def pages(results: Path) -> list[Page]:
 def index(made: list[Page]) -> str:
     """A line for each page, and the words that all use."""
     lines = [[f"[{page.title}]({page.name}.md)", page.conclusion] for page in made]
-    return "\n\n".join([HEAD, table("page | result", lines), TAIL]) + "\n"
+    return "\n\n".join([HEAD, table("page | result", [*lines, BY_HAND]), TAIL]) + "\n"
 
 
 def main() -> None:

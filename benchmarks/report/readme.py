@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.rd.report import against_quoted, means
-from benchmarks.report import paper, rate
+from benchmarks.report import rate
 from benchmarks.report.section import Content, load, mean, number, seconds, several, table
 
 WIDTH = 120  # of a line
@@ -43,7 +43,7 @@ RIVALS = {"VTM": "VTM (H.266)", "ELIC": "ELIC", "Cool-Chic 5.0": "Cool-Chic 5.0"
 
 def filled(text: str, results: Path) -> str:
     """The README with its figures as the JSON has them. Raises SystemExit where marks are missing."""
-    makers: dict[str, Callable[[Path], str]] = {"figures": figures, "fits": fits, "slow": slow, "ahead": ahead}
+    makers: dict[str, Callable[[Path], str]] = {"figures": figures, "slow": slow, "ahead": ahead}
     for name, make in makers.items():
         made = f"<!-- table {name} -->\n{make(results)}\n"
         found = re.compile(MARKED.format(name), re.DOTALL)
@@ -147,12 +147,6 @@ def whole(results: Path) -> str:
     return (
         f"A mosaic of that size takes {seconds(ours)} seconds at {BPP} bits per pixel, and {seconds(avif)} with AVIF. "
     )
-
-
-def fits(results: Path) -> str:
-    """What N Gaussians reach, beside the paper's."""
-    rows = (load(results, "representation") or {"rows": []})["rows"]
-    return textwrap.fill(paper.beside(rows).strip(), WIDTH, break_long_words=False)
 
 
 def ahead(results: Path) -> str:

@@ -25,7 +25,7 @@ METHODS = {
     ("webp", "4"): "WebP, method 4",
     ("jpeg", "0"): "JPEG",
 }
-DRAWN = ("rd", "rd visual", "paper", "baseline", "avif", "jpegxl", "webp", "jpeg")
+DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
 DECODERS = {"jpeg": "libjpeg-turbo", "avif": "AVIF"}
 GROWTH = (

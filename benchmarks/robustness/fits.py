@@ -22,7 +22,7 @@ from sgmethod.paper import encode as paper
 from sgmethod.profiles import PROFILES, Tune
 from sgmethod.rd import place as rd
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import AdanSettings, PaperSettings
+from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 from sgmethod.settings.shared import OptimiserSettings
 from sgmethod.start.placement import place
@@ -140,8 +140,7 @@ def fast(settings: Settings) -> Settings:
         return replace(s, mean_rate=10 * s.mean_rate, factor_rate=10 * s.factor_rate, color_rate=10 * s.color_rate)
 
     if isinstance(settings, PaperSettings):
-        s = settings.optimiser
-        return replace(settings, optimiser=replace(s, rate=10 * s.rate) if isinstance(s, AdanSettings) else faster(s))
+        return replace(settings, optimiser=faster(settings.optimiser))
     return replace(settings, fit=replace(settings.fit, optimiser=faster(settings.fit.optimiser)))
 
 

@@ -1,4 +1,4 @@
-"""Version 1 of the file (profiles paper and baseline): integer codes <-> bytes, in fields of fixed length.
+"""Version 1 of the file (profile paper): integer codes <-> bytes, in fields of fixed length.
 
 docs/format.md describes it in words. Between signature and checksum stand
 
@@ -22,7 +22,7 @@ from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians, Scene
 
-PROFILE_CODES = {"baseline": 0, "paper": 1}
+PROFILE_CODES = {"baseline": 0, "paper": 1}  # nothing writes 0 any more
 CODEBOOK_STAGES, CODEBOOK_ENTRIES, COLOR_INDEX_BITS = 2, 8, 3
 MIN_BITWIDTH, MAX_BITWIDTH = 1, 16
 

@@ -1,4 +1,4 @@
-"""Profiles paper and baseline: the paper's method, and its baseline.
+"""Profile paper: the method of the paper.
 
 A picture is encoded to a version 1 file by a structure-guided start, a fit and quantisation-aware tuning.
 """

@@ -1,4 +1,4 @@
-"""Profiles paper and baseline: structure-guided start, fit, quantisation-aware tuning, for a budget of any kind."""
+"""Profile paper: structure-guided start, fit, quantisation-aware tuning, for a budget of any kind."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     start = place(image, n, s.start, np.random.default_rng(request.seed))
     fitted, fit_steps = fit(level, start, s, recorder, request.deadline.part_from_now(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)
-    schedule = Schedule("tune", s.tune_steps, s.optimiser, s.patience)
+    schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate, s.patience)
     steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)
     return tuner.stream(request.profile), steps
 

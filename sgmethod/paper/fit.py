@@ -1,4 +1,4 @@
-"""The fit of profiles paper and baseline: all Gaussians together, without any quantisation."""
+"""The fit of profile paper: all Gaussians together, without any quantisation."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss
+from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss, Moments
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level, target_of
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.paper.optimiser import mover
 from sgmethod.paper.schedule import Schedule
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
@@ -46,13 +45,13 @@ def fit(
     level: Level, start: Gaussians, settings: PaperSettings, recorder: Recorder, deadline: Deadline
 ) -> tuple[Gaussians, int]:
     """Fit all Gaussians without quantisation; return them and the number of steps."""
-    loss, gaussians = loss_of(level, settings.lambda_g), usable(start, level)
-    move = mover(settings.optimiser, level, len(start))
+    s, loss = settings, loss_of(level, settings.lambda_g)
+    gaussians, moments = usable(start, level), Moments.none(len(start))
 
     def step(rate: float) -> tuple[float, int, int]:
         mse, gradient = loss(gaussians)
-        move(gaussians, gradient, rate)
+        level.backend.step(gaussians, gradient, moments, s.optimiser, rate, 1)
         return mse, len(start), 0
 
-    schedule = Schedule("fit", settings.fit_steps, settings.optimiser, settings.patience)
+    schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate, s.patience)
     return gaussians, schedule.run(deadline, recorder, step)

@@ -6,11 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.deadline import Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.paper.optimiser import rate_at
-from sgmethod.settings.paper import AdanSettings
-from sgmethod.settings.shared import OptimiserSettings
 
 PERFECT_MSE = 1e-7  # 70 dB: a tenth of the error of rounding to 8 bits
 PROGRESS_DB = 0.01  # the least improvement that counts as progress
@@ -22,24 +19,24 @@ Step = Callable[[float], tuple[float, int, int]]  # rate -> (mse, Gaussians, byt
 class Schedule:
     """One phase of an encode.
 
-    phase: its name in the trace; optimiser: how the rates fall; patience: the part of the schedule without progress
-    after which the phase has converged.
+    phase: its name in the trace; final_rate: factor on the rates at its end; patience: the part of the schedule without
+    progress after which the phase has converged.
     """
 
     phase: str
     steps: int
-    optimiser: OptimiserSettings | AdanSettings
+    final_rate: float
     patience: float
 
     def run(self, deadline: Deadline, recorder: Recorder, step: Step) -> int:
         """Repeat a step while there is time; return the number of steps done.
 
-        The phase ends early once the error has stopped falling.
+        The rate falls along a cosine from 1 to final_rate. The phase ends early once the error has stopped falling.
         """
         best, best_at = math.inf, 0.0
         pace = deadline.pace(self.steps)
         for progress in pace.until(1.0):
-            mse, gaussians, size = step(rate_at(self.optimiser, progress, self.steps))
+            mse, gaussians, size = step(cosine(self.final_rate, progress))
             recorder.report(self.phase, pace.done + 1, self.steps, mse, gaussians, size)
             if mse < best * 10 ** (-PROGRESS_DB / 10):
                 best, best_at = mse, progress

@@ -15,15 +15,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sgmethod.backend.protocol import Moments
 from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, StreamV1, file_bytes, record_bits
 from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import loss_of
-from sgmethod.paper.optimiser import mover
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
-from sgmethod.settings.shared import ADAM
 
 MIN_SPAN_PX = 1e-3
 FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
@@ -84,8 +83,8 @@ class Tuner:
         groups = [{"params": [r], "lr": lr, "initial_lr": lr} for r, lr in zip(self.ranges, rates, strict=True)]
         if s.adaptive_bitwidth:
             groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
-        self.optimiser = torch.optim.Adam(groups, betas=(ADAM.beta1, ADAM.beta2), eps=1e-15)
-        self.move = mover(s.optimiser, level, self.n)
+        self.optimiser = torch.optim.Adam(groups, betas=(s.optimiser.beta1, s.optimiser.beta2), eps=1e-15)
+        self.moments = Moments.none(self.n)
         self.fit_budget()
 
     def _widen(self) -> None:
@@ -150,7 +149,7 @@ class Tuner:
         s = self.settings
         by_colors = grads[2] + 2 * s.lambda_r / coded_colors.numel() * (self.p.colors - coded_colors)  # L_r
         gradient = Parameters(grads[0], grads[1], by_colors).numpy()
-        self.move(self.p.numpy(), gradient, rate * s.tune_rate)
+        self.level.backend.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
         # L_b, or with a budget in its place the price at which the mean bitwidth stays the same.
         price = others[4].mean() if s.bits_by_budget and self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price

@@ -1,28 +1,18 @@
-"""Settings of profiles paper and baseline."""
+"""Settings of profile paper."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sgmethod.settings.shared import ADAM, STRUCTURE, OptimiserSettings, StartSettings
 
 
 @dataclass(frozen=True)
-class AdanSettings:
-    """Adan as GaussianImage uses it, without weight decay: on means in atanh of [-1, 1], factors and colours."""
-
-    rate: float = 1e-3
-    halved_every: int = 20_000  # steps
-    betas: tuple[float, float, float] = (0.98, 0.92, 0.99)
-    min_scale_px: float = 0.3  # ours, as in OptimiserSettings
-
-
-@dataclass(frozen=True)
 class PaperSettings:
-    """Hyper-parameters of profiles paper and baseline."""
+    """Hyper-parameters of profile paper."""
 
     start: StartSettings = STRUCTURE
-    optimiser: OptimiserSettings | AdanSettings = ADAM  # ours; the paper's, which it does not name, takes 50,000 steps
+    optimiser: OptimiserSettings = ADAM  # ours: GaussianImage's Adan takes 50,000 steps
 
     # Losses (sections III-D and III-E)
     lambda_g: float = 0.06  # geometry-consistent regularisation, section IV-A
@@ -57,16 +47,3 @@ class PaperSettings:
 
 
 PAPER = PaperSettings()
-BASELINE = replace(
-    PAPER,
-    start=replace(STRUCTURE, structure_guided=False, random_shapes=True),
-    optimiser=AdanSettings(),
-    lambda_g=0.0,
-    fit_steps=50_000,
-    tune_steps=50_000,
-    tune_rate=1.0,
-    patience=1.0,
-    position_bits=16,
-    adaptive_bitwidth=False,
-    mean_bitwidth=6.0,
-)

@@ -30,7 +30,6 @@ class StartSettings:
     """Settings of structure-guided initialisation (paper, section III-B)."""
 
     structure_guided: bool = True  # False: uniformly random places (GaussianImage)
-    random_shapes: bool = False  # shapes and colours as GaussianImage draws them; the paper does not say
     # Ours: placed by gradient within a region, with scales by that density, and along edges.
     follows_gradient: bool = False
     ratio: tuple[float, float, float] = (6.0, 2.0, 1.0)  # phi_1 : phi_2 : phi_3, section IV-A

@@ -92,9 +92,6 @@ def place(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Gen
         means = _evenly(found, counts, rng)
     else:
         means = (rng.random((n, 2)) * (width, height)).astype(np.float32)
-    if settings.random_shapes:
-        factors, colors = rng.random((n, 3)) + np.array([0.5, 0, 0.5]), rng.random((n, 3))
-        return Gaussians(means, factors.astype(np.float32), colors.astype(np.float32))
     scale = max(math.sqrt(width * height / (math.pi * n)), MIN_START_SCALE_PX)
     factors = np.tile(np.array([scale, 0, scale], np.float32), (n, 1))
     return Gaussians(means, factors, image[_pixels_below(means, (height, width))])

@@ -32,9 +32,14 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
     ),
     "ablation": ("--images {small} --tables parts --seeds 1 --bpp 2", "table", ["parts"]),
     "ablation representation": (
-        "--images {small} --gaussians 60 --steps 60 --methods paper,random-start",
+        "--images {small} --gaussians 60 --steps 60 --methods paper",
         "method",
-        ["paper", "random-start"],
+        ["paper"],
+    ),
+    "ablation gains": (
+        "--images {small} --tables optimiser,numbers --numbers 10000,30000 --steps 20",
+        "setting",
+        ["random", "dynamic"],
     ),
     "robustness stiff": ("--pictures pixel-1x1,row-300x1 --seeds 1 --only bpp", "value", [0.1, 0.3, 1, 2, 4, 8]),
     "robustness extremes": (

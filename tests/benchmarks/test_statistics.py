@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks.ablation.report import gain_over_pictures, worth
+from benchmarks.ablation.report import worth
 from benchmarks.machine import kept_rows, origin
 from benchmarks.rd.report import Row, against, bd_psnr, bd_rate, means
-from benchmarks.report.paper import judged
 from benchmarks.report.previews import times_our_bytes
 from benchmarks.report.rate import value_at
 from benchmarks.tables import in_all, mean, number
@@ -59,31 +58,7 @@ def test_bytes_of_previews() -> None:
     assert times_our_bytes([row("sgmethod", 200, 200, 30.0), *webp, *avif], 200) is None  # none is as good
 
 
-@pytest.mark.parametrize(
-    ("quoted", "found", "spread", "verdict"),
-    [
-        (1.0, 0.5, None, "yes"),
-        (1.0, 0.4, 0.1, "in part"),
-        (1.0, 0.8, 0.9, "too small to tell"),
-        (1.0, 0.04, None, "too small to tell"),
-        (1.0, -0.4, 0.1, "no, the opposite"),
-        (-40.0, -30.0, None, "yes"),
-    ],
-)
-def test_verdicts(quoted: float, found: float, spread: float | None, verdict: str) -> None:
-    assert judged(quoted, (found, spread)) == verdict
-
-
 def test_gains_of_parts() -> None:
-    fits = [
-        {"method": method, "asked": asked, "image": image, "psnr": db}
-        for method, asked, image, db in [
-            *(("new", 9, "a", 31.0), ("new", 9, "b", 33.0), ("new", 5, "a", 90.0), ("new", 9, "c", 90.0)),
-            *(("old", 9, "a", 30.0), ("old", 9, "b", 30.0)),
-        ]
-    ]
-    assert gain_over_pictures(fits, 9, "new", "old") == pytest.approx((2.0, 1.0))  # of 1 and 3 dB
-    assert gain_over_pictures(fits, 5, "new", "old") == (None, None)
     parts = [
         {"table": "parts", "without": without, "image": image, "seed": seed, "psnr": db}
         for without, image, seed, db in [
@@ -97,7 +72,7 @@ def test_gains_of_parts() -> None:
             *(("nothing", "c", 0, 99.0), ("growth", "c", 0, 0.0)),  # not of every seed
         ]
     ]
-    assert worth({"rows": parts}, "parts", "growth", "nothing") == pytest.approx((-2.5, 0.5**0.5))
+    assert worth({"rows": parts}, "parts", "growth", "nothing") == pytest.approx((-2.5, 1.0))
 
 
 def test_means() -> None:

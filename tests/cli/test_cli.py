@@ -153,10 +153,10 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(codec, "encode", spy)
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
-        given = ["--profile", "baseline", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
+        given = ["--profile", "paper", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
         named = {"tune": None, "effort": 5, "seed": 7, "time_limit_s": 5.0, "measure": False}
-        assert calls.pop() == ((budget, "baseline"), named)
+        assert calls.pop() == ((budget, "paper"), named)
     assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual", "--effort", "2") == Ran(0, "", "")
     assert {name: calls[0][1][name] for name in ("tune", "effort")} == {"tune": "visual", "effort": 2}
 
@@ -464,7 +464,7 @@ def test_commands_of_the_readme(run: Run) -> None:
 def test_commands_of_the_command_lines_page(run: Run) -> None:
     run_in_order(run, commands_of("docs/command_line.md"))
     assert info("photo.sg").version == 2  # none has put a file of another profile in its place
-    assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
+    assert {"photo.sg", "small.sg", "paper.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
@@ -501,7 +501,7 @@ def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.Mo
         ),
         ("sgmethod.native._native", "decode picture.sg out.png", r"the compiled part .*"),
         ("sgmethod.native._native", "info picture.sg", r"the compiled part .*"),
-        ("torch", "encode photo.png out.sg --profile baseline", r".*torch.* pip install 'sgmethod\[torch\]'"),
+        ("torch", "encode photo.png out.sg --profile paper", r".*torch.* pip install 'sgmethod\[torch\]'"),
     ],
 )
 def test_what_is_not_installed_is_one_clear_line(module: str, line: str, why: str) -> None:

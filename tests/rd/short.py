@@ -18,7 +18,7 @@ from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.request import Request
-from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
+from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.rd import RD, RdSettings
 from sgmethod.settings.shared import Tune
 from sgmethod.trace import Stop
@@ -30,12 +30,9 @@ def short(steps: int, **of_effort: Any) -> RdSettings:
 
 
 def shortened(steps: int, phase_steps: tuple[int, int] | None = None) -> dict[str, RdSettings | PaperSettings]:
-    """Settings of all profiles with a short first run, and short phases of paper and baseline."""
+    """Settings of all profiles with a short first run, and short phases of paper."""
     fit, tune = phase_steps or (steps, steps)
-    others = {
-        name: replace(s, fit_steps=fit, tune_steps=tune) for name, s in (("paper", PAPER), ("baseline", BASELINE))
-    }
-    return {"rd": short(steps), **others}
+    return {"rd": short(steps), "paper": replace(PAPER, fit_steps=fit, tune_steps=tune)}
 
 
 class SlowClock(Clock):

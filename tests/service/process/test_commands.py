@@ -50,13 +50,13 @@ def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> Non
 
 
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two profiles do; the service does not."""
+    """One profile does; the service does not."""
     paper = EncodeOptions(profile="paper")
     assert paper.request(IMAGE, 60).profile == "paper"
     monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
     result = run_command("check", data_dir=tmp_path)
     assert verdicts(result)["kernels"] == "ok"
-    assert "profiles paper and baseline need PyTorch" in result.stdout
+    assert "profile paper needs PyTorch" in result.stdout
     assert EncodeOptions().request(IMAGE, 60).profile == "rd"
     with pytest.raises(ProblemError, match="profile paper needs PyTorch") as refusal:
         paper.request(IMAGE, 60)

@@ -14,7 +14,7 @@ from service.sandbox.frames import Begun, Draw, Encode, FrameError, FrameReader,
 from service.sandbox.pictures import PictureOptions
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
-ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "baseline", 2.5), threads=2)
+ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "paper", 2.5), threads=2)
 DRAW = Draw(**LIMITS, options=PictureOptions(region="0,0,8,8", quality=5), file_kind="jpg")
 POINT = frames.TracePoint(seconds=0.5, step=1, steps=2, psnr=None, bytes=3, gaussians=4, phase="joint")
 FIGURES: dict[str, Any] = {

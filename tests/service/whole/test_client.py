@@ -62,7 +62,7 @@ def test_what_is_left_out_is_told(service: Service) -> None:
     glass = saved(Image.new("RGBA", (64, 48), (200, 80, 60, 100)))
     with Client(service.url) as client:
         kept = client.encode(glass, Budget("bytes", 200), time_limit_s=0.5)
-        laid = client.encode(glass, Budget("gaussians", 4), "baseline", time_limit_s=0.5)
+        laid = client.encode(glass, Budget("gaussians", 4), "paper", time_limit_s=0.5)
     assert (kept.notes, laid.notes) == ([], ["transparency is composited over white"])
     assert "notes" not in laid.figures
 
