@@ -24,7 +24,8 @@ class PaperSettings:
     tune_steps: int = 2500
     tune_rate: float = 0.5  # factor on the optimiser's rates
     bits_rate: float = 0.02
-    range_rate: float = 1e-4  # in multiples of the range's width
+    # In multiples of the range's width at the start, which the widest Gaussian sets, and most of which has to go.
+    range_rate: float = 0.003
     patience: float = 0.3  # a phase has converged after this part of the schedule without progress
 
     # Quantisation (sections III-C and IV-A)
