@@ -233,7 +233,7 @@ def test_transparent_grey_of_any_depth(depth: int) -> None:
 @SEE_THROUGH
 def test_transparent_colour_with_excess_bits_in_a_pillow_image() -> None:
     file = png_of(PIXELS, 2, chunk(b"tRNS", struct.pack(">3H", *(256 + PIXELS[3, 5].astype(int)))))
-    expected = np.all(PIXELS == PIXELS[3, 5], axis=2)
+    expected = np.all(PIXELS[3, 5] == PIXELS, axis=2)
     for image in (file, Image.open(io.BytesIO(file))):
         assert np.array_equal(read_input(image, keep_alpha=True)[..., 3] == 0, expected)
 
