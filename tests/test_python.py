@@ -96,6 +96,11 @@ def test_files_by_path_and_bytes() -> None:
     assert np.array_equal(picture.pixels(), pixels)
     view = View(0.5, (3, 5, 20, 11), 0.7)
     assert np.array_equal(picture.pixels(0.5, (3, 5, 20, 11), 0.7), sgmethod.decode(GOLDEN, view=view))
+    part = View(region=(3, 5, 20, 11), texture=False)
+    for side in ({"width": 30}, {"height": 30}, {"width": 10, "height": 9}):
+        assert np.array_equal(sgmethod.decode(GOLDEN, **side), picture.pixels(**side))
+        expected = picture.pixels(region=(3, 5, 20, 11), texture=False, **side)
+        assert np.array_equal(sgmethod.decode(GOLDEN, view=part, **side), expected)
     assert repr(picture) == f"<SgFile 48 x 40 pixels, {len(GOLDEN)} bytes>"
 
 
