@@ -29,13 +29,14 @@ from sgmethod.budget import (
     looks_value,
 )
 from sgmethod.decoder import SgFile
-from sgmethod.errors import BudgetError, ImageError
+from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
+from sgmethod.io.formats import SUFFIXES
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, profile_of, settings_of, tuning
@@ -118,8 +119,14 @@ class Encoded:
     trace: list[TracePoint] = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file completely, or raise OSError and leave the path as it was."""
-        write_atomically(checked_path(path), self.data)
+        """Write the file completely, or raise OSError and leave the path as it was.
+
+        Raises SgError for a name like that of a picture, such as photo.jpg: no program would open it.
+        """
+        target = checked_path(path)
+        if target.suffix.lower() in SUFFIXES:
+            raise SgError(f"{target} names a picture, and this is an .sg file: use {target.with_suffix('.sg')}")
+        write_atomically(target, self.data)
 
 
 def encode(

@@ -17,7 +17,7 @@ from PIL import Image, UnidentifiedImageError
 
 import sgmethod
 from service.api.requests import BITSTREAM_TYPE
-from sgmethod import Budget, BudgetError, SgFile, View
+from sgmethod import Budget, BudgetError, SgError, SgFile, View
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
@@ -110,6 +110,10 @@ def test_what_is_shown_is_short_and_what_is_listed_is_all() -> None:
     assert set(sgmethod.__all__) <= set(dir(sgmethod))
     result.save("out.sg")
     assert Path("out.sg").read_bytes() == result.data
+    with pytest.raises(SgError, match=r"out\.JPG names a picture, .* use out\.sg"):
+        result.save("out.JPG")
+    result.save("out.sg.part")
+    assert {path.name for path in Path().glob("out*")} == {"out.sg", "out.sg.part"}
 
 
 def test_importing_takes_neither_numpy_nor_torch() -> None:

@@ -9,11 +9,9 @@ from pathlib import Path
 
 from sgmethod.cli import files
 from sgmethod.cli.files import STREAM, CommandError
-from sgmethod.io.pictures import SUFFIXES
+from sgmethod.io.formats import SUFFIXES as PICTURES
 
 SUFFIX = ".sg"
-PICTURES = {*SUFFIXES, ".tif", ".tiff", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jxl", ".jpe", ".jfif", ".apng"}
-PICTURES |= {".pbm", ".pgm", ".pnm", ".qoi", ".avifs", ".dib"}
 
 
 @dataclass(frozen=True)
