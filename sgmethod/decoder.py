@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
 from sgmethod.bitstream.text import file_of, from_text
-from sgmethod.budget import checked_integer
+from sgmethod.budget import AnyFloat, AnyInt, checked_integer
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native
@@ -26,12 +27,12 @@ MAX_PIXELS = 100_000_000  # 300 MB of output, as many as ImageLimits reads: a da
 
 def decode(
     data: File,
-    max_pixels: int = MAX_PIXELS,
+    max_pixels: AnyInt = MAX_PIXELS,
     view: View = WHOLE,
     *,
     texture: bool = True,
-    width: int | None = None,
-    height: int | None = None,
+    width: AnyInt | None = None,
+    height: AnyInt | None = None,
 ) -> NDArray[np.uint8]:
     """Decode an .sg file, or a view of it, to 8-bit sRGB [height, width, 3], or [height, width, 4] with alpha.
 
@@ -53,7 +54,7 @@ def decode(
     return photo._draw((view if texture else replace(view, texture=False)).within(photo.size, width, height))
 
 
-def info(data: File, max_gaussians: int | None = None) -> Info:
+def info(data: File, max_gaussians: AnyInt | None = None) -> Info:
     """Read the header of an .sg file, and how its bits are spent.
 
     >>> sgmethod.info("photo.sg").width
@@ -83,7 +84,7 @@ class SgFile:
     (48, 64, 3)
     """
 
-    def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(self, data: File, max_pixels: AnyInt = MAX_PIXELS) -> None:
         """Open and check a file.
 
         data: a file's path, bytes or text; max_pixels: limit for the picture and each view.
@@ -128,13 +129,13 @@ class SgFile:
 
     def pixels(
         self,
-        scale: float = 1.0,
-        region: tuple[int, int, int, int] | None = None,
-        prefix: float = 1.0,
+        scale: AnyFloat = 1.0,
+        region: Iterable[AnyInt] | None = None,
+        prefix: AnyFloat = 1.0,
         texture: bool = True,
         *,
-        width: int | None = None,
-        height: int | None = None,
+        width: AnyInt | None = None,
+        height: AnyInt | None = None,
     ) -> NDArray[np.uint8]:
         """Draw the picture or a view of it: 8-bit sRGB [height, width, 3 or 4].
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from sgmethod.cli import files
 from sgmethod.cli.files import STREAM, CommandError
-from sgmethod.io.formats import SUFFIXES as PICTURES
+from sgmethod.io import formats
 
 SUFFIX = ".sg"
+PICTURES = formats.SUFFIXES
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sgmethod.errors import SgError
 
-File = str | os.PathLike[str] | bytes  # a path, or the bytes themselves
+File = str | os.PathLike[str] | bytes | bytearray | memoryview  # a path, or the bytes themselves
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:

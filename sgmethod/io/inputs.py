@@ -25,7 +25,7 @@ from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
 from sgmethod.io.levels import Samples
 from sgmethod.scene import Pixels
 
-Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
+Input = str | os.PathLike[str] | bytes | bytearray | memoryview | Image.Image | npt.NDArray[Any]
 
 
 def read_input(image: Input, *, keep_alpha: bool = False) -> Pixels:

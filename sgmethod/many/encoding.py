@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import checked_integer
+from sgmethod.budget import AnyInt, checked_integer
 from sgmethod.codec import encode
 from sgmethod.errors import noted
 from sgmethod.io.inputs import Input
@@ -22,7 +22,7 @@ def encode_many(
     items: Iterable[Item],
     output_dir: str | os.PathLike[str],
     *,
-    jobs: int = 1,
+    jobs: AnyInt = 1,
     resume: bool = False,
     on_row: OnRow[Row] | None = None,
     **options: Any,
