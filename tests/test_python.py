@@ -178,6 +178,23 @@ def test_any_opencv_will_do(kind: str) -> None:
     assert len(ran.stdout.splitlines()) == 2
 
 
+def test_a_warning_points_at_the_callers_line() -> None:
+    clear = PHOTO.convert("RGBA")
+    clear.putalpha(100)
+    clear.save("clear.png")
+    settings = {"profile": "baseline", "gaussians": 4, "time_limit_s": 0.01}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        first = sys._getframe().f_lineno + 1
+        sgmethod.encode("clear.png", **settings)
+        sgmethod.encode(clear, **settings)
+        sgmethod.encode(np.asarray(clear), **settings)
+        sgmethod.pack(sgmethod.open(GOLDEN).gaussians(), 128, 96, bpp=5, image="clear.png")
+        clear.save("clear.sg", **settings)
+    expected = [(__file__, line) for line in range(first, first + 5)]
+    assert [(warning.filename, warning.lineno) for warning in caught] == expected
+
+
 # --- Pillow
 
 

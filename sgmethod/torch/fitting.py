@@ -170,7 +170,8 @@ def pictures_of(images: Tensor) -> list[Pixels]:
     if images.dtype != torch.uint8:
         if not images.is_floating_point():
             raise ImageError(f"images must be uint8 or floating-point values in [0, 1], not {images.dtype}")
-        if not ((images >= 0) & (images <= 1)).all():  # also refuses NaN
-            raise ImageError("image values must lie in [0, 1]")
+        least, most = (float(value) for value in images.detach().aminmax()) if images.numel() else (0.0, 1.0)
+        if not (least >= 0 and most <= 1):  # also refuses NaN
+            raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
         images = (255 * images.detach().float()).round().to(torch.uint8)
     return list(images.permute(0, 2, 3, 1).contiguous().cpu().numpy())
