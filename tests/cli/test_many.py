@@ -216,10 +216,12 @@ def test_pipes_by_name_for_encode_and_its_trace() -> None:
 # --- threads and seconds
 
 
-@pytest.mark.parametrize("text", ["0", "257", "two", "1.5", " 2"])
+@pytest.mark.parametrize("text", ["0", "257", "two", "1.5", " 2", "9" * 5000])
 def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("SG_THREADS", text)
-    assert_refused(run("decode", GOLDEN, "out.png"), f"SG_THREADS must be a whole number from 1 to 256, not {text!r}")
+    assert_refused(
+        run("decode", GOLDEN, "out.png"), f"SG_THREADS must be a whole number from 1 to 256, not {text[:40]!r}"
+    )
 
 
 @pytest.mark.parametrize("text", ["", "1", "256"])
