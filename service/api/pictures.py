@@ -46,7 +46,7 @@ from service.sandbox.pictures import (
     RivalFormat,
     matching,
 )
-from service.storage.files import bitstream_key, source_key
+from service.storage.files import preview_key, source_key
 from sgmethod.errors import BitstreamError
 
 log = logging.getLogger(__name__)
@@ -170,7 +170,7 @@ async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -
     it at most once a second; the other profiles have no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
-    key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
+    key = job.result.bitstream_key if job.result else preview_key(job.id, job.attempt)
     try:
         data = await context.store(context.storage.get, key)
     except FileNotFoundError:

@@ -37,7 +37,7 @@ from service.jobs.job import (
 )
 from service.jobs.statements import Database
 from service.process.loops import StopSignal
-from service.storage.files import bitstream_key, source_key
+from service.storage.files import bitstream_key, preview_key, source_key
 
 log = logging.getLogger(__name__)
 
@@ -346,7 +346,8 @@ class JobTable(ABC):
         with self._connection() as db:
             rows = db.execute("SELECT id, state, attempt, result, image_bytes FROM jobs").fetchall()
         sources = {source_key(row["id"]) for row in rows if row["image_bytes"]}
-        unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
+        running = [(row["id"], row["attempt"]) for row in rows if row["state"] == "running"]
+        unpublished = {key(*attempt) for key in (bitstream_key, preview_key) for attempt in running}
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
         return sources | unpublished | done
 

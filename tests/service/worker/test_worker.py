@@ -143,6 +143,33 @@ def test_the_lease_is_renewed_while_the_storage_is_slow(
     assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
 
 
+def test_a_storage_that_is_slow_holds_up_no_encode(
+    table: Unsteady, attempt: Attempt, storage: Storage, claim: Claim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Previews waited for it, and so did the fit. What is stored at last is not taken for the bitstream."""
+    monkeypatch.setattr(attempt_module, "PREVIEW_EVERY_S", 0.0)
+    monkeypatch.setattr(attempt_module, "PREVIEW_ENDS_S", 0.0)
+    put, stored, goes_on = storage.put, [], threading.Event()
+
+    def slow(key: str, data: bytes) -> None:
+        if data.startswith(b"preview"):
+            assert goes_on.wait(PATIENCE_S)
+        put(key, data)
+        stored.append(data)
+
+    monkeypatch.setattr(storage, "put", slow)
+    for number in range(3):
+        attempt.show(b"preview %d" % number)
+    attempt.conclude(Encoded({}, b"data"))
+    attempt.tidy()
+    goes_on.set()
+    wait_until(lambda: stored == [b"data", b"preview 0"])
+    assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
+    assert storage.get(bitstream_key(claim.job_id, 1)) == b"data"
+    attempt.tidy()
+    assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
+
+
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
     table: Unsteady, storage: Storage, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
