@@ -346,6 +346,15 @@ class JobTable(ABC):
         with self._transaction() as db:
             endings.forget_notice(db, notice)
 
+    def forward_notices(self) -> int:
+        """Let notices to addresses that the operator no longer names, as before a correction, go to those named now;
+        returns how many there were. Without any, they stay until they are given up.
+        """
+        if not self._rules.webhooks:
+            return 0
+        with self._transaction() as db:
+            return endings.forward_notices(db, self._rules.webhooks)
+
     def needed_keys(self) -> set[str]:
         """Storage keys of the files that some job still needs."""
         with self._connection() as db:

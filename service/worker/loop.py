@@ -69,6 +69,8 @@ class Worker:
 
     def _sweep(self) -> None:
         settings = self._settings
+        if forwarded := self._table.forward_notices():
+            log.info("%d webhooks to addresses that are no longer named go to those that are", forwarded)
         swept = sweep(
             self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
         )
