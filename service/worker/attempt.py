@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 
 PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 PREVIEW_ENDS_S = 1.0  # which a folder takes at most; of a bucket, the sweep removes what comes later
+POINTS_APART = 1 / 200  # of the time so far, at least: a day of them is 2,500, whatever an encode sends
 HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
 PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
 
@@ -61,12 +63,19 @@ class Attempt:
         self._sent = 0
         self._showing: threading.Thread | None = None
         self._shown = 0.0
-        self._heard = time.monotonic()
+        self._late: JsonObject | None = None  # the last point, if it came too soon after the one before
+        self._began = self._heard = time.monotonic()
+        self._added = -math.inf
         self._next = self._heard + HEARTBEAT_S
 
     def add(self, point: JsonObject) -> None:
-        """Note a trace point for the next beat."""
-        self._points.append(point)
+        """Note a trace point for the next beat. Those that come too soon are left out, except for the last of all."""
+        now = time.monotonic()
+        if now - self._added >= POINTS_APART * (now - self._began):
+            self._points.append(point)
+            self._late, self._added = None, now
+        else:
+            self._late = point
 
     def show(self, bitstream: bytes) -> None:
         """Store a preview, and return at once: the encode is not to wait for a slow storage. While one is being stored,
@@ -91,6 +100,9 @@ class Attempt:
         """
         if time.monotonic() < self._next and not now:
             return
+        if now and self._late is not None:
+            self._points.append(self._late)
+            self._late = None
         try:
             job = self._table.heartbeat(self.claim, self._points, self._sent)
         except JobTableError as error:

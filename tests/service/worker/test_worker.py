@@ -194,6 +194,23 @@ def test_a_heartbeat_sends_each_point_once(table: Unsteady, attempt: Attempt, cl
     assert table.trace(claim.job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
 
 
+def test_a_trace_has_few_points_whatever_an_encode_sends(
+    table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A taken-over one could fill the job table. The last point is always there, and those of the first 20 s."""
+    clock = [0.0]
+    monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
+    attempt = Attempt(table, storage, claim, stop)
+    monkeypatch.setattr(attempt, "_points", points := [])
+    for step in range(60_000):
+        clock[0] = step / 100
+        attempt.add({"step": step})
+    assert len([point for point in points if point["step"] <= 200]) == 201
+    assert len(points) < 1500
+    attempt.beat(now=True)
+    assert table.trace(claim.job_id)[-1] == {"step": 59_999}
+
+
 def test_a_heartbeat_that_nobody_hears_goes_on(
     table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
