@@ -23,7 +23,6 @@ from service.api.requests import (
     NEVER_STORED,
     VARIES,
     accepted_format,
-    check_image_type,
     fields_alone,
     idempotency_key,
     image_and_fields,
@@ -88,7 +87,6 @@ async def encode(
     """Submit an image for encoding, with at most one budget. With `wait`, the response is the finished file (or the
     decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
-    check_image_type(request)
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
         asked = _Asked(caller.owner, key, read_options(fields), "" if key is None else await _digest(file, context))
