@@ -30,7 +30,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from service.jobs.job import EncodeRequest
 from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
-from sgmethod.bitstream.container import version_of
 from sgmethod.errors import BitstreamError, ImageError
 from sgmethod.io.formats import name_of
 from sgmethod.io.pictures import SUFFIXES
@@ -224,6 +223,8 @@ class Encode(Task):
         super().check(figures, file)
         if figures.bytes != len(file):
             raise FrameError("a file of another size than its figures say")
+        from sgmethod.bitstream.container import version_of  # needs the kernels, whose absence is told in one line
+
         try:
             version_of(file)
         except BitstreamError as error:
