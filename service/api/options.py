@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
+from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
 
@@ -20,6 +21,7 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     model_validator,
 )
 from pydantic.json_schema import SkipJsonSchema
@@ -62,11 +64,14 @@ def _effort(text: str, info: ValidationInfo) -> int:
     return checked_effort(int(number) if number.is_integer() else number)
 
 
-def _positive(description: str, example: float) -> Any:
-    extra: dict[str, Any] = {"exclusiveMinimum": 0}
+def _given(description: str, example: float, **extra: Any) -> Any:
     return Field(default=None, description=description, examples=[example], json_schema_extra=extra)
 
 
+_positive = partial(_given, exclusiveMinimum=0)
+LOOKS_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*LOOKS]}]
+}
 Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
@@ -80,7 +85,7 @@ class EncodeOptions(BaseModel):
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
     bytes: Number = _positive("budget: maximum bytes", 20_000)
-    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks)] = _positive(
+    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks), WithJsonSchema(LOOKS_SCHEMA)] = _given(
         "budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60
     )
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)

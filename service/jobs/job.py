@@ -69,7 +69,7 @@ class SourceImage:
 class NewJob:
     """A job to accept.
 
-    fingerprint: digest of the whole request, compared when an idempotency key comes again; owner: whose
+    fingerprint: digest of the request as the client made it, compared when an idempotency key comes again; owner: whose
     API key came with the request, None where there are no keys.
     """
 
