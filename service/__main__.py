@@ -37,6 +37,7 @@ def main() -> int:
     """Run one command. Exit status: 0 after a requested end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
     nothing runs yet."""
     arguments = _parser().parse_args()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # which is inherited: ignored, children leave no status
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
     try:
         settings = Settings()

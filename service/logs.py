@@ -30,6 +30,10 @@ def log_seldom(log: logging.Logger, message: str, *values: object) -> None:
 
 
 class _Lines(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
+        """One line, whatever a client or a task of the sandbox has put into it. Tracebacks keep theirs."""
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in super().formatMessage(record))
+
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)
         return f"{text} [{request_id.get()}]" if request_id.get() else text

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 Pixels = NDArray[np.uint8]
-Floats = NDArray[np.floating]  # of any precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,10 @@ class Gaussians:
     means: FloatArray
     factors: FloatArray
     colors: FloatArray
+
+    if TYPE_CHECKING:  # what pack() and its like convert
+
+        def __init__(self, means: npt.ArrayLike, factors: npt.ArrayLike, colors: npt.ArrayLike) -> None: ...
 
     def __len__(self) -> int:
         return len(self.means)
@@ -45,7 +49,7 @@ class Gaussians:
         return cls(*(np.empty((n, width), np.float32) for width in (2, 3, 3)))
 
     @classmethod
-    def from_covariances(cls, means: Floats, covariances: Floats, colors: Floats) -> Gaussians:
+    def from_covariances(cls, means: npt.ArrayLike, covariances: npt.ArrayLike, colors: npt.ArrayLike) -> Gaussians:
         """Build Gaussians from covariances [N, 2, 2] in pixels squared; factors are NaN unless positive definite."""
         (xx, xy), (_, yy) = np.moveaxis(np.asarray(covariances, np.float64), 0, -1)
         with np.errstate(invalid="ignore", divide="ignore"):

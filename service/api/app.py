@@ -30,7 +30,7 @@ from service.api.context import Context
 from service.api.health import VERSION
 from service.api.metrics import Metrics
 from service.api.middleware import BodyLimit, RequestLog
-from service.api.problems import install_problem_handlers
+from service.api.problems import PAGE, install_problem_handlers
 from service.api.routes import add_routes
 from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
@@ -147,7 +147,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
     app.mount("/static/sgmethod", PageFiles(packages=[("sgmethod", "javascript/src")]))  # the decoder and <sg-img>
     app.mount("/static", PageFiles(directory=STATIC))
-    for path, file in (("/", "index.html"), ("/docs", "docs.html")):
+    for path, file in (("/", "index.html"), ("/docs", "docs.html"), (PAGE, "problems.html")):
         app.add_api_route(path, _page(STATIC / file), include_in_schema=False)
     return _with_middleware(app, context)
 
@@ -168,7 +168,10 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
             app,
             allow_origins=listed(settings.cors_origins),
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
-            allow_headers=["Authorization", "Idempotency-Key", "Prefer", "X-Request-Id"],
+            allow_headers=[
+                *("Authorization", "Idempotency-Key", "If-None-Match", "Prefer", "X-Request-Id"),
+                *("traceparent", "tracestate"),  # which a page with OpenTelemetry sends with every request
+            ],
             expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],
         )
     return RequestLog(app, context.metrics)

@@ -13,13 +13,13 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.problems import ProblemError, refused
+from service.api.problems import PAGE, ProblemError, refused
 from service.api.requests import header_line
 from service.keys import KeyRing, Link
 from service.settings import Settings, listed
 
 # A page must load before a person can give it a key, and probes have none.
-OPEN_PATHS = frozenset({"/", "/docs", "/livez", "/readyz", "/openapi.json"})
+OPEN_PATHS = frozenset({"/", "/docs", PAGE, "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
 NETWORK_BITS = 64  # of an IPv6 address, which tell customers apart; the rest is each customer's own
 UNKNOWN = "unknown"

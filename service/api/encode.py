@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
-from dataclasses import asdict
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Depends, Request, Response
 from fastapi.responses import JSONResponse
+from starlette.datastructures import UploadFile
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext
@@ -23,7 +23,6 @@ from service.api.requests import (
     NEVER_STORED,
     VARIES,
     accepted_format,
-    check_image_type,
     fields_alone,
     idempotency_key,
     image_and_fields,
@@ -66,21 +65,37 @@ WaitSeconds = Annotated[int, Depends(wanted_wait_s)]
 IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a client asks for, whatever the settings make of it. image: tells the image from others."""
+
+    owner: str | None
+    key: str | None
+    options: EncodeOptions
+    image: str
+
+    @property
+    def fingerprint(self) -> str:
+        """A digest of the request."""
+        words = f"{self.options.model_dump_json(exclude_unset=True)} {self.image}"
+        return hashlib.sha256(words.encode()).hexdigest()
+
+
 async def encode(
     request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
     """Submit an image for encoding, with at most one budget. With `wait`, the response is the finished file (or the
     decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
-    check_image_type(request)
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
-        options = read_options(fields)
-        header = await context.tasks.read_header(caller.client, file)
-        async with context.accepting.turn(caller.client):
-            await file.seek(0)
-            image = await file.read()
-            job = await context.store(_accept, context, caller.owner, key, options, header, image)
+        asked = _Asked(caller.owner, key, read_options(fields), "" if key is None else await _digest(file, context))
+        job = await _first(asked, context)
+        if job is None:
+            header = await context.tasks.read_header(caller.client, file)
+            async with context.accepting.turn(caller.client):
+                await file.seek(0)
+                job = await context.store(_accept, context, asked, header, await file.read())
     return await _answer(request, context, job, wait_s, caller.client)
 
 
@@ -90,24 +105,37 @@ async def encode_again(
     """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
-    options = read_options(await fields_alone(request))
-    await context.read(context.table.check_queue, caller.owner, key)
-    async with context.accepting.turn(caller.client):
-        with await context.store(open_image, context, job) as file:
-            image = await context.store(file.read)
-        again = await context.store(_accept, context, caller.owner, key, options, job.image, image)
+    asked = _Asked(caller.owner, key, read_options(await fields_alone(request)), job.id)
+    again = await _first(asked, context)
+    if again is None:
+        await context.read(context.table.check_queue, caller.owner, key)
+        async with context.accepting.turn(caller.client):
+            with await context.store(open_image, context, job) as file:
+                image = await context.store(file.read)
+            again = await context.store(_accept, context, asked, job.image, image)
     return await _answer(request, context, again, wait_s, caller.client)
 
 
-def _accept(
-    context: Context, owner: str | None, key: str | None, options: EncodeOptions, header: SourceImage, image: bytes
-) -> Job:
+async def _digest(file: UploadFile, context: Context) -> str:
+    await file.seek(0)
+    return (await context.store(hashlib.file_digest, file.file, "sha256")).hexdigest()
+
+
+async def _first(asked: _Asked, context: Context) -> Job | None:
+    """The job that the same request has made already. Raises KeyReusedError.
+
+    Before anything else is looked at: what was refused now was accepted then.
+    """
+    if asked.key is None:
+        return None
+    return await context.read(context.table.first, asked.owner, asked.key, asked.fingerprint)
+
+
+def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) -> Job:
     """Store the image, then put the job into the job table; only then may the client be told."""
-    request = options.request(header, context.settings.max_time_limit_s)
-    words = {"encode": asdict(request), "priority": options.priority}
-    fingerprint = hashlib.sha256(json.dumps(words).encode())
-    fingerprint.update(image)
-    new = NewJob(new_job_id(), request, header, fingerprint.hexdigest(), key, owner, options.priority)
+    request = asked.options.request(header, context.settings.max_time_limit_s)
+    priority = asked.options.priority
+    new = NewJob(new_job_id(), request, header, asked.fingerprint, asked.key, asked.owner, priority)
     free_bytes = context.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
@@ -118,7 +146,7 @@ def _accept(
         context.discard(source_key(new.id))
         raise
     if is_new:
-        context.metrics.accept(owner)
+        context.metrics.accept(asked.owner)
     else:
         context.discard(source_key(new.id))
     return job

@@ -167,12 +167,12 @@ async def stop(job: KnownJob, context: UseContext, response: Response) -> models
     return view
 
 
-async def remove(job: KnownJob, context: UseContext) -> None:
+async def remove(job: KnownJob, context: UseContext) -> Response:
     """Cancel the job if it is not done, and delete everything stored for it."""
     removed = await context.write(context.table.remove, job.id)
-    if removed is None:
-        return
-    # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
-    await context.store(context.discard, source_key(removed.id))
-    if removed.result is not None:
-        await context.store(context.discard, removed.result.bitstream_key)
+    if removed is not None:
+        # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
+        await context.store(context.discard, source_key(removed.id))
+        if removed.result is not None:
+            await context.store(context.discard, removed.result.bitstream_key)
+    return Response(status_code=204)  # without a body, and so without a type of it

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
+from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
 
@@ -20,6 +21,7 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     model_validator,
 )
 from pydantic.json_schema import SkipJsonSchema
@@ -62,11 +64,14 @@ def _effort(text: str, info: ValidationInfo) -> int:
     return checked_effort(int(number) if number.is_integer() else number)
 
 
-def _positive(description: str, example: float) -> Any:
-    extra: dict[str, Any] = {"exclusiveMinimum": 0}
+def _given(description: str, example: float, **extra: Any) -> Any:
     return Field(default=None, description=description, examples=[example], json_schema_extra=extra)
 
 
+_positive = partial(_given, exclusiveMinimum=0)
+LOOKS_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*LOOKS]}]
+}
 Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
@@ -80,7 +85,7 @@ class EncodeOptions(BaseModel):
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
     bytes: Number = _positive("budget: maximum bytes", 20_000)
-    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks)] = _positive(
+    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks), WithJsonSchema(LOOKS_SCHEMA)] = _given(
         "budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60
     )
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
@@ -123,12 +128,13 @@ class EncodeOptions(BaseModel):
         seconds = longest_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
-        tune = tuning(self.tune, self.profile, self.budget)
+        profile = checked_profile(self.profile)
+        tune = tuning(self.tune, profile, self.budget)
         settings = settings_of(self.profile, self.effort)
         if not isinstance(settings, RdSettings) and find_spec("torch") is None:
             raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
         budget = self._feasible_budget(settings, image)
-        return EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
+        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
         """The budget; the default is raised to the smallest file that a tiny image can have."""

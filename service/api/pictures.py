@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import re
 import time
 from collections.abc import Callable, Coroutine
@@ -45,7 +46,7 @@ from service.sandbox.pictures import (
     RivalFormat,
     matching,
 )
-from service.storage.files import bitstream_key, source_key
+from service.storage.files import preview_key, source_key
 from sgmethod.errors import BitstreamError
 
 log = logging.getLogger(__name__)
@@ -91,12 +92,13 @@ async def picture(
     result = _result_of(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
+    pixels = math.prod(drawing.view.size(*size))
     headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context), **query.disposition()}
 
     async def made() -> bytes:
         with await context.store(_open_bitstream, context, job, result) as file:
             try:
-                return await context.tasks.draw(request.state.caller.client, file, query, kind)
+                return await context.tasks.draw(request.state.caller.client, file, query, kind, max_pixels=pixels)
             except RefusedError as error:
                 if error.kind is BitstreamError:
                     raise _damaged(job, error) from error
@@ -143,7 +145,8 @@ async def picture_of_body_as(
 ) -> Response:
     """Decode the bitstream in the body. Nothing is stored."""
     async with body_as_file(request) as upload:
-        drawing = context.tasks.draw(request.state.caller.client, upload.file, query, kind, MAX_GAUSSIANS)
+        client = request.state.caller.client
+        drawing = context.tasks.draw(client, upload.file, query, kind, max_gaussians=MAX_GAUSSIANS)
         file = await while_client_waits(request, drawing)
     return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
@@ -167,7 +170,7 @@ async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -
     it at most once a second; the other profiles have no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
-    key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
+    key = job.result.bitstream_key if job.result else preview_key(job.id, job.attempt)
     try:
         data = await context.store(context.storage.get, key)
     except FileNotFoundError:
@@ -206,7 +209,8 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
 
     async def made() -> bytes:
         with await context.store(open_image, context, job) as image:
-            return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
+            pixels = job.image.width * job.image.height
+            return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size), pixels)
 
     return await _remembered(request, context, headers, kind, made)
 

@@ -22,19 +22,20 @@ from sgmethod.errors import BudgetError, ViewError
 log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
+PAGE = "/problems"  # which explains each reason
 METHODS = ("DELETE", "GET", "POST")  # that any route has
 PROBLEM: dict[str, Any] = {
     "schema": {
         "type": "object",
         "required": ["type", "title", "status", "detail"],
         "properties": {
-            "type": {"type": "string"},
+            "type": {"type": "string", "description": "where the kind of problem is explained"},
             "title": {"type": "string"},
             "status": {"type": "integer"},
             "detail": {"type": "string", "description": "one sentence"},
         },
     },
-    "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
+    "example": {"type": "/problems#unknown", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
 FOR_NOW = (429, 503)  # refusals that say when to ask again
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
@@ -74,7 +75,8 @@ def refused(request: Request, problem: ProblemError) -> Response:
     """The problem as the answer to a request, whose state then holds the reason."""
     setattr(request.state, REFUSAL, problem.reason)
     title = HTTPStatus(problem.status).phrase
-    document = {"type": "about:blank", "title": title, "status": problem.status, "detail": problem.detail}
+    kind = f"{request.scope.get('root_path', '')}{PAGE}#{problem.reason}"
+    document = {"type": kind, "title": title, "status": problem.status, "detail": problem.detail}
     headers = {"Cache-Control": "no-store", **problem.headers}
     return JSONResponse({**document, **problem.members}, problem.status, headers, media_type=MEDIA_TYPE)
 

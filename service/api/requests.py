@@ -18,8 +18,9 @@ from service.api.problems import ProblemError
 from service.sandbox.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
-FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
+FORM_TYPE = "multipart/form-data"
 LONGEST_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
+MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # by old clients that accept something else
 # Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
@@ -30,6 +31,7 @@ MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes
 MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
 
 _PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IGNORECASE)
+_WEIGHT = re.compile(r"[01](\.[0-9]{0,3})?|\.[0-9]{1,3}")
 _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 T = TypeVar("T")
 Field = tuple[str, str]
@@ -57,14 +59,6 @@ def media_type(request: Request) -> str:
     return "".join(given).partition(";")[0].strip().lower()
 
 
-def check_image_type(request: Request) -> None:
-    """Raises ProblemError 415 unless the body is a form or an image."""
-    found = media_type(request)
-    if found != FORM_TYPE and not found.startswith(IMAGE_TYPES):
-        accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
-        raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
-
-
 def accepted_format(request: Request) -> PictureFormat:
     """The format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
     accept = header_line(request.headers, "accept") or "*/*"
@@ -72,7 +66,7 @@ def accepted_format(request: Request) -> PictureFormat:
     for entry in accept.split(","):
         name, *parameters = (part.strip().lower() for part in entry.split(";"))
         given = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        weights[name] = float(given) if re.fullmatch(r"[01](\.[0-9]{0,3})?", given) else 1.0
+        weights[MEANT.get(name, name)] = float(given) if _WEIGHT.fullmatch(given) else 1.0
     best: PictureFormat = "png"
     most = 0.0
     for kind, own_type in MEDIA_TYPES.items():  # PNG comes first
@@ -146,8 +140,10 @@ async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
 
 @asynccontextmanager
 async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, list[Field]]]:
-    """The image of POST /encode, and the other fields in its query and form. What is large goes to temporary files,
-    gone with the context. Entering raises ProblemError 413 or 422, or HTTPException 400 on what is no form.
+    """The image of POST /encode, and the other fields in its query and form. What is not said to be a form is the image
+    itself, whose first bytes tell its format. What is large goes to temporary files, gone with the context.
+
+    Entering raises ProblemError 413 or 422, or HTTPException 400 on what is no form.
     """
     if media_type(request) != FORM_TYPE:
         async with body_as_file(request) as image:

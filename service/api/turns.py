@@ -15,13 +15,22 @@ from service.api.metrics import Metrics
 from service.api.problems import RETRY_AFTER, ProblemError
 from service.jobs.job import SourceImage
 from service.sandbox.client import RefusedError, Sandbox, TaskError
-from service.sandbox.frames import Draw, HeaderFigures, MakePreview, MakeRival, PreviewFigures, ReadHeader, Result, Task
+from service.sandbox.frames import (
+    FORMAT_BYTES,
+    Draw,
+    HeaderFigures,
+    MakePreview,
+    MakeRival,
+    PreviewFigures,
+    ReadHeader,
+    Result,
+    Task,
+)
 from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
 from service.settings import Settings
 from sgmethod.io.formats import is_read
 
 RETRY_SOON = {"Retry-After": "1"}
-FORMAT_BYTES = 256  # of a file, which tell its format
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.
 HEADERS_AT_ONCE, MOST_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
@@ -168,7 +177,7 @@ class ClientTasks:
         size_bytes = image.size or 0
         pixels = self._limits["max_pixels"]
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes + WEBP_BYTES_PER_PIXEL * pixels
-        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels)
+        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels, threads=1)
         header: HeaderFigures = await self._figures(self._headers, client, image, task)
         return SourceImage(header.format, header.width, header.height, size_bytes)
 
@@ -178,18 +187,19 @@ class ClientTasks:
         file: BinaryIO,
         options: PictureOptions,
         kind: PictureFormat,
-        max_gaussians: int | None = None,
+        **limits: int,
     ) -> bytes:
-        """The picture file of a bitstream."""
-        task = Draw(**self._limits, options=options, file_kind=kind, max_gaussians=max_gaussians)
+        """The picture file of a bitstream. limits: of the task, where it is known what will be drawn or read."""
+        task = Draw(**{**self._limits, **limits}, options=options, file_kind=kind)
         began = time.perf_counter()
         made = (await self._ask(self._drawings, client, file, task)).file
         self._metrics.decode_seconds.observe(time.perf_counter() - began)  # a refusal took no time
         return made
 
-    async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
-        """The rival that is made of an image."""
-        return (await self._ask(self._drawings, client, file, MakeRival(**self._limits, rival=rival))).file
+    async def make_rival(self, client: str, file: BinaryIO, rival: Rival, pixels: int) -> bytes:
+        """The rival that is made of an image of so many pixels."""
+        task = MakeRival(**{**self._limits, "max_pixels": pixels}, rival=rival)
+        return (await self._ask(self._drawings, client, file, task)).file
 
     async def preview(self, client: str, image: UploadFile, most_bytes: int) -> PreviewFigures:
         """The preview of an image."""

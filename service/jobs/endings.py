@@ -40,6 +40,13 @@ WHERE job = ? AND address = ? AND due_at = ?
 """
 
 
+FORWARD = """
+INSERT INTO notices SELECT job, ?, body, ended_at, epoch() FROM notices WHERE address NOT IN ({known})
+ON CONFLICT (job, address) DO NOTHING
+"""
+ASTRAY = "DELETE FROM notices WHERE address NOT IN ({known})"
+
+
 @dataclass(frozen=True)
 class Notice:
     """One job, one address. body: JSON."""
@@ -91,6 +98,14 @@ def take_notice(db: Database, address: str) -> Notice | None:
 def forget_notice(db: Database, notice: Notice) -> None:
     """Delete a notice that was delivered."""
     db.execute("DELETE FROM notices WHERE job = ? AND address = ?", (notice.job_id, notice.address))
+
+
+def forward_notices(db: Database, addresses: Sequence[str]) -> int:
+    """Let notices to addresses other than these go to these, and at once; returns how many there were."""
+    known = ", ".join("?" * len(addresses))
+    for address in addresses:
+        db.execute(FORWARD.format(known=known), (address, *addresses))
+    return int(db.execute(ASTRAY.format(known=known), addresses).rowcount)
 
 
 def give_up_notices(db: Database) -> int:

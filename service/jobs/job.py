@@ -22,7 +22,7 @@ from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
 from service.process.loops import TryLaterError
 from sgmethod.budget import BudgetKind
-from sgmethod.profiles import DEFAULT_EFFORT, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 JobState = Literal["queued", "running", "done", "failed"]
 JOB_STATES: tuple[JobState, ...] = get_args(JobState)
@@ -49,7 +49,7 @@ class EncodeRequest:
 
     budget_kind: SkipValidation[BudgetKind]
     budget_value: float
-    profile: str
+    profile: SkipValidation[Profile]
     time_limit_s: float
     tune: SkipValidation[Tune] = "psnr"
     effort: int = DEFAULT_EFFORT
@@ -69,7 +69,7 @@ class SourceImage:
 class NewJob:
     """A job to accept.
 
-    fingerprint: digest of the whole request, compared when an idempotency key comes again; owner: whose
+    fingerprint: digest of the request as the client made it, compared when an idempotency key comes again; owner: whose
     API key came with the request, None where there are no keys.
     """
 

@@ -37,7 +37,7 @@ from service.jobs.job import (
 )
 from service.jobs.statements import Database
 from service.process.loops import StopSignal
-from service.storage.files import bitstream_key, source_key
+from service.storage.files import bitstream_key, preview_key, source_key
 
 log = logging.getLogger(__name__)
 
@@ -99,11 +99,9 @@ class JobTable(ABC):
         """
         with self._transaction() as db:
             self._alone(db)
-            first = _with_key(db, job.owner, job.idempotency_key)
+            first = _first(db, job.owner, job.idempotency_key, job.fingerprint)
             if first is not None:
-                if first["fingerprint"] != job.fingerprint:
-                    raise KeyReusedError("this Idempotency-Key was already used for a different request")
-                return job_of(first), False
+                return first, False
             self._check_queue(db, job.owner)
             self._check_quotas(db, job.owner, job.image.size_bytes)
             db.execute(
@@ -116,6 +114,13 @@ class JobTable(ABC):
             )
             self._wake(db)
             return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+
+    def first(self, owner: str | None, idempotency_key: str, fingerprint: str) -> Job | None:
+        """The owner's job that a request made which came before under this key; None if it is the first. Raises
+        KeyReusedError.
+        """
+        with self._connection() as db:
+            return _first(db, owner, idempotency_key, fingerprint)
 
     def check_queue(self, owner: str | None = None, idempotency_key: str | None = None) -> None:
         """Raises LimitError if the queue has no room for a new job; one under a known key is not new."""
@@ -341,12 +346,22 @@ class JobTable(ABC):
         with self._transaction() as db:
             endings.forget_notice(db, notice)
 
+    def forward_notices(self) -> int:
+        """Let notices to addresses that the operator no longer names, as before a correction, go to those named now;
+        returns how many there were. Without any, they stay until they are given up.
+        """
+        if not self._rules.webhooks:
+            return 0
+        with self._transaction() as db:
+            return endings.forward_notices(db, self._rules.webhooks)
+
     def needed_keys(self) -> set[str]:
         """Storage keys of the files that some job still needs."""
         with self._connection() as db:
             rows = db.execute("SELECT id, state, attempt, result, image_bytes FROM jobs").fetchall()
         sources = {source_key(row["id"]) for row in rows if row["image_bytes"]}
-        unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
+        running = [(row["id"], row["attempt"]) for row in rows if row["state"] == "running"]
+        unpublished = {key(*attempt) for key in (bitstream_key, preview_key) for attempt in running}
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
         return sources | unpublished | done
 
@@ -379,6 +394,13 @@ def _stored_bytes(db: Database, owner: str | None = None) -> int:
     """Bytes kept for the jobs of one owner or of all."""
     query = "SELECT coalesce(sum(image_bytes + file_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
     return int(db.execute(query, (owner,)).fetchone()["bytes"])
+
+
+def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str) -> Job | None:
+    row = _with_key(db, owner, idempotency_key)
+    if row is not None and row["fingerprint"] != fingerprint:
+        raise KeyReusedError("this Idempotency-Key was already used for a different request")
+    return None if row is None else job_of(row)
 
 
 def _with_key(db: Database, owner: str | None, idempotency_key: str | None) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import select
 import signal
@@ -30,6 +31,8 @@ from service.sandbox.frames import (
     Task,
 )
 from sgmethod import errors
+
+log = logging.getLogger(__name__)
 
 READ_BYTES = 1 << 18
 # A task ends its process when it has had its seconds of a core. These are for a machine without any to spare.
@@ -102,6 +105,8 @@ class Sandbox:
                     raise TaskError(detail)
                 case Refused(error=name, detail=detail):
                     raise RefusedError(getattr(errors, name), detail)
+                case Crashed(detail=detail):
+                    log.warning("a task crashed: %s", detail)
                 case Ended(status=status) if status == -signal.SIGPROF:
                     raise TaskError("it exceeds the time limit")
         raise TaskError("its decoder crashed")

@@ -20,18 +20,20 @@ import platform
 import resource
 import signal
 import struct
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 
 from service.sandbox import filter as calls
 
-# Where programs and libraries are looked for, languages, memory. Not what may be a secret.
-KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES")
+# Where programs and libraries are looked for, languages, memory, and the kernels of OpenBLAS, on which the last digit
+# of a fit depends. Not what may be a secret.
+KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES", "OPENBLAS_")
 LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may lack
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use
 PROBE_BYTES = 16 << 20  # for one that only confines itself
-MOST_THREADS = 8192  # of the user: a bomb of threads would take memory of the system's own
+MOST_THREADS, THREADS_STEP = 8192, 16  # of the user, whatever runs beside a task; how exactly they are counted
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
     *(resource.RLIMIT_MEMLOCK, resource.RLIMIT_MSGQUEUE),
@@ -68,11 +70,14 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
         os.kill(os.getpid(), number)
 
 
-def confine(memory_bytes: int, cpu_s: float, parent: int) -> list[str]:
+def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[str]:
     """Confine this process, for good; returns the LAYERS that the system does not offer.
 
-    memory_bytes: more than it has; cpu_s: seconds of a core until it ends by SIGPROF; parent: with which it ends.
+    memory_bytes: more than it has; cpu_s: seconds of a core until it ends by SIGPROF; threads: that it may start, give
+    or take THREADS_STEP; parent: with which it ends.
     """
+    is_other = os.geteuid() != 0 or _become_nobody()
+    most_threads = _threads_of_user() + threads
     pages = Path("/proc/self/statm").read_text().split()
     size, data = (int(pages[place]) * resource.getpagesize() for place in (0, 5))
     _libc.prctl(SET_NO_NEW_PRIVILEGES, 1, 0, 0, 0)
@@ -82,12 +87,11 @@ def confine(memory_bytes: int, cpu_s: float, parent: int) -> list[str]:
             resource.RLIMIT_DATA: data + memory_bytes,
             resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # whatever kind of memory it is
             resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for one that does not listen to the timer
-            resource.RLIMIT_NPROC: MOST_THREADS,
+            resource.RLIMIT_NPROC: most_threads,  # a bomb of threads would take those of all, and the system's memory
             **dict.fromkeys(NOTHING, 0),
         }
     )
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
-    is_other = os.geteuid() != 0 or _become_nobody()
     end_with(parent)  # which a change of user takes back
     seccomp = _refuse_calls()  # last, as it allows none of the above
     return [name for name, holds in zip(LAYERS, (landlock, seccomp, is_other), strict=True) if not holds]
@@ -103,7 +107,7 @@ def absent_layers() -> list[str]:
     child = os.fork()
     if child == 0:
         try:
-            os.write(tell, ", ".join(confine(PROBE_BYTES, 1.0, parent)).encode())
+            os.write(tell, ", ".join(confine(PROBE_BYTES, 1.0, 0, parent)).encode())
             os._exit(0)
         finally:
             os._exit(1)
@@ -131,6 +135,25 @@ def check_layers(*, required: bool) -> list[str]:
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
     root = "the service runs as root" + "; what reads uploads runs as nobody" * (LAYERS[-1] not in layers)
     return missing + [root] * (os.geteuid() == 0)
+
+
+def _threads_of_user() -> int:
+    """How many threads the user of this process has, or up to THREADS_STEP more.
+
+    The system limits those of a user, not of a process, and tells how many there are only by refusing the next one.
+    """
+    _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
+    end = MOST_THREADS if hard == resource.RLIM_INFINITY else min(hard, MOST_THREADS)
+    for limit in range(THREADS_STEP, end, THREADS_STEP):
+        resource.setrlimit(resource.RLIMIT_NPROC, (limit, hard))
+        one_more = threading.Thread(target=int)
+        try:
+            one_more.start()
+        except RuntimeError:
+            continue
+        one_more.join()
+        return limit
+    return end
 
 
 def _limit(limits: Mapping[int, int]) -> None:

@@ -14,8 +14,9 @@ The answer is frames: a letter, the payload's length (32 bits, big-endian) and t
     C  the words of a crash (JSON)   in place of a result
     E  how its process ended (JSON)  from the sandbox itself, last
 
-Tasks may have been taken over by what they read: a frame that is too long or says something else than it may is the end
-of the task for its client, which learns of it as FrameError.
+Tasks may have been taken over by what they read. Each says how many frames and bytes may come of it, and on how many
+threads. A frame too many, one that is too long or says something else than it may, and a result that is not what was
+asked for are the end of the task for its client, which learns of it as FrameError.
 """
 
 from __future__ import annotations
@@ -29,14 +30,23 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from service.jobs.job import EncodeRequest
 from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
+from sgmethod.errors import BitstreamError, ImageError
+from sgmethod.io.formats import name_of
+from sgmethod.io.pictures import SUFFIXES
 
 END_EARLY = signal.SIGUSR1  # how the sandbox tells an encode
 FRAME_HEADER = struct.Struct(">cI")
 TASK_BYTES = 1 << 16  # the longest task
-FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream or picture file is longer than both together
+FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than both together
+PICTURE_BYTES_PER_PIXEL = 4  # PNG of noise, one pixel wide; JPEG of thin noise takes more, which the first MB covers
+FORMAT_BYTES = 256  # of a file, which tell its format
 SENTENCE_LENGTH = 1000
-MOST_POINTS = 100_000  # of one trace
-
+# Of an encode: 10 points of the trace and a preview in each second, and its time limit is not the end of it.
+FRAMES, FRAMES_PER_S = 1000, 30
+# A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
+# other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
+PICTURE_THREADS = 2
+LIBRARIES = 4  # that may have a pool of threads each: the kernels, OpenCV, and PyTorch two
 
 Count = Annotated[int, Field(ge=0, le=2**53)]  # which every database and JSON can hold
 
@@ -68,20 +78,38 @@ class Figures(Frame):
 class Task(Model):
     """What to do with a file, and what it may take.
 
-    memory_bytes: more than the codec itself takes; cpu_s: seconds of a core; max_pixels: of what is read or drawn.
+    memory_bytes: more than the codec itself takes; cpu_s: seconds of a core; max_pixels: of what is read or drawn;
+    threads: that each library computes on.
     """
 
     memory_bytes: int
     cpu_s: float
     max_pixels: int
+    threads: int = PICTURE_THREADS
 
     answer: ClassVar[type[Figures] | None] = None  # None for a file without figures
     gives_file: ClassVar[bool] = True
+    bytes_per_pixel: ClassVar[int] = PICTURE_BYTES_PER_PIXEL
 
     @property
     def file_bytes(self) -> int:
         """The longest file it may send."""
-        return FILE_BYTES + FILE_BYTES_PER_PIXEL * self.max_pixels if self.gives_file else 0
+        return FILE_BYTES + self.bytes_per_pixel * self.max_pixels if self.gives_file else 0
+
+    @property
+    def most_frames(self) -> int:
+        """How many frames it may send: that it has begun, figures, a file, how it ended."""
+        return 4
+
+    @property
+    def most_threads(self) -> int:
+        """How many threads it may have."""
+        return LIBRARIES * self.threads
+
+    def check(self, figures: Any, file: bytes) -> None:
+        """Raises FrameError unless this can be what was asked for."""
+        if figures is not None and figures.width * figures.height > self.max_pixels:
+            raise FrameError("an image of more pixels than are allowed")
 
 
 class HeaderFigures(Figures):
@@ -90,11 +118,6 @@ class HeaderFigures(Figures):
     format: str = Field(max_length=20)
     width: int = Field(ge=1)
     height: int = Field(ge=1)
-
-    @property
-    def pixels(self) -> int:
-        """How many there are."""
-        return self.width * self.height
 
 
 class ReadHeader(Task):
@@ -113,6 +136,9 @@ class Draw(Task):
     file_kind: PictureFormat = "png"
     max_gaussians: int | None = None
 
+    def check(self, figures: Any, file: bytes) -> None:
+        _check_picture(file, self.file_kind)
+
 
 class MakeRival(Task):
     """Make a picture file of an image, as large as its bitstream."""
@@ -120,11 +146,16 @@ class MakeRival(Task):
     kind: Literal["rival"] = "rival"
     rival: Rival
 
+    def check(self, figures: Any, file: bytes) -> None:
+        _check_picture(file, self.rival.kind)
+
 
 class PreviewFigures(Figures):
     """The answer of MakePreview, as Preview.to_dict() has it."""
 
-    text: str = Field(max_length=8192, description="base64url of an .sg file, for the preview attribute of an <sg-img>")
+    text: str = Field(
+        pattern="^[A-Za-z0-9_-]+$", description="base64url of an .sg file, for the preview attribute of an <sg-img>"
+    )
     width: Count = Field(description="pixels of the image as displayed")
     height: Count = Field(description="pixels of the image as displayed")
     color: str = Field(pattern=r"^#[0-9a-f]{6}$", description="average colour, #rrggbb")
@@ -138,6 +169,11 @@ class MakePreview(Task):
     most_bytes: int
     answer = PreviewFigures
     gives_file = False
+
+    def check(self, figures: Any, file: bytes) -> None:
+        super().check(figures, file)
+        if len(figures.text) * 3 // 4 > self.most_bytes:
+            raise FrameError("a preview of more bytes than are allowed")
 
 
 Sentence = Annotated[str, Field(max_length=SENTENCE_LENGTH)]
@@ -177,6 +213,22 @@ class Encode(Task):
     request: EncodeRequest
     threads: int
     answer = EncodeFigures
+    bytes_per_pixel = FILE_BYTES_PER_PIXEL
+
+    @property
+    def most_frames(self) -> int:
+        return FRAMES + int(FRAMES_PER_S * self.request.time_limit_s)
+
+    def check(self, figures: Any, file: bytes) -> None:
+        super().check(figures, file)
+        if figures.bytes != len(file):
+            raise FrameError("a file of another size than its figures say")
+        from sgmethod.bitstream.container import version_of  # needs the kernels, whose absence is told in one line
+
+        try:
+            version_of(file)
+        except BitstreamError as error:
+            raise FrameError(str(error)) from None
 
 
 AnyTask = Annotated[ReadHeader | Draw | MakeRival | MakePreview | Encode, Field(discriminator="kind")]
@@ -267,8 +319,8 @@ class FrameReader:
     def __init__(self, task: Task) -> None:
         self._task = task
         self._data = bytearray()
-        self._figures: Model | None = None
-        self._points = 0
+        self._figures: Figures | None = None
+        self._frames = 0
 
     def take(self, data: bytes) -> list[Message]:
         """The messages that are whole with these bytes. Raises FrameError."""
@@ -284,6 +336,9 @@ class FrameReader:
             with memoryview(self._data) as view:
                 payload = bytes(view[FRAME_HEADER.size : end])
             del self._data[:end]
+            self._frames += 1
+            if self._frames > self._task.most_frames:
+                raise FrameError("too many frames")
             try:
                 messages += self._said(letter, payload)
             except ValidationError as error:  # which may hold what the task said
@@ -292,7 +347,7 @@ class FrameReader:
         return messages
 
     def _longest(self, letter: bytes) -> int:
-        if letter in BY_LETTER:
+        if letter in BY_LETTER and (letter != TracePoint.letter or isinstance(self._task, Encode)):
             return BY_LETTER[letter].longest
         if letter == Figures.letter and self._task.answer:
             return Figures.longest
@@ -306,18 +361,23 @@ class FrameReader:
         if letter == FILE:
             if self._task.answer and self._figures is None:
                 raise FrameError("a file without its figures")
-            if isinstance(self._figures, EncodeFigures) and self._figures.bytes != len(payload):
-                raise FrameError("a file of another size than its figures say")
-            return [Result(figures=self._figures, file=payload)]
+            return [self._result(payload)]
         if letter == Figures.letter:
             assert self._task.answer
             self._figures = self._task.answer.model_validate_json(payload)
-            if isinstance(self._figures, HeaderFigures) and self._figures.pixels > self._task.max_pixels:
-                raise FrameError("an image of more pixels than are allowed")
-            return [] if self._task.gives_file else [Result(figures=self._figures)]
-        message = BY_LETTER[letter].model_validate_json(payload)
-        if isinstance(message, TracePoint):
-            self._points += 1
-            if self._points > MOST_POINTS or not isinstance(self._task, Encode):
-                raise FrameError("too many trace points")
-        return [message]  # type: ignore[list-item]
+            return [] if self._task.gives_file else [self._result(b"")]
+        return [BY_LETTER[letter].model_validate_json(payload)]  # type: ignore[list-item]
+
+    def _result(self, file: bytes) -> Result:
+        self._task.check(self._figures, file)
+        return Result(figures=self._figures, file=file)
+
+
+def _check_picture(file: bytes, kind: PictureFormat) -> None:
+    wanted = SUFFIXES[f".{kind}"]
+    try:
+        found = name_of(file[:FORMAT_BYTES])
+    except ImageError:
+        found = "something else"
+    if found != wanted:
+        raise FrameError(f"{wanted} was asked for, and this is {found}")

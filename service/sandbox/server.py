@@ -15,11 +15,12 @@ import socket
 import sys
 import time
 import traceback
+from collections.abc import Collection
 from typing import NoReturn
 
 from pydantic import TypeAdapter
 
-from service.sandbox.confinement import confine, end_with, set_name
+from service.sandbox.confinement import SandboxError, absent_layers, confine, end_with, set_name
 from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_json
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
@@ -27,9 +28,6 @@ WAITING_FORKS = 2
 MOST_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
 PAUSE_S = 0.25  # after a fork that ended before it had a task
-# A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
-# other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
-PICTURE_THREADS = 2
 # Encodes behind all who answer, so that answers come at once while every core encodes: the least share that the system
 # gives. Pictures behind the web process, and before encodes, for which nobody waits.
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
@@ -50,10 +48,14 @@ class Fork:
 
 
 class Server:
-    """Gives tasks to forks, ends those whose clients have gone, and says how they ended."""
+    """Gives tasks to forks, ends those whose clients have gone, and says how they ended.
 
-    def __init__(self, requests: socket.socket) -> None:
+    absent: layers of confinement that the system does not offer, and tasks do without.
+    """
+
+    def __init__(self, requests: socket.socket, absent: Collection[str]) -> None:
         self._requests = requests
+        self._absent = absent
         self._waiting: list[Fork] = []
         self._selector = selectors.DefaultSelector()
         self._selector.register(requests, selectors.EVENT_READ)
@@ -80,7 +82,7 @@ class Server:
                     parent = os.getpid()
                     number = os.fork()
                     if number == 0:
-                        run_fork(theirs.fileno(), parent)
+                        run_fork(theirs.fileno(), parent, self._absent)
                 fork = Fork(number, ours)
                 try:
                     self._selector.register(ours, selectors.EVENT_READ, fork)
@@ -171,7 +173,7 @@ def _hung_up(connection: socket.socket) -> bool:
     return bool(poll.poll(0))
 
 
-def run_fork(control: int, parent: int) -> NoReturn:
+def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
     """What a fork does: wait for its task and do it. Exit status 0 once the task's result is sent."""
     status = 1
     try:
@@ -184,12 +186,12 @@ def run_fork(control: int, parent: int) -> NoReturn:
         line, descriptors, _, _ = socket.recv_fds(held, TASK_BYTES, 2)
         if line:
             answer, file = descriptors
-            status = _run_task(line, answer, file, parent)
+            status = _run_task(line, answer, file, parent, absent)
     finally:
         os._exit(status)
 
 
-def _run_task(line: bytes, answer: int, file: int, parent: int) -> int:
+def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collection[str]) -> int:
     to_client = Answer(answer)
 
     def end_early(*_: object) -> None:
@@ -199,16 +201,16 @@ def _run_task(line: bytes, answer: int, file: int, parent: int) -> int:
     try:
         task = _tasks.validate_json(line)
         to_client.say(Begun())
-        threads = PICTURE_THREADS
         if isinstance(task, Encode):
-            threads = task.threads
             os.nice(ENCODE_NICENESS)
         set_name(task.job_id if isinstance(task, Encode) else task.kind)
         data = _whole(file)
         os.close(file)
         prepare(task)
-        confine(task.memory_bytes, task.cpu_s, parent)
-        set_threads(threads)
+        missing = set(confine(task.memory_bytes, task.cpu_s, task.most_threads, parent)).difference(absent)
+        if missing:  # for this task alone, as where memory is short
+            raise SandboxError(f"it was not confined by {' and '.join(sorted(missing))}")
+        set_threads(task.threads)
         perform(task, data, to_client)
     except Exception as error:
         last = traceback.format_exception_only(error)[-1].strip()
@@ -244,7 +246,7 @@ def main() -> None:
     warm_up()
     gc.collect()
     gc.freeze()  # so that forks share it
-    Server(requests).run()
+    Server(requests, absent_layers()).run()
 
 
 if __name__ == "__main__":

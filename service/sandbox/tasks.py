@@ -7,6 +7,7 @@ import ctypes
 import importlib
 import os
 import pkgutil
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
-from sgmethod.profiles import DEFAULT_EFFORT
+from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
 ERROR_LENGTH = 300  # characters of an error that a client gets to read
@@ -50,6 +51,14 @@ IMPORTED_LATE = (
     *(f"encodings.{name}" for name in ("ascii", "cp1252", "latin_1", "utf_16", "utf_16_be", "utf_16_le", "utf_32")),
     *(f"numpy.{name}" for name in ("fft", "linalg", "random")),
 )
+
+
+# Decoders of images would start a thread for each core, for each image.
+DECODER_THREADS = {
+    "PIL.AvifImagePlugin": ("DEFAULT_MAX_THREADS", 1),
+    "pillow_heif.options": ("DECODE_THREADS", 1),
+    "pillow_jxl.JpegXLImagePlugin": ("DECODE_THREADS", 0),
+}
 
 
 class Answer:
@@ -96,6 +105,9 @@ def warm_up() -> None:
     for module in (*(module for module, _ in READERS.values()), *IMPORTED_LATE):
         with contextlib.suppress(ImportError):  # of an extra
             importlib.import_module(module)
+    for module, (name, count) in DECODER_THREADS.items():
+        if module in sys.modules:
+            setattr(sys.modules[module], name, count)
     for tune in ("psnr", "visual"):
         tiny_encode("rd", tune)
     for kind in MEDIA_TYPES:
@@ -130,7 +142,7 @@ def _import_all(path: Any, prefix: str) -> None:
 
 
 @cache
-def tiny_encode(profile: str, tune: str | None = None) -> bytes:
+def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
     """The tiny picture as a bitstream."""
     from sgmethod.codec import encode
 

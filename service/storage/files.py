@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 UNFINISHED = "unfinished"  # files that are being written, and probes of whether they can be
 FOLDERS = ("sources", "bitstreams", UNFINISHED)
-_KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
+_KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}(\.preview)?\.sg")
 
 
 def source_key(job_id: str) -> str:
@@ -32,6 +32,11 @@ def source_key(job_id: str) -> str:
 def bitstream_key(job_id: str, attempt: int) -> str:
     """Where an attempt puts its bitstream; two attempts at one job never share a file."""
     return f"bitstreams/{job_id}.{attempt}.sg"
+
+
+def preview_key(job_id: str, attempt: int) -> str:
+    """Where an attempt puts what it has so far: a write that a slow store finishes late hits no bitstream."""
+    return f"bitstreams/{job_id}.{attempt}.preview.sg"
 
 
 def is_key(text: str) -> bool:

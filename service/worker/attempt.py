@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
+import math
+import threading
 import time
 from collections.abc import Callable
 from concurrent import futures
@@ -15,12 +18,15 @@ from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JobTab
 from service.jobs.table import JobTable
 from service.logs import log_seldom
 from service.process.loops import StopSignal
-from service.storage.files import Storage, bitstream_key, source_key
+from service.storage.files import Storage, bitstream_key, preview_key, source_key
 
 T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
+PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
+PREVIEW_ENDS_S = 1.0  # which a folder takes at most; of a bucket, the sweep removes what comes later
+POINTS_APART = 1 / 200  # of the time so far, at least: a day of them is 2,500, whatever an encode sends
 HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
 PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
 
@@ -55,12 +61,36 @@ class Attempt:
         self.early_end_wanted = False  # with what there is
         self._points: list[JsonObject] = []  # since the last beat
         self._sent = 0
-        self._heard = time.monotonic()
+        self._showing: threading.Thread | None = None
+        self._shown = 0.0
+        self._late: JsonObject | None = None  # the last point, if it came too soon after the one before
+        self._began = self._heard = time.monotonic()
+        self._added = -math.inf
         self._next = self._heard + HEARTBEAT_S
 
     def add(self, point: JsonObject) -> None:
-        """Note a trace point for the next beat."""
-        self._points.append(point)
+        """Note a trace point for the next beat. Those that come too soon are left out, except for the last of all."""
+        now = time.monotonic()
+        if now - self._added >= POINTS_APART * (now - self._began):
+            self._points.append(point)
+            self._late, self._added = None, now
+        else:
+            self._late = point
+
+    def show(self, bitstream: bytes) -> None:
+        """Store a preview, and return at once: the encode is not to wait for a slow storage. While one is being stored,
+        others are left out, as are those that come too soon.
+        """
+        now = time.monotonic()
+        if now - self._shown < PREVIEW_EVERY_S or (self._showing is not None and self._showing.is_alive()):
+            return
+        self._shown = now
+        self._showing = threading.Thread(target=self._store_preview, args=(bitstream,), daemon=True)
+        self._showing.start()
+
+    def _store_preview(self, bitstream: bytes) -> None:
+        with contextlib.suppress(OSError):  # nobody needs it
+            self._storage.put(preview_key(self.claim.job_id, self.claim.attempt), bitstream)
 
     def beat(self, *, now: bool = False) -> None:
         """Renew the lease and send the trace, if it is time to or at once. Raises ClaimLostError.
@@ -70,6 +100,9 @@ class Attempt:
         """
         if time.monotonic() < self._next and not now:
             return
+        if now and self._late is not None:
+            self._points.append(self._late)
+            self._late = None
         try:
             job = self._table.heartbeat(self.claim, self._points, self._sent)
         except JobTableError as error:
@@ -147,6 +180,9 @@ class Attempt:
 
     def tidy(self) -> None:
         """Remove the source image of a job that will not run again, and what an attempt without a result has left."""
+        if self._showing is not None:
+            self._showing.join(PREVIEW_ENDS_S)
+            self._storage.delete(preview_key(self.claim.job_id, self.claim.attempt))
         job = self._table.get(self.claim.job_id)
         if job is None or job.result is None or job.result.bitstream_key != self.key:
             self._storage.delete(self.key)

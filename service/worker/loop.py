@@ -31,7 +31,6 @@ MISSING_S = 15.0
 SIGN_S = 2.0
 ROUNDS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and signing off may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
-PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 
 
 class Worker:
@@ -70,6 +69,8 @@ class Worker:
 
     def _sweep(self) -> None:
         settings = self._settings
+        if forwarded := self._table.forward_notices():
+            log.info("%d webhooks to addresses that are no longer named go to those that are", forwarded)
         swept = sweep(
             self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
         )
@@ -149,21 +150,19 @@ class Worker:
         )
 
     def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
-        """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, or
-        the encode must be ended.
+        """Relay progress to the job table, and previews to the storage, until there is an outcome, or the encode must
+        be ended.
         """
-        started, shown = time.monotonic(), 0.0
+        started = time.monotonic()
         while not self._stop.requested:
             for message in running.read(FOLLOW_S):
                 if isinstance(message, frames.TracePoint):
                     attempt.add(message.model_dump())
-                elif not isinstance(message, frames.Preview):
+                elif isinstance(message, frames.Preview):
+                    attempt.show(message.bitstream)
+                else:
                     attempt.beat(now=True)
                     return _outcome(message)
-                elif time.monotonic() - shown >= PREVIEW_EVERY_S:
-                    shown = time.monotonic()
-                    with contextlib.suppress(OSError):  # nobody needs it
-                        attempt.beating(functools.partial(self._storage.put, attempt.key, message.bitstream))
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxGoneError("the sandbox cannot be started")

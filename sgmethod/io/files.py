@@ -14,7 +14,7 @@ from sgmethod.errors import SgError
 # Some systems and file systems cannot sync folders, and a folder that may be written to may not be open to reading.
 CANNOT_SYNC = {errno.EINVAL, errno.EBADF, errno.EISDIR, errno.ENOSYS, errno.ENOTSUP, errno.EACCES, errno.EPERM}
 
-File = str | os.PathLike[str] | bytes  # a path, or the bytes themselves
+File = str | os.PathLike[str] | bytes | bytearray | memoryview  # a path, or the bytes themselves
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:

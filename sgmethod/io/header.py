@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from PIL import Image
@@ -22,6 +24,7 @@ from sgmethod.native import native
 # TIFF: tags; values of PLANAR and SAMPLE_FORMAT
 NEW_SUBFILE_TYPE, ORIENTATION, PLANAR, SAMPLE_FORMAT = 254, 274, 284, 339
 SEPARATE, UNSIGNED, UNKNOWN = 2, 1, 4
+PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parents[1], Path(Image.__file__).parent))
 UNSUPPORTED_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
 
 # Python's warning filters, silenced below, are shared by all threads. A fork waits for the lock, because the child
@@ -105,9 +108,12 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
 
 
 def warn(notes: list[str]) -> None:
-    """Issue an ImageWarning for each note, attributed to the reader's caller."""
+    """Issue an ImageWarning for each note, attributed to the program that has called this package or Pillow."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGES):
+        level, frame = level + 1, frame.f_back
     for note in notes:
-        warnings.warn(note, ImageWarning, stacklevel=3)
+        warnings.warn(note, ImageWarning, stacklevel=level)  # skip_file_prefixes needs Python 3.12
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:

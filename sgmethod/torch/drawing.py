@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
@@ -20,7 +21,7 @@ from torch.autograd import forward_ad
 from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.pairs import Pairs, is_drawn
 from sgmethod.backend.protocol import Frame
-from sgmethod.budget import checked_integer, finite_number
+from sgmethod.budget import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance
@@ -33,9 +34,9 @@ def render(
     means: Tensor,
     factors: Tensor,
     colors: Tensor,
-    size: tuple[int, int],
-    background: float | Tensor = 0.0,
-    scale: float = 1.0,
+    size: Iterable[AnyInt],
+    background: npt.ArrayLike | Tensor = 0.0,
+    scale: AnyFloat = 1.0,
     pyramid: bool = True,
 ) -> Tensor:
     """Draw Gaussians as a picture [..., 3, height, width], differentiable in all tensors: 0 black, 1 white, unclamped.

@@ -24,7 +24,7 @@ import numpy as np
 from torch import Tensor
 
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import MOST_GAUSSIANS, checked_integer
+from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, checked_integer
 from sgmethod.errors import ImageError, SgError
 from sgmethod.exchange.files import arrays_of
 from sgmethod.io.files import checked_path, write_atomically
@@ -51,12 +51,12 @@ class Pictures(Protocol):
 def fit_many(
     dataset: Pictures,
     output_dir: str | os.PathLike[str],
-    gaussians: int,
+    gaussians: AnyInt,
     *,
-    shard: int = 1000,
-    steps: int | None = None,
-    seed: int = 0,
-    quantum: float | None = None,
+    shard: AnyInt = 1000,
+    steps: AnyInt | None = None,
+    seed: AnyInt = 0,
+    quantum: AnyFloat | None = None,
     device: object = None,
     resume: bool = False,
     on_row: OnRow[Row] | None = None,

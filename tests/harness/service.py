@@ -264,7 +264,7 @@ def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str
     problem: dict[str, Any] = answer.json()
     assert problem["status"] == status
     assert problem["title"]
-    assert problem["type"] == "about:blank"
+    assert re.fullmatch(r"(/\w+)*/problems#\w+", problem["type"])
     for word in words:
         assert word in problem["detail"]
     return problem

@@ -19,6 +19,7 @@ from PIL import Image, ImageFile
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
+from sgmethod.io.inputs import read_input
 from sgmethod.io.levels import to_8_bit
 from sgmethod.io.pillow_defaults import pillow_defaults
 from tests.harness.pictures import photo
@@ -223,11 +224,22 @@ def test_transparency_is_composited_over_white() -> None:
 @SEE_THROUGH
 @pytest.mark.parametrize("depth", [1, 2, 4, 8, 16])
 def test_transparent_grey_of_any_depth(depth: int) -> None:
-    """One row of three samples 1, 0, 1, where 1 is the transparent colour, and so becomes white."""
+    """One row of three samples 1, 0, 1. Bits of the transparent colour above the depth are ignored."""
     bits = "".join(format(value, f"0{depth}b") for value in (1, 0, 1)).ljust(48, "0")
     row = b"\0" + bytes(int(bits[i : i + 8], 2) for i in range(0, -(-3 * depth // 8) * 8, 8))
-    pixels = read_image_8_bit(png(row, (3, 1), [chunk(b"tRNS", b"\0\1")], depth=depth, colour=0))
-    assert pixels[0, :, 1].tolist() == [255, 0, 255]
+    excess = (0xFFFF << depth) & 0xFFFF
+    for key in (1, excess | 1, excess):
+        transparent = [value == key & 1 for value in (1, 0, 1)]
+        file = png(row, (3, 1), [chunk(b"tRNS", struct.pack(">H", key))], depth=depth, colour=0)
+        assert (read_image_8_bit(file, keep_alpha=True)[0, :, 3] == 0).tolist() == transparent
+
+
+@SEE_THROUGH
+def test_transparent_colour_with_excess_bits_in_a_pillow_image() -> None:
+    file = png_of(PIXELS, 2, chunk(b"tRNS", struct.pack(">3H", *(256 + PIXELS[3, 5].astype(int)))))
+    expected = np.all(PIXELS[3, 5] == PIXELS, axis=2)
+    for image in (file, Image.open(io.BytesIO(file))):
+        assert np.array_equal(read_input(image, keep_alpha=True)[..., 3] == 0, expected)
 
 
 @SEE_THROUGH

@@ -32,6 +32,14 @@ def test_rounds_go_on() -> None:
     assert failures.total() == before + 1
 
 
+def test_a_line_of_the_log_is_one_line() -> None:
+    """Whatever a task that its file has taken over says of itself; a traceback keeps its lines."""
+    record = logging.LogRecord("worker", logging.WARNING, "", 0, "job: %s", ("a\nERROR worker: b\x1b[2Jé",), None)
+    assert logs._Lines("%(message)s").format(record) == r"job: a\nERROR worker: b\x1b[2Jé"
+    record.exc_info = (ValueError, ValueError("no"), None)
+    assert logs._Lines("%(message)s").format(record).endswith("é\nValueError: no")
+
+
 def test_keys_are_read_until_they_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -47,6 +48,16 @@ def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> Non
     )
     result = run_command("check", data_dir=tmp_path / "data", PYTHONPATH=tmp_path)
     assert (result.status, verdicts(result)["sandbox"]) == (1, "FAILED"), result
+
+
+def test_a_parent_that_ignores_the_ends_of_children(run_command: RunCommand, tmp_path: Path) -> None:
+    """As some launchers do, and children inherit it: the system then keeps no status of theirs."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        result = run_command("check", data_dir=tmp_path)
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+    assert (result.status, verdicts(result)["sandbox"]) == (0, "ok"), result
 
 
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from service.sandbox import confinement
-from service.sandbox.frames import Ended, Preview
+from service.sandbox.frames import Crashed, Ended, Preview
 from tests.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
 from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
 from tests.harness.service import STAND_IN, RunCommand, StartService
@@ -140,6 +141,41 @@ def test_memory_of_every_kind_is_limited(system: str) -> None:
         assert 0.9 * MEMORY_BYTES < held < MEMORY_BYTES + 2**27
 
 
+@pytest.mark.parametrize("system", [name for name in SYSTEMS if "root" not in name])
+def test_threads_are_limited(system: str) -> None:
+    """Of each task by itself, whatever others of the same user have; root has no limit."""
+    program = """
+import threading, time
+threading.stack_size(32768)
+started = 0
+try:
+    while started < 1000:
+        threading.Thread(target=time.sleep, args=(1000,), daemon=True).start()
+        started += 1
+except RuntimeError:
+    pass
+answer.send(b"P", str(started).encode())
+time.sleep(1000)
+"""
+    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], STAND_IN) as (tasks, _), ExitStack() as held:
+        for threads in (1, 10, 1):
+            file = held.enter_context(file_of(program.encode()))
+            what = task(threads=threads)
+            running = held.enter_context(tasks.start(what, file))
+            report = wait_until(lambda running=running: [m for m in running.read(0.1) if isinstance(m, Preview)])
+            # Threads of others come and go as they are counted.
+            assert what.most_threads - 2 <= int(report[0].bitstream) <= what.most_threads + confinement.THREADS_STEP
+
+
+def test_a_task_that_is_not_confined_is_not_run() -> None:
+    """Though the system could confine those before it."""
+    fails = "server.confine = lambda *limits: confinement.confine(*limits) + ['Landlock']\n"
+    with sandbox(TAKEN_OVER + fails, STAND_IN) as (tasks, _):
+        assert messages_of(tasks, task(), b"import os; os._exit(0)") == [
+            Crashed(detail="service.sandbox.confinement.SandboxError: it was not confined by Landlock")
+        ]
+
+
 def test_time_is_limited() -> None:
     """Also of one that does not listen to the timer."""
     program = b"import signal\nsignal.signal(signal.SIGPROF, signal.SIG_IGN)\nwhile True: pass"
@@ -167,7 +203,7 @@ def test_tasks_see_nothing_of_each_other() -> None:
 
 def test_secrets_stay_behind() -> None:
     secrets = ("SG_LINK_SECRET", "SG_API_KEYS", "SG_DATABASE_URL", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD")
-    known = {"PATH": "/bin", "PYTHONPATH": "/opt"}
+    known = {"PATH": "/bin", "PYTHONPATH": "/opt", "OPENBLAS_CORETYPE": "Haswell"}
     assert confinement.environment(dict.fromkeys(secrets, SECRET) | known) == known
 
 

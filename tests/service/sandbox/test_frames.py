@@ -10,8 +10,19 @@ from pydantic import TypeAdapter, ValidationError
 
 from service.jobs.job import EncodeRequest
 from service.sandbox import frames
-from service.sandbox.frames import Begun, Draw, Encode, FrameError, FrameReader, ReadHeader, packed, packed_json
-from service.sandbox.pictures import PictureOptions
+from service.sandbox.frames import (
+    Begun,
+    Draw,
+    Encode,
+    FrameError,
+    FrameReader,
+    MakePreview,
+    MakeRival,
+    ReadHeader,
+    packed,
+    packed_json,
+)
+from service.sandbox.pictures import PictureOptions, Rival
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
 ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "paper", 2.5), threads=2)
@@ -22,6 +33,14 @@ FIGURES: dict[str, Any] = {
     **{"seconds": 0.1, "width": 8, "height": 8, "profile": "rd", "tune": "psnr", "effort": 5, "source_bytes": 10},
     **{"psnr_missed_db": None, "looks_missed": None, "warnings": [], "advice": None, "better": None},
 }
+
+
+PREVIEW = MakePreview(**LIMITS, most_bytes=12)
+
+
+def preview(**more: Any) -> bytes:
+    said = {"text": "A" * 16, "width": 8, "height": 8, "color": "#000000", "dark": True, **more}
+    return packed(b"S", json.dumps(said).encode())
 
 
 def figures(**more: Any) -> bytes:
@@ -35,7 +54,7 @@ def test_a_task_has_no_field_that_nobody_knows() -> None:
 
 
 def test_messages_arrive_whole_and_in_order() -> None:
-    reader, file = FrameReader(ENCODE), bytes(range(256)) * 100
+    reader, file = FrameReader(ENCODE), b"\xd3\xc2" + bytes(range(256)) * 100
     said = packed_json(Begun()) + packed_json(POINT) + figures(notes=["alpha"], bytes=len(file)) + packed(b"F", file)
     messages = [message for at in range(0, len(said), 7) for message in reader.take(said[at : at + 7])]
     assert messages[:2] == [Begun(), POINT]
@@ -70,15 +89,25 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, packed(b"F", b"x"), "without its figures"),
         (ENCODE, packed(b"T", b'{"step": 1}'), "missing"),
         (ENCODE, packed(b"T", b"null"), "is wrong"),
-        (ENCODE, packed_json(POINT) * (frames.MOST_POINTS + 1), "too many"),
+        (ENCODE, packed_json(POINT) * (ENCODE.most_frames + 1), "too many frames"),
+        (ENCODE, figures(bytes=4) + packed(b"F", b"<svg"), "not an .sg file"),
+        (ENCODE, figures(width=9, bytes=2) + packed(b"F", b"\xd3\xc2"), "more pixels"),
         (ENCODE, packed(b"R", b'{"error": "SystemExit", "detail": ""}'), "error"),
         (ENCODE, packed(b"C", b'{"detail": 7}'), "detail"),
         (ENCODE, packed(b"E", b'{"status": "0"} x'), "json_invalid"),
         (ENCODE, packed(b"E", b'{"status": -99999}'), "status"),
         (ENCODE, packed(b"T", POINT.model_copy(update={"step": 10**400}).model_dump_json().encode()), "step"),
-        (DRAW, packed_json(POINT), "trace"),
+        (DRAW, packed_json(POINT), "unknown kind b'T'"),
+        (DRAW, packed_json(Begun()) * 5, "too many frames"),
+        (DRAW, frames.FRAME_HEADER.pack(b"F", frames.FILE_BYTES + 4 * 64 + 1), "are allowed"),
+        (DRAW, packed(b"F", b"<script>"), "JPEG was asked for, and this is something else"),
+        (DRAW, packed(b"F", b"\x89PNG\r\n\x1a\n"), "JPEG was asked for, and this is PNG"),
+        (MakeRival(**LIMITS, rival=Rival("avif", 9)), packed(b"F", b"\xff\xd8\xff"), "AVIF was asked for"),
         (DRAW, packed(b"P", b""), "unknown kind"),
         (DRAW, packed(b"S", b"{}"), "unknown kind"),
+        (PREVIEW, preview(text="A" * 18), "more bytes"),
+        (PREVIEW, preview(text="<br>"), "text"),
+        (PREVIEW, preview(width=9), "more pixels"),
         (ReadHeader(**LIMITS), packed(b"F", b"x"), "where 0 are allowed"),
         (ReadHeader(**LIMITS), packed(b"S", b'{"format": "PNG", "width": 0, "height": 4}'), "width"),
         (ReadHeader(**LIMITS), packed(b"S", b'{"format": "PNG", "width": 9, "height": 8}'), "more pixels"),

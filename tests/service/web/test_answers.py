@@ -29,6 +29,9 @@ from tests.harness.service import Service, StartService, assert_problem, bearer,
         ("IMAGE/AVIF", "avif"),
         ("image/png;q=0, image/*", "jpeg"),
         ("image/webp;q=x", "webp"),
+        ("*", "png"),
+        ("image/jpg", "jpeg"),
+        ("text/html, image/jpeg;q=.5, *; q=.2, */*; q=.2", "jpeg"),
     ],
 )
 def test_formats_as_accepted(web: Service, done: str, accept: str, kind: str) -> None:
@@ -177,7 +180,8 @@ def test_pages_of_other_origins(start_service: StartService, web: Service) -> No
     answer = web.client.get("/livez", headers={"Origin": "https://a.example"})
     assert "access-control-allow-origin" not in answer.headers
     web = start_service("web", api_keys=keys_of("ann"), cors_origins="https://a.example, https://b.example")
-    ask = {"Access-Control-Request-Method": "POST", "Access-Control-Request-Headers": "authorization"}
+    headers = "authorization, content-type, if-none-match, traceparent, tracestate"
+    ask = {"Access-Control-Request-Method": "POST", "Access-Control-Request-Headers": headers}
     for origin, allowed in (("https://b.example", True), ("https://c.example", False)):
         answer = web.client.options("/encode", headers={"Origin": origin, **ask})
         assert (answer.status_code == 200) == allowed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -12,8 +13,10 @@ import httpx
 import pytest
 from PIL import Image
 
-from tests.harness.data import JAVASCRIPT, PICTURE, STATIC
-from tests.harness.pictures import SMALL, png, saved
+from service.api.options import OPTION_SCHEMAS
+from service.api.problems import REASONS
+from tests.harness.data import JAVASCRIPT, PICTURE, ROOT, STATIC
+from tests.harness.pictures import SLOW, SMALL, png, saved
 from tests.harness.processes import wait_until
 from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 
@@ -26,6 +29,18 @@ def test_every_answer_has_the_security_headers(web: Service) -> None:
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "no-referrer"
         assert headers["content-security-policy"].startswith("default-src 'none'")
+
+
+def test_every_kind_of_problem_is_explained(web: Service) -> None:
+    """Each at the address that its document names."""
+    sources = "".join(path.read_text() for path in (ROOT / "service").rglob("*.py"))
+    reasons = {*REASONS.values(), *re.findall(r'reason="(\w+)"|LimitError\("(\w+)"', sources)}
+    reasons |= {*re.findall(r"problems#(\w+)", (ROOT / "docs" / "nginx.conf").read_text())}
+    kinds = {word for each in reasons for word in ([each] if isinstance(each, str) else each) if word}
+    problem = assert_problem(web.client.get("/nowhere"), 404)
+    page = web.client.get(problem["type"])
+    assert (page.status_code, page.headers["content-type"]) == (200, "text/html; charset=utf-8")
+    assert sorted(re.findall(r'<dt id="(\w+)"', page.text)) == sorted(kinds)
 
 
 def test_page_names_nothing_elsewhere(web: Service) -> None:
@@ -119,6 +134,19 @@ def test_fields_that_are_refused(web: Service, words: str, fields: dict[str, str
     assert web.files() == before
 
 
+def test_what_has_no_body_has_no_type(web: Service) -> None:
+    """Clients that go by the type would parse it."""
+    answer = web.client.delete(f"/jobs/{web.accepted()}")
+    assert (answer.status_code, answer.content) == (204, b"")
+    assert "content-type" not in answer.headers
+
+
+def test_a_look_is_a_number_or_a_name(web: Service) -> None:
+    number, name = OPTION_SCHEMAS["looks"]["anyOf"]
+    assert (number["maximum"], name["enum"]) == (100, ["preview", "web", "archive"])
+    assert web.job(web.accepted(looks="web"))["budget"] == web.job(web.accepted(looks="60"))["budget"]
+
+
 def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:
     """0.3 bits per pixel of it are fewer bytes than the smallest file has; asked for, they are refused."""
     tiny = png(16, 16)
@@ -129,8 +157,8 @@ def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:
 def test_forms_that_are_refused(web: Service) -> None:
     post = web.client.post
     image = {"image": ("a.png", SMALL)}
-    assert_problem(post("/encode?bpp=1", json={"bpp": 1}), 415, "multipart")
-    assert_problem(post("/encode", content=b""), 415)
+    assert_problem(post("/encode?bpp=1", json={"bpp": 1}), 415, "PNG, JPEG")
+    assert_problem(post("/encode", content=b""), 422, "empty")
     assert_problem(post("/encode", data={"bpp": "1"}), 415)
     assert_problem(post("/encode", content=b"x", headers={"Content-Type": "multipart/form-data"}), 400)
     other = {"Content-Type": "multipart/form-data; boundary=b"}
@@ -165,11 +193,14 @@ def test_an_image_as_the_body(web: Service) -> None:
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
     assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1}
 
+    for kind in ({}, {"Content-Type": "text/plain"}):  # of which the client may know nothing
+        assert post("?bpp=1", headers=kind).status_code == 202
+        assert web.client.post("/preview", content=SMALL, headers=kind).status_code == 200
+
     before = web.files()
     assert_problem(post("?bpp=1&psnr=30"), 422, "give one")
     assert_problem(post("?bpp=1&bpp=1"), 422, "twice")
     assert_problem(post("?bpp=1", content=b""), 422, "empty")
-    assert_problem(post("?bpp=1", headers={"Content-Type": "text/plain"}), 415)
     assert_problem(post("?bpp=1", content=iter([bytes(100_000)] * 3)), 413)
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)}, data={"bpp": "1"})
     assert_problem(form, 422, "twice")
@@ -229,6 +260,28 @@ def test_one_key_makes_one_job(web: Service) -> None:
     assert_problem(web.post(SMALL, key="once", bpp=2), 422, "Idempotency-Key")
     assert_problem(web.post(png(64, 48, seed=1), key="once", bpp=1), 422, "Idempotency-Key")
     assert web.files() == files
+
+
+def test_a_key_is_known_whatever_has_changed_since(start_service: StartService) -> None:
+    """Settings, the room on the disk, and whether the image of an old job is still there."""
+    web = start_service("web", source_retention_s=1000)
+    old = web.published(PICTURE)
+    (web.data_dir / "sources" / old).write_bytes(SMALL)
+
+    def again(key: str) -> httpx.Response:
+        return web.client.post(f"/jobs/{old}/encode?bpp=1&time_limit_s=0.1", headers={"Idempotency-Key": key})
+
+    first, of_old = web.post(key="first"), again("second")
+    assert (first.status_code, of_old.status_code) == (202, 202)
+    web.stop()
+    web.environment |= {"SG_MAX_TIME_LIMIT_S": "0.05", "SG_QUOTA_BYTES": "1", "SG_MAX_UPLOAD_BYTES": str(2**50)}
+    web.environment |= {"SG_MAX_PIXELS": "1", "SG_QUEUE_LENGTH": "1"}
+    web.start()
+    (web.data_dir / "sources" / old).unlink()
+    assert web.post(key="first").json() == first.json()
+    assert again("second").json() == of_old.json()
+    assert_problem(web.post(SLOW, key="first", bpp=1), 422, "Idempotency-Key")
+    assert web.post(key="third").status_code == 429
 
 
 def test_full_queue(empty: Service) -> None:

@@ -146,6 +146,24 @@ def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
     assert table.census().notices == 6  # none is said to be delivered
 
 
+def test_an_address_that_was_corrected(open_job_table: OpenTable) -> None:
+    """What waits for the old one goes to those that are named now. An operator who names none keeps it waiting."""
+    table = open_job_table(LONG_S, webhooks=("http://old", "http://same"))
+    job_id = ended(table)
+    same = table.due_notice("http://same")
+    assert same is not None
+    table.notice_delivered(same)
+    assert open_job_table(LONG_S).forward_notices() == 0
+    corrected = open_job_table(LONG_S, webhooks=("http://new",))
+    assert (corrected.forward_notices(), corrected.forward_notices()) == (1, 0)
+    assert table.due_notice("http://old") is None
+    new = corrected.due_notice("http://new")
+    assert new is not None
+    assert (new.job_id, new.body) == (job_id, same.body)
+    corrected.notice_delivered(new)
+    assert corrected.census().notices == 0
+
+
 def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
     table = open_job_table(LONG_S, webhooks=("http://a",))
     ended(table)

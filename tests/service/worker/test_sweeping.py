@@ -13,7 +13,7 @@ from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
 from service.settings import Settings
-from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
+from service.storage.files import DiskStorage, Storage, bitstream_key, preview_key, source_key
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
 from tests.harness import job_table
@@ -52,9 +52,11 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     done = finished(table, storage)
     running, waiting = submitted(table, storage), submitted(table, storage)
     assert claimed(table).job_id == running
-    storage.put(bitstream_key(running, 1), b"not published yet")
+    for key in (bitstream_key(running, 1), preview_key(running, 1)):
+        storage.put(key, b"not published yet")
     needed = stored(storage)
-    assert needed == {bitstream_key(done, 1), *(source_key(running), source_key(waiting)), bitstream_key(running, 1)}
+    kept = {bitstream_key(done, 1), bitstream_key(running, 1), preview_key(running, 1)}
+    assert needed == {*kept, source_key(running), source_key(waiting)}
     orphans = {source_key(new_job_id()), source_key(done), bitstream_key(done, 2), "unfinished/" + new_job_id()}
     for key in orphans:
         storage.put(key, b"left over")

@@ -143,6 +143,33 @@ def test_the_lease_is_renewed_while_the_storage_is_slow(
     assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
 
 
+def test_a_storage_that_is_slow_holds_up_no_encode(
+    table: Unsteady, attempt: Attempt, storage: Storage, claim: Claim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Previews waited for it, and so did the fit. What is stored at last is not taken for the bitstream."""
+    monkeypatch.setattr(attempt_module, "PREVIEW_EVERY_S", 0.0)
+    monkeypatch.setattr(attempt_module, "PREVIEW_ENDS_S", 0.0)
+    put, stored, goes_on = storage.put, [], threading.Event()
+
+    def slow(key: str, data: bytes) -> None:
+        if data.startswith(b"preview"):
+            assert goes_on.wait(PATIENCE_S)
+        put(key, data)
+        stored.append(data)
+
+    monkeypatch.setattr(storage, "put", slow)
+    for number in range(3):
+        attempt.show(b"preview %d" % number)
+    attempt.conclude(Encoded({}, b"data"))
+    attempt.tidy()
+    goes_on.set()
+    wait_until(lambda: stored == [b"data", b"preview 0"])
+    assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
+    assert storage.get(bitstream_key(claim.job_id, 1)) == b"data"
+    attempt.tidy()
+    assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
+
+
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
     table: Unsteady, storage: Storage, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,6 +192,23 @@ def test_a_heartbeat_sends_each_point_once(table: Unsteady, attempt: Attempt, cl
     attempt.add({"step": 2})
     attempt.beat(now=True)
     assert table.trace(claim.job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
+
+
+def test_a_trace_has_few_points_whatever_an_encode_sends(
+    table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A taken-over one could fill the job table. The last point is always there, and those of the first 20 s."""
+    clock = [0.0]
+    monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
+    attempt = Attempt(table, storage, claim, stop)
+    monkeypatch.setattr(attempt, "_points", points := [])
+    for step in range(60_000):
+        clock[0] = step / 100
+        attempt.add({"step": step})
+    assert len([point for point in points if point["step"] <= 200]) == 201
+    assert len(points) < 1500
+    attempt.beat(now=True)
+    assert table.trace(claim.job_id)[-1] == {"step": 59_999}
 
 
 def test_a_heartbeat_that_nobody_hears_goes_on(
