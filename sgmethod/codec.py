@@ -169,7 +169,7 @@ def encode(
     warning.
     bpp, bytes, looks, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp.
-    profile: "rd", "paper" or "baseline".
+    profile: "rd" or "paper".
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
     profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.

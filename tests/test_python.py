@@ -182,7 +182,7 @@ def test_a_warning_points_at_the_callers_line() -> None:
     clear = PHOTO.convert("RGBA")
     clear.putalpha(100)
     clear.save("clear.png")
-    settings = {"profile": "baseline", "gaussians": 4, "time_limit_s": 0.01}
+    settings = {"profile": "paper", "gaussians": 4, "time_limit_s": 0.01}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         first = sys._getframe().f_lineno + 1
