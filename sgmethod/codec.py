@@ -38,6 +38,7 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
+from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, profile_of, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
@@ -122,6 +123,7 @@ class Encoded:
         write_atomically(checked_path(path), self.data)
 
 
+@quiet
 def encode(
     image: Input,
     budget: Budget | None = None,

@@ -14,6 +14,7 @@ from sgmethod.budget import checked_integer
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native
+from sgmethod.numerics import quiet
 from sgmethod.scene import FloatArray, Gaussians, Scene
 from sgmethod.view import View, recut
 
@@ -22,6 +23,7 @@ MAX_LIMIT = 2**63 - 1
 MAX_PIXELS = 100_000_000  # 300 MB of output, as many as ImageLimits reads: a damaged header may claim any size
 
 
+@quiet
 def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, texture: bool = True) -> NDArray[np.uint8]:
     """Decode an .sg file, or a view of it, to 8-bit sRGB [height, width, 3], or [height, width, 4] with alpha.
 
@@ -37,6 +39,7 @@ def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, text
     return SgFile(data, max_pixels)._draw(view if texture else replace(view, texture=False))
 
 
+@quiet
 def info(data: File, max_gaussians: int | None = None) -> Info:
     """Read the header of an .sg file, and how its bits are spent.
 
@@ -67,6 +70,7 @@ class SgFile:
     (48, 64, 3)
     """
 
+    @quiet
     def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
         """Open and check a file.
 
@@ -98,6 +102,7 @@ class SgFile:
         red, green, blue = self._stream.background
         return red / 255, green / 255, blue / 255
 
+    @quiet
     def gaussians(self) -> Gaussians:
         """Return the Gaussians, the largest first in version 2, without those of alpha and without texture.
 
@@ -110,6 +115,7 @@ class SgFile:
         scene = self._stream.scene()
         return recut(scene.gaussians, scene.cutoff)
 
+    @quiet
     def pixels(
         self,
         scale: float = 1.0,

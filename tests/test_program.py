@@ -18,6 +18,7 @@ import torch
 from PIL import Image
 
 import sgmethod
+import sgmethod.torch
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
@@ -206,3 +207,29 @@ def test_files_are_the_same_whatever_a_program_has_set(state: str, profile: str)
     expected = encoded(**more)
     with STATES[state]():
         assert encoded(**more) == expected
+
+
+Y, X = np.mgrid[0:96, 0:96]
+EXTREMES = {
+    "a step of one level": 100 + (X >= 48),
+    "a bump": np.clip(2040 * np.exp(-(np.square(X - 48.0) + np.square(Y - 48)) / 30), 0, 255),
+    "a line": 255 * (X != Y),
+}
+
+
+@pytest.mark.parametrize("picture", EXTREMES)
+def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_raise(
+    picture: str, set_threads: Callable[[int], None]
+) -> None:
+    set_threads(2)
+    pixels = EXTREMES[picture].astype(np.uint8)
+    with np.errstate(all="raise"):
+        for budget in ({"bpp": 3}, {"psnr": 60}, {"looks": 99}):
+            file = sgmethod.open(sgmethod.encode(pixels, tune="psnr", measure=True, **budget).data)
+            assert file.pixels(scale=1 / 48).shape == (2, 2, 3)
+            tiny = sgmethod.Gaussians(*(values * np.float32(1e-30) for values in file.gaussians().arrays))
+            assert np.isfinite(tiny.covariances).all()
+        assert sgmethod.preview(pixels).width == 96
+        assert sgmethod.torch.fit(torch.from_numpy(pixels / 255).expand(1, 3, 96, 96), 9, steps=5).error.shape == (1,)
+    with np.errstate(all="warn"):  # in the threads of a pool, too, where the caller's setting does not reach
+        assert sgmethod.encode(pixels, bpp=3, tune="psnr", measure=True).stats.bytes > 0
