@@ -18,6 +18,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 
 class SgError(Exception):
@@ -69,11 +70,25 @@ class ImageWarning(UserWarning):
     """Something was dropped from the image: further pictures, transparency, a damaged profile."""
 
 
+_NOTES: ContextVar[list[str] | None] = ContextVar("notes", default=None)
+
+
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """Collect a block's ImageWarnings instead of showing them, and drop others; filled when the block ends."""
+    """Collect what this thread would warn of within a block, one sentence each, instead of warning of it."""
     notes: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ImageWarning)
+    before = _NOTES.set(notes)
+    try:
         yield notes
-    notes += [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
+    finally:
+        _NOTES.reset(before)
+
+
+def warn(notes: list[str]) -> None:
+    """Issue an ImageWarning for each note, attributed to the reader's caller; within noted(), add them there."""
+    collected = _NOTES.get()
+    if collected is not None:
+        collected += notes
+        return
+    for note in notes:
+        warnings.warn(note, ImageWarning, stacklevel=3)

@@ -11,6 +11,8 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,6 +111,27 @@ def test_a_child_forked_while_a_picture_is_read_reads_and_warns(monkeypatch: pyt
     assert in_child(warned) == expected
     assert expected.endswith(b"1")
     reading.join()
+
+
+@pytest.mark.filterwarnings("ignore::sgmethod.ImageWarning")
+def test_reading_pictures_leaves_a_programs_warnings_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """They belong to all its threads."""
+    file = io.BytesIO()
+    Image.fromarray(PIXELS).save(file, "GIF", save_all=True, append_images=[Image.new("L", (48, 36))])
+    seen, real = [], formats.open_reader
+
+    def state() -> list[object]:
+        return [warnings.filters, *warnings.filters, warnings.showwarning]
+
+    def looked(*arguments: Any) -> object:
+        seen.append(state())
+        return real(*arguments)
+
+    monkeypatch.setattr(formats, "open_reader", looked)
+    sgmethod.encode(file.getvalue(), bytes=400, effort=1)
+    sgmethod.preview(file.getvalue())
+    sgmethod.encode_many([("a", file.getvalue())], tmp_path, bytes=400, effort=1)
+    assert seen == [state()] * 4
 
 
 INTERRUPTED = """

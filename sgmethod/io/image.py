@@ -25,7 +25,7 @@ refused file raises an ImageError with one clear sentence, anything dropped an I
                    16 bits are refused, because they do not say which value is white.
     transparency   kept in 8 bits if the caller wants it; else composited over white in sRGB values,
                    value * alpha + (1 - alpha), with a warning
-    the rest       other metadata is dropped
+    the rest       other metadata is dropped; Pillow may warn of damage in it
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import ImageFile
 
-from sgmethod.errors import ImageError
+from sgmethod.errors import ImageError, warn
 from sgmethod.io import chunks, formats
 from sgmethod.io.header import (
     ImageHeader,
@@ -48,7 +48,6 @@ from sgmethod.io.header import (
     is_still,
     only_image_errors,
     open_file,
-    warn,
 )
 from sgmethod.io.levels import Samples, samples_of
 from sgmethod.scene import Pixels

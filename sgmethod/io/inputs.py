@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from sgmethod.errors import ImageError
+from sgmethod.errors import ImageError, warn
 from sgmethod.io.files import checked_path
 from sgmethod.io.header import (
     ImageLimits,
@@ -19,7 +19,6 @@ from sgmethod.io.header import (
     frame_of,
     only_image_errors,
     orientation_of,
-    warn,
 )
 from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
 from sgmethod.io.levels import Samples
