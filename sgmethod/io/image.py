@@ -132,11 +132,14 @@ def _with_end(jpeg: bytes) -> bytes:
     jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
     number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
     restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # missing pixels may continue with the next restart marker
-    readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in RANDOM_TAILS]
-    ended, *others = map(np.asarray, readers)
+    completed = jpeg + chunks.JPEG_END  # missing pixels become grey
+    tails = [bits + restart + bits + chunks.JPEG_END for bits in RANDOM_TAILS]
+    ended, *others = (
+        np.asarray(formats.open_reader(data, "JPEG")) for data in (completed, *(jpeg + tail for tail in tails))
+    )
     if not all(np.array_equal(ended, other) for other in others):
         raise ImageError("the JPEG is truncated")
-    return jpeg + chunks.JPEG_END
+    return completed
 
 
 def without_alpha(samples: Samples, notes: list[str]) -> Samples:
