@@ -256,3 +256,10 @@ def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_rais
         assert sgmethod.torch.fit(torch.from_numpy(pixels / 255).expand(1, 3, 96, 96), 9, steps=5).error.shape == (1,)
     with np.errstate(all="warn"):  # in the threads of a pool, too, where the caller's setting does not reach
         assert sgmethod.encode(pixels, bpp=3, tune="psnr", measure=True).stats.bytes > 0
+
+
+def test_torchs_default_type_stays_the_programs_while_a_profile_computes() -> None:
+    seen: list[torch.dtype] = []
+    with default_dtype(torch.float64):
+        encoded(profile="paper", effort=DEFAULT_EFFORT, on_progress=lambda _: seen.append(torch.get_default_dtype()))
+    assert set(seen) == {torch.float64}
