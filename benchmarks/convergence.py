@@ -24,9 +24,9 @@ from benchmarks.pictures import Pixels, add_options, named_in, pictures_in, size
 from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, encode
 from sgmethod.metrics import psnr
-from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Profile, Tune
 
-OURS = ("rd", "paper", "baseline")
+OURS: tuple[Profile, ...] = ("rd", "paper", "baseline")
 VISUAL = "rd visual"
 WARMED_ON = 64  # pixels along a side, by profile paper
 OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
@@ -43,7 +43,12 @@ Row = dict[str, Any]
 
 
 def ours(
-    pixels: Pixels, profile: str, bpp: float, limit_s: float | None, effort: int = DEFAULT_EFFORT, tune: Tune = "psnr"
+    pixels: Pixels,
+    profile: Profile,
+    bpp: float,
+    limit_s: float | None,
+    effort: int = DEFAULT_EFFORT,
+    tune: Tune = "psnr",
 ) -> Row:
     """Encode once."""
     stats = encode(pixels, Budget("bpp", bpp), profile, tune=tune, effort=effort, time_limit_s=limit_s).stats

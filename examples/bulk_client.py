@@ -27,4 +27,6 @@ def report(row, tally) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        sys.exit("usage: python bulk_client.py URL PHOTOS OUT")
     encode_folder(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))

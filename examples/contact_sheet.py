@@ -37,4 +37,6 @@ def report(row, tally) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python contact_sheet.py PHOTOS SHEET.png")
     contact_sheet(Path(sys.argv[1]), Path(sys.argv[2]))

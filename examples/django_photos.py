@@ -37,6 +37,8 @@ PAGE = """<!doctype html>
 """
 MODULES = str(files("sgmethod") / "javascript" / "src")
 
+if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
+    sys.exit("usage: python django_photos.py DATA [PHOTO ...]")
 data = Path(sys.argv[1]).resolve()
 settings.configure(
     ALLOWED_HOSTS=["127.0.0.1", "localhost"],

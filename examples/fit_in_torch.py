@@ -46,4 +46,6 @@ def fit_photo(path: str, out: str) -> None:
 
 
 if __name__ == "__main__":
-    fit_photo(*sys.argv[1:3])
+    if len(sys.argv) != 3:
+        sys.exit("usage: python fit_in_torch.py PHOTO OUT.sg")
+    fit_photo(*sys.argv[1:])

@@ -41,7 +41,7 @@ def write_site(photos: Path, site: Path) -> None:
         with Image.open(path) as photo:
             upright = ImageOps.exif_transpose(photo)
         upright.thumbnail((1600, 1600))
-        target = site / "photos" / f"{path.stem}.webp"
+        target = site / "photos" / f"{path.name}.webp"  # a.jpg may lie beside a.png
         upright.save(target)
         preview = sgmethod.preview(upright, bytes=200)
         pictures.append(preview_element(preview, f"photos/{quote(target.name)}", path.stem))
@@ -59,4 +59,6 @@ def preview_element(preview: sgmethod.Preview, url: str, alt: str) -> str:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python static_page.py PHOTOS SITE")
     write_site(Path(sys.argv[1]), Path(sys.argv[2]))

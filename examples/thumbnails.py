@@ -20,11 +20,13 @@ def make_thumbnails(photos: Path, thumbnails: Path) -> None:
         with Image.open(path) as photo:
             small = ImageOps.exif_transpose(photo).convert("RGB")
         small.thumbnail((320, 320))
-        target = thumbnails / f"{path.stem}.sg"
+        target = thumbnails / f"{path.name}.sg"  # a.jpg may lie beside a.png
         small.save(target, bytes=2000)
         with Image.open(target) as made:
             print(f"{target.name}: {made.size[0]} x {made.size[1]}, {target.stat().st_size} bytes")
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python thumbnails.py PHOTOS THUMBNAILS")
     make_thumbnails(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -5,16 +5,15 @@ Text, screenshots, charts and line art are flat, and where they change they jump
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from PIL import Image
 
 from sgmethod.errors import ImageError
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.io.pictures import encode_picture
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
@@ -67,7 +66,7 @@ def better_file(pixels: Pixels, size: int, db: float, kinds: Sequence[Kind] = KI
             return Better("webp", data, math.inf)
         if "avif" not in kinds or pixels.shape[2] == 4:
             return None
-        files = [Better("avif", data, psnr(_decoded(data), pixels)) for data in _avif(pixels, size)]
+        files = [Better("avif", data, psnr(read_image_8_bit(data), pixels)) for data in _avif(pixels, size)]
     except ImageError:  # no such encoder here, or too large for it
         return None
     return max((file for file in files if file.psnr >= db + CLEARLY_DB), key=lambda file: file.psnr, default=None)
@@ -92,7 +91,3 @@ def _avif(pixels: Pixels, size: int) -> Iterator[bytes]:
         if len(data) <= size:
             yield data
         low, high = (quality, high) if len(data) <= size else (low, quality)
-
-
-def _decoded(data: bytes) -> Pixels:
-    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))

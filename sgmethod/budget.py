@@ -6,12 +6,17 @@ Callers' numbers are converted to Python's types here, because NumPy's small int
 from __future__ import annotations
 
 import math
+import re
+from contextlib import suppress
 from dataclasses import dataclass
+from decimal import Decimal
 from numbers import Integral, Real
-from typing import Literal, get_args
+from typing import Literal, SupportsFloat, SupportsIndex, get_args
 
 from sgmethod.errors import BudgetError, SgError
 
+AnyInt = SupportsIndex  # int, and NumPy's
+AnyFloat = SupportsFloat  # numbers of any kind
 BudgetKind = Literal["bpp", "bytes", "looks", "psnr", "quality", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
@@ -21,16 +26,26 @@ MAX_QUALITY = 100.0
 
 MOST_GAUSSIANS = 1 << 24  # in a file
 
-LOOKS = {"preview": 40.0, "web": 60.0, "archive": 80.0}
+Looks = Literal["preview", "web", "archive"]
+LOOKS: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
+
+SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
+UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
 
-def looks_value(asked: float | str) -> float:
-    """Return the value of a name in LOOKS; numbers pass unchanged. Raises BudgetError for an unknown name."""
-    if not isinstance(asked, str):
-        return asked
-    if asked not in LOOKS:
-        raise BudgetError(f"looks must be a number or one of {', '.join(LOOKS)}, got {asked!r}")
-    return LOOKS[asked]
+def looks_value(name: str) -> float:
+    """Return the value of a name in LOOKS. Raises BudgetError for another."""
+    if name not in LOOKS:
+        raise BudgetError(f"looks must be a number or one of {', '.join(LOOKS)}, got {name!r}")
+    return LOOKS[name]
+
+
+def bytes_value(text: str) -> float:
+    """Return a size in bytes: 20000, 20k, 20kB, 1.5MB, 20KiB or 1MiB. Raises BudgetError for another text."""
+    if parts := SIZE.fullmatch(text):
+        with suppress(ArithmeticError):
+            return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, so that 1.001k is whole
+    raise BudgetError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
 
 
 def finite_number(value: object) -> int | float | None:
@@ -53,7 +68,7 @@ def checked_integer(value: object, name: str, least: int, most: int, error: type
     return int(value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Budget:
     """The target of an encode.
 
@@ -62,6 +77,7 @@ class Budget:
     and up to 100, profile rd only), or "preview" for 40, "web" for 60 and "archive" for 80; "quality" (above 0 and up
     to 100, profile rd only) sets how finely everything is quantised, and so what a Gaussian must gain to be kept;
     "gaussians" is the number of Gaussians, for profile rd a maximum.
+    value: a number; for bytes also a text, such as "20k" or "1.5MB" (thousands) or "20KiB" (1,024).
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
     """
@@ -69,13 +85,19 @@ class Budget:
     kind: BudgetKind
     value: float
 
-    def __post_init__(self) -> None:
-        if self.kind not in BUDGET_KINDS:
-            raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        value = finite_number(looks_value(self.value) if self.kind == "looks" else self.value)
-        if value is None or value <= 0:
-            raise BudgetError(f"{self.kind} must be a positive number, got {self.value!r}")
-        object.__setattr__(self, "value", value)
+    def __init__(self, kind: BudgetKind, value: AnyFloat | str) -> None:
+        if kind not in BUDGET_KINDS:
+            raise BudgetError(f"unknown budget {kind!r}; use one of {', '.join(BUDGET_KINDS)}")
+        named = {"looks": looks_value, "bytes": bytes_value}.get(kind)
+        number = finite_number(named(value) if named is not None and isinstance(value, str) else value)
+        if number is None or number <= 0:
+            raise BudgetError(f"{kind} must be a positive number, got {value!r}")
+        object.__setattr__(self, "kind", kind)
+        object.__setattr__(self, "value", number)
+        self._check()
+
+    def _check(self) -> None:
+        value = self.value
         if self.kind in ("bytes", "gaussians") and value != int(value):
             raise BudgetError(f"{self.kind} must be a whole number, got {value}")
         if self.kind in ("looks", "quality") and value > MAX_QUALITY:

@@ -12,6 +12,7 @@ import statistics
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,25 +22,28 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import (
     DEFAULT_BUDGET,
+    AnyFloat,
+    AnyInt,
     Budget,
     BudgetKind,
+    Looks,
     checked_integer,
     default_budget,
     finite_number,
-    looks_value,
 )
 from sgmethod.decoder import SgFile
-from sgmethod.errors import BudgetError, ImageError
+from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
+from sgmethod.io.formats import SUFFIXES
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.numerics import quiet
-from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, profile_of, settings_of, tuning
+from sgmethod.profiles import DEFAULT_PROFILE, Profile, checked_effort, checked_profile, profile_of, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
 from sgmethod.rd.budgets import rate_of
@@ -119,27 +123,33 @@ class Encoded:
     trace: list[TracePoint] = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file completely, or raise OSError and leave the path as it was."""
-        write_atomically(checked_path(path), self.data)
+        """Write the file completely, or raise OSError and leave the path as it was.
+
+        Raises SgError for a name like that of a picture, such as photo.jpg: no program would open it.
+        """
+        target = checked_path(path)
+        if target.suffix.lower() in SUFFIXES:
+            raise SgError(f"{target} names a picture, and this is an .sg file: use {target.with_suffix('.sg')}")
+        write_atomically(target, self.data)
 
 
 @quiet
 def encode(
     image: Input,
     budget: Budget | None = None,
-    profile: str = DEFAULT_PROFILE,
+    profile: Profile = DEFAULT_PROFILE,
     *,
-    bpp: float | None = None,
-    bytes: int | None = None,
-    psnr: float | None = None,
-    looks: float | str | None = None,
-    quality: float | None = None,
-    gaussians: int | None = None,
-    tune: str | None = None,
-    effort: int = DEFAULT_EFFORT,
+    bpp: AnyFloat | None = None,
+    bytes: AnyInt | str | None = None,
+    psnr: AnyFloat | None = None,
+    looks: AnyFloat | Looks | None = None,
+    quality: AnyFloat | None = None,
+    gaussians: AnyInt | None = None,
+    tune: Tune | None = None,
+    effort: AnyInt = DEFAULT_EFFORT,
     settings: RdSettings | PaperSettings | None = None,
-    seed: int = 0,
-    time_limit_s: float | None = None,
+    seed: AnyInt = 0,
+    time_limit_s: AnyFloat | None = None,
     on_progress: Progress | None = None,
     stop: Stop | None = None,
     on_preview: Preview | None = None,
@@ -161,7 +171,7 @@ def encode(
     warning.
     bpp, bytes, looks, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp.
-    profile: one of sgmethod.profiles.PROFILE_NAMES.
+    profile: "rd", "paper" or "baseline".
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
     profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
@@ -182,13 +192,13 @@ def encode(
     """
     clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
     seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
-    kinds: dict[BudgetKind, float | None] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality}
-    kinds |= {"looks": None if looks is None else looks_value(looks), "gaussians": gaussians}
+    kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "looks": looks}
+    kinds["gaussians"] = gaussians
     budget = _only_budget(budget, kinds)
     profile = checked_profile(profile) if settings is None else profile_of(settings)
     tuned_for = tuning(tune, profile, budget)
     named_effort = checked_effort(effort) if settings is None else None
-    settings, backend = settings or settings_of(profile, effort), backend_on(device)
+    settings, backend = settings or settings_of(profile, named_effort or DEFAULT_EFFORT), backend_on(device)
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
     source_bytes = _file_bytes(image)  # now, as the file may be gone later
     height, width, channels = pixels.shape
@@ -245,7 +255,7 @@ def _rd(
     return container.serialise(stream), steps
 
 
-def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
+def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, Any]) -> Budget:
     """Return the budget given, or the default. Raises BudgetError for more than one."""
     given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
     if budget is not None:
@@ -296,7 +306,7 @@ def _mean(figures: Iterable[float | None]) -> float | None:
     return statistics.fmean(found) if found else None
 
 
-def _checked_time_limit(seconds: float | None) -> float | None:
+def _checked_time_limit(seconds: AnyFloat | None) -> float | None:
     if seconds is None:
         return None
     number = finite_number(seconds)

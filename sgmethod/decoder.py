@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +12,8 @@ from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
-from sgmethod.bitstream.text import file_of
-from sgmethod.budget import checked_integer
+from sgmethod.bitstream.text import file_of, from_text
+from sgmethod.budget import AnyFloat, AnyInt, checked_integer
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native
@@ -24,29 +27,43 @@ MAX_PIXELS = 100_000_000  # 300 MB of output, as many as ImageLimits reads: a da
 
 
 @quiet
-def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, texture: bool = True) -> NDArray[np.uint8]:
+def decode(
+    data: File,
+    max_pixels: AnyInt = MAX_PIXELS,
+    view: View = WHOLE,
+    *,
+    texture: bool = True,
+    width: AnyInt | None = None,
+    height: AnyInt | None = None,
+) -> NDArray[np.uint8]:
     """Decode an .sg file, or a view of it, to 8-bit sRGB [height, width, 3], or [height, width, 4] with alpha.
 
     >>> sgmethod.decode("photo.sg").shape
     (96, 128, 3)
+    >>> sgmethod.decode("photo.sg", width=64).shape
+    (48, 64, 3)
 
-    data: the path or bytes of a file, or of its text; texture: False leaves texture out, like View(texture=False).
+    data: a file's path, bytes or text; texture: False leaves texture out, like View(texture=False); width, height:
+    pixels into which the picture or the view's region is fitted.
     Raises BitstreamError for a damaged file, and for a picture or view of more than max_pixels; ViewError for an
     invalid view; OSError for a path that cannot be read; MemoryError.
     """
+    if isinstance(max_pixels, View):
+        raise ViewError("the second argument of decode() is max_pixels: give a view by its name, view=View(...)")
     if not isinstance(view, View):
         raise ViewError(f"a view must be a sgmethod.View, not {type(view).__name__}")
-    return SgFile(data, max_pixels)._draw(view if texture else replace(view, texture=False))
+    photo = SgFile(data, max_pixels)
+    return photo._draw((view if texture else replace(view, texture=False)).within(photo.size, width, height))
 
 
 @quiet
-def info(data: File, max_gaussians: int | None = None) -> Info:
+def info(data: File, max_gaussians: AnyInt | None = None) -> Info:
     """Read the header of an .sg file, and how its bits are spent.
 
     >>> sgmethod.info("photo.sg").width
     128
 
-    data: the path or bytes of a file, or of its text.
+    data: a file's path, bytes or text.
     Raises BitstreamError for a damaged file, and for more than max_gaussians before allocating memory for them;
     OSError.
     """
@@ -56,7 +73,7 @@ def info(data: File, max_gaussians: int | None = None) -> Info:
 
 
 def open(file: File) -> SgFile:
-    """Open and check an .sg file, given its path or bytes. Raises BitstreamError and OSError."""
+    """Open and check an .sg file, given its path, bytes or text. Raises BitstreamError and OSError."""
     return SgFile(file)
 
 
@@ -71,10 +88,10 @@ class SgFile:
     """
 
     @quiet
-    def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(self, data: File, max_pixels: AnyInt = MAX_PIXELS) -> None:
         """Open and check a file.
 
-        data: the path or bytes of a file, or of its text; max_pixels: limit for the picture and each view.
+        data: a file's path, bytes or text; max_pixels: limit for the picture and each view.
         Raises BitstreamError and OSError.
         """
         self._limits = Limits(checked_integer(max_pixels, "max_pixels", 0, MAX_LIMIT))
@@ -118,13 +135,13 @@ class SgFile:
     @quiet
     def pixels(
         self,
-        scale: float = 1.0,
-        region: tuple[int, int, int, int] | None = None,
-        prefix: float = 1.0,
+        scale: AnyFloat = 1.0,
+        region: Iterable[AnyInt] | None = None,
+        prefix: AnyFloat = 1.0,
         texture: bool = True,
         *,
-        width: int | None = None,
-        height: int | None = None,
+        width: AnyInt | None = None,
+        height: AnyInt | None = None,
     ) -> NDArray[np.uint8]:
         """Draw the picture or a view of it: 8-bit sRGB [height, width, 3 or 4].
 
@@ -147,7 +164,15 @@ class SgFile:
 
 
 def _bytes_of(file: File) -> bytes:
-    return file_of(bytes_of(file, BitstreamError, "an .sg file"))
+    try:
+        return file_of(bytes_of(file, BitstreamError, "an .sg file"))
+    except OSError as error:
+        if isinstance(file, str):  # there is no file of that name
+            with suppress(BitstreamError):
+                return from_text(file)
+            if error.errno == errno.ENAMETOOLONG:
+                raise BitstreamError("this is neither the name of a file nor the text of an .sg file") from error
+        raise
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:

@@ -15,7 +15,6 @@ ImageWarning            something was dropped from the image, and the rest is us
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -70,25 +69,15 @@ class ImageWarning(UserWarning):
     """Something was dropped from the image: further pictures, transparency, a damaged profile."""
 
 
-_NOTES: ContextVar[list[str] | None] = ContextVar("notes", default=None)
+NOTES: ContextVar[list[str] | None] = ContextVar("notes", default=None)  # of the innermost noted()
 
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
     """Collect what this thread would warn of within a block, one sentence each, instead of warning of it."""
     notes: list[str] = []
-    before = _NOTES.set(notes)
+    before = NOTES.set(notes)
     try:
         yield notes
     finally:
-        _NOTES.reset(before)
-
-
-def warn(notes: list[str]) -> None:
-    """Issue an ImageWarning for each note, attributed to the reader's caller; within noted(), add them there."""
-    collected = _NOTES.get()
-    if collected is not None:
-        collected += notes
-        return
-    for note in notes:
-        warnings.warn(note, ImageWarning, stacklevel=3)
+        NOTES.reset(before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from numbers import Integral
+from typing import Literal, get_args
 
 from sgmethod.budget import Budget
 from sgmethod.errors import BudgetError
@@ -19,6 +20,7 @@ __all__ = [
     "PROFILES",
     "PROFILE_NAMES",
     "TUNES",
+    "Profile",
     "Tune",
     "checked_effort",
     "checked_profile",
@@ -27,17 +29,18 @@ __all__ = [
     "tuning",
 ]
 
+Profile = Literal["rd", "baseline", "paper"]
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
-PROFILE_NAMES = tuple(PROFILES)
-DEFAULT_PROFILE = "rd"
+PROFILE_NAMES: tuple[Profile, ...] = get_args(Profile)
+DEFAULT_PROFILE: Profile = "rd"
 DEFAULT_TUNE: Tune = "visual"  # if profile and budget allow both
 
 
-def checked_profile(profile: str) -> str:
+def checked_profile(profile: str) -> Profile:
     """Return `profile` if it is one of PROFILE_NAMES. Raises BudgetError for anything else."""
     if not isinstance(profile, str) or profile not in PROFILES:
         raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
-    return profile
+    return PROFILE_NAMES[PROFILE_NAMES.index(profile)]
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
@@ -73,7 +76,7 @@ def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
     return settings
 
 
-def profile_of(settings: PaperSettings | RdSettings) -> str:
+def profile_of(settings: PaperSettings | RdSettings) -> Profile:
     """Return the profile that settings belong to."""
     if isinstance(settings, RdSettings):
         return "rd"

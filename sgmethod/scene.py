@@ -3,32 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import NDArray
 
 from sgmethod.numerics import quiet
 
 FloatArray = NDArray[np.float32]
 Pixels = NDArray[np.uint8]
-Floats = NDArray[np.floating]  # of any precision
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gaussians:
     """N Gaussians over a picture.
 
     means [N, 2]: centres (x, y) in pixels, the first pixel's centre at (0.5, 0.5);
     factors [N, 3]: (l1, l2, l3) in pixels of the lower triangular L, covariance = L L^T;
     colors [N, 3]: signed RGB weights, 1 being full white.
+
+    Two are equal if all their values are. They have no hash, since their arrays may change.
     """
 
     means: FloatArray
     factors: FloatArray
     colors: FloatArray
 
+    if TYPE_CHECKING:  # what pack() and its like convert
+
+        def __init__(self, means: npt.ArrayLike, factors: npt.ArrayLike, colors: npt.ArrayLike) -> None: ...
+
     def __len__(self) -> int:
         return len(self.means)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Gaussians):
+            return NotImplemented
+        pairs = zip(self.arrays, other.arrays, strict=True)
+        return all(np.array_equal(readable(one), readable(another)) for one, another in pairs)
 
     @classmethod
     def empty(cls, n: int) -> Gaussians:
@@ -37,7 +52,7 @@ class Gaussians:
 
     @classmethod
     @quiet
-    def from_covariances(cls, means: Floats, covariances: Floats, colors: Floats) -> Gaussians:
+    def from_covariances(cls, means: npt.ArrayLike, covariances: npt.ArrayLike, colors: npt.ArrayLike) -> Gaussians:
         """Build Gaussians from covariances [N, 2, 2] in pixels squared; factors are NaN unless positive definite."""
         (xx, xy), (_, yy) = np.moveaxis(np.asarray(covariances, np.float64), 0, -1)
         l1 = np.sqrt(xx)
@@ -67,6 +82,11 @@ class Gaussians:
     def with_more(self, new: Gaussians) -> Gaussians:
         """Return these Gaussians followed by new ones."""
         return Gaussians(*(np.concatenate(pair) for pair in zip(self.arrays, new.arrays, strict=True)))
+
+
+def readable(values: Any) -> Any:
+    """Return a tensor of any device and type as one that NumPy, without bfloat16, reads; other values as they are."""
+    return values.detach().cpu().double() if hasattr(values, "detach") else values
 
 
 @dataclass(frozen=True)

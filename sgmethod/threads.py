@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
-from sgmethod.budget import checked_integer
+from sgmethod.budget import AnyInt, checked_integer
 from sgmethod.native import native
 from sgmethod.numerics import quiet
 
@@ -14,7 +14,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def set_threads(count: int) -> None:
+def set_threads(count: AnyInt) -> None:
     """Set the number of threads for decoding and encoding in this process, 1 to 256.
 
     The default is SG_THREADS, or else the number of cores that the process and its control group may use. Raises

@@ -14,7 +14,7 @@ from numbers import Integral
 
 import numpy as np
 
-from sgmethod.budget import checked_integer, finite_number
+from sgmethod.budget import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.errors import ViewError
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene, Texture
@@ -27,7 +27,7 @@ MAX_SIDE = 1 << 20  # of an output, in pixels
 NO_CUTOFF = 50.0  # sigma at which nothing is left of a Gaussian without cut-off
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class View:
     """The part of a picture to draw, and its size.
 
@@ -42,13 +42,19 @@ class View:
     prefix: float = 1.0
     texture: bool = True
 
-    def __post_init__(self) -> None:
-        scale, prefix = finite_number(self.scale), finite_number(self.prefix)
-        if scale is None or not MIN_SCALE <= scale <= MAX_SCALE:
-            raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {self.scale!r}")
-        if prefix is None or not 0 < prefix <= 1:
-            raise ViewError(f"prefix must be above 0 and at most 1, got {self.prefix!r}")
-        own = {"scale": scale, "region": _checked_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
+    def __init__(
+        self,
+        scale: AnyFloat = 1.0,
+        region: Iterable[AnyInt] | None = None,
+        prefix: AnyFloat = 1.0,
+        texture: bool = True,
+    ) -> None:
+        number, part = finite_number(scale), finite_number(prefix)
+        if number is None or not MIN_SCALE <= number <= MAX_SCALE:
+            raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {scale!r}")
+        if part is None or not 0 < part <= 1:
+            raise ViewError(f"prefix must be above 0 and at most 1, got {prefix!r}")
+        own = {"scale": number, "region": _checked_region(region), "prefix": part, "texture": bool(texture)}
         for name, value in own.items():
             object.__setattr__(self, name, value)
 
@@ -72,7 +78,7 @@ class View:
             raise ViewError(f"a view may have at most {MAX_SIDE:,} pixels a side, not {max(size):,}")
         return size
 
-    def within(self, size: tuple[int, int], width: int | None, height: int | None) -> View:
+    def within(self, size: tuple[int, int], width: AnyInt | None, height: AnyInt | None) -> View:
         """Scale the same part to fit into width and height; None means no limit.
 
         size: width and height of the picture. Raises ViewError, also if the view already has a scale.
@@ -108,7 +114,7 @@ class View:
         return replace(drawn, texture=texture, alpha=alpha)
 
 
-def _checked_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | None:
+def _checked_region(region: Iterable[AnyInt] | None) -> tuple[int, int, int, int] | None:
     if region is None:
         return None
     numbers = list(region) if isinstance(region, Iterable) else []

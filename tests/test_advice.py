@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from pathlib import Path
@@ -18,12 +17,13 @@ from sgmethod import advice as module
 from sgmethod.advice import Better, advice, better_file, is_drawn
 from sgmethod.cli.main import main
 from sgmethod.errors import ImageError
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.io.pictures import encode_picture
 from tests.harness.pictures import page_of_text
 
 
 def page() -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(page_of_text())))
+    return read_image_8_bit(page_of_text())
 
 
 @pytest.mark.parametrize("name", ["astronaut", "coffee", "rocket", "grass", "retina", "moon"])
@@ -55,6 +55,12 @@ def test_a_page_of_text_gets_the_better_file(monkeypatch: pytest.MonkeyPatch) ->
     assert better_file(page(), 5000, 10.0, ("webp",)) is None
     assert better_file(page(), 5000, 60.0) is None  # ours is better
     assert better_file(page(), 20, 10.0) is None  # there is none so small
+
+
+def test_advice_under_a_limit_of_pillow(monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = page()
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 9)
+    assert better_file(pixels, 5000, 10.0, ("avif",)) is not None
 
 
 def test_no_advice_without_the_encoders(monkeypatch: pytest.MonkeyPatch) -> None:

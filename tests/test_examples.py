@@ -28,6 +28,15 @@ def run(folder: Path, name: str, *arguments: object) -> str:
     return ended.stdout
 
 
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_usage(example: Path) -> None:
+    for arguments in ([], ["--help"]):
+        command = [sys.executable, str(example), *arguments]
+        ended = subprocess.run(command, check=False, capture_output=True, text=True)
+        assert (ended.returncode, ended.stdout) == (1, "")
+        assert re.fullmatch(rf"usage: python {example.name} [A-Z].*\n", ended.stderr)
+
+
 def test_contact_sheet(tmp_path: Path) -> None:
     run(tmp_path, "contact_sheet.py", PHOTOGRAPHS, "sheet.png")
     assert sorted(path.stem for path in (tmp_path / "sheet").glob("*.sg")) == NAMES
@@ -40,7 +49,7 @@ def test_contact_sheet(tmp_path: Path) -> None:
 def test_thumbnails(tmp_path: Path) -> None:
     assert len(run(tmp_path, "thumbnails.py", PHOTOGRAPHS, "small").splitlines()) == len(NAMES)
     for name in NAMES:
-        info = sgmethod.info(tmp_path / "small" / f"{name}.sg")
+        info = sgmethod.info(tmp_path / "small" / f"{name}.png.sg")
         assert max(info.width, info.height) <= 320
 
 
@@ -56,7 +65,7 @@ def test_static_page(tmp_path: Path) -> None:
     html = (tmp_path / "site" / "index.html").read_text()
     assert html.count("<sg-img preview=") == len(NAMES)
     assert (tmp_path / "site" / "sgmethod" / "sg-img.js").exists()
-    assert all((tmp_path / "site" / "photos" / f"{name}.webp").exists() for name in NAMES)
+    assert all((tmp_path / "site" / "photos" / f"{name}.png.webp").exists() for name in NAMES)
 
 
 def test_django(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from PIL import Image, UnidentifiedImageError
 
 import sgmethod
 from service.api.requests import BITSTREAM_TYPE
-from sgmethod import Budget, BudgetError, SgFile, View
+from sgmethod import Budget, BudgetError, SgError, SgFile, View
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
@@ -96,6 +96,11 @@ def test_files_by_path_and_bytes() -> None:
     assert np.array_equal(picture.pixels(), pixels)
     view = View(0.5, (3, 5, 20, 11), 0.7)
     assert np.array_equal(picture.pixels(0.5, (3, 5, 20, 11), 0.7), sgmethod.decode(GOLDEN, view=view))
+    part = View(region=(3, 5, 20, 11), texture=False)
+    for side in ({"width": 30}, {"height": 30}, {"width": 10, "height": 9}):
+        assert np.array_equal(sgmethod.decode(GOLDEN, **side), picture.pixels(**side))
+        expected = picture.pixels(region=(3, 5, 20, 11), texture=False, **side)
+        assert np.array_equal(sgmethod.decode(GOLDEN, view=part, **side), expected)
     assert repr(picture) == f"<SgFile 48 x 40 pixels, {len(GOLDEN)} bytes>"
 
 
@@ -105,6 +110,10 @@ def test_what_is_shown_is_short_and_what_is_listed_is_all() -> None:
     assert set(sgmethod.__all__) <= set(dir(sgmethod))
     result.save("out.sg")
     assert Path("out.sg").read_bytes() == result.data
+    with pytest.raises(SgError, match=r"out\.JPG names a picture, .* use out\.sg"):
+        result.save("out.JPG")
+    result.save("out.sg.part")
+    assert {path.name for path in Path().glob("out*")} == {"out.sg", "out.sg.part"}
 
 
 def test_importing_takes_neither_numpy_nor_torch() -> None:
@@ -167,6 +176,23 @@ def test_any_opencv_will_do(kind: str) -> None:
             assert line.startswith("OpenCV, which encoding needs, cannot be imported (")
             assert line.endswith("opencv-contrib-python-headless")
     assert len(ran.stdout.splitlines()) == 2
+
+
+def test_a_warning_points_at_the_callers_line() -> None:
+    clear = PHOTO.convert("RGBA")
+    clear.putalpha(100)
+    clear.save("clear.png")
+    settings = {"profile": "baseline", "gaussians": 4, "time_limit_s": 0.01}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        first = sys._getframe().f_lineno + 1
+        sgmethod.encode("clear.png", **settings)
+        sgmethod.encode(clear, **settings)
+        sgmethod.encode(np.asarray(clear), **settings)
+        sgmethod.pack(sgmethod.open(GOLDEN).gaussians(), 128, 96, bpp=5, image="clear.png")
+        clear.save("clear.sg", **settings)
+    expected = [(__file__, line) for line in range(first, first + 5)]
+    assert [(warning.filename, warning.lineno) for warning in caught] == expected
 
 
 # --- Pillow

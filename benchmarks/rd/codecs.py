@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from benchmarks.pictures import Pixels
 from sgmethod import Budget, decode, encode, info
-from sgmethod.profiles import DEFAULT_EFFORT, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Sg:
     tune, effort: of profile rd; one_quality: what is aimed at is a quality and not bits per pixel.
     """
 
-    profile: str
+    profile: Profile
     tune: Tune = "psnr"
     effort: int = DEFAULT_EFFORT
     one_quality: bool = False

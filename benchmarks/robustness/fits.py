@@ -19,7 +19,7 @@ from benchmarks.robustness.stiff.pictures import text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import PROFILES, Tune
+from sgmethod.profiles import PROFILES, Profile, Tune
 from sgmethod.rd import place as rd
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
@@ -35,7 +35,7 @@ SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB = 0.5, 1.0
 Settings = PaperSettings | RdSettings
 Patch = Callable[[], AbstractContextManager[None]]
 PLACED_BY = {"rd": (rd, "place_by_structure"), "paper": (paper, "place")}
-KINDS: dict[str, tuple[str, Tune]] = {
+KINDS: dict[str, tuple[Profile, Tune]] = {
     "profile rd": ("rd", "psnr"),
     "profile rd for the eye": ("rd", "visual"),
     "profile paper": ("paper", "psnr"),
@@ -147,7 +147,7 @@ def fast(settings: Settings) -> Settings:
 def worse(
     pixels: Pixels,
     budget: Budget,
-    profile: str,
+    profile: Profile,
     tune: Tune,
     patched: Patch = nullcontext,
     settings: Settings | None = None,

@@ -123,12 +123,13 @@ class EncodeOptions(BaseModel):
         seconds = longest_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
-        tune = tuning(self.tune, self.profile, self.budget)
+        profile = checked_profile(self.profile)
+        tune = tuning(self.tune, profile, self.budget)
         settings = settings_of(self.profile, self.effort)
         if not isinstance(settings, RdSettings) and find_spec("torch") is None:
             raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
         budget = self._feasible_budget(settings, image)
-        return EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
+        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
         """The budget; the default is raised to the smallest file that a tiny image can have."""

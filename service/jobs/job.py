@@ -22,7 +22,7 @@ from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
 from service.process.loops import TryLaterError
 from sgmethod.budget import BudgetKind
-from sgmethod.profiles import DEFAULT_EFFORT, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 JobState = Literal["queued", "running", "done", "failed"]
 JOB_STATES: tuple[JobState, ...] = get_args(JobState)
@@ -49,7 +49,7 @@ class EncodeRequest:
 
     budget_kind: SkipValidation[BudgetKind]
     budget_value: float
-    profile: str
+    profile: SkipValidation[Profile]
     time_limit_s: float
     tune: SkipValidation[Tune] = "psnr"
     effort: int = DEFAULT_EFFORT

@@ -25,8 +25,9 @@ from pathlib import Path
 
 from service.sandbox import filter as calls
 
-# Where programs and libraries are looked for, languages, memory. Not what may be a secret.
-KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES")
+# Where programs and libraries are looked for, languages, memory, and the kernels of OpenBLAS, on which the last digit
+# of a fit depends. Not what may be a secret.
+KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES", "OPENBLAS_")
 LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may lack
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use

@@ -25,7 +25,7 @@ from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
-from sgmethod.profiles import DEFAULT_EFFORT
+from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
 ERROR_LENGTH = 300  # characters of an error that a client gets to read
@@ -130,7 +130,7 @@ def _import_all(path: Any, prefix: str) -> None:
 
 
 @cache
-def tiny_encode(profile: str, tune: str | None = None) -> bytes:
+def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
     """The tiny picture as a bitstream."""
     from sgmethod.codec import encode
 

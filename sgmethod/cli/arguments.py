@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from decimal import Decimal
 from typing import Any, NoReturn
+
+from sgmethod.errors import SgError
 
 BAD_INPUT = 2
 BUDGET_HELP = {
@@ -19,8 +19,6 @@ BUDGET_HELP = {
     "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
-SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
-UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
 # argparse's own usage would not show inputs and outputs as separate names.
 USAGES = {
@@ -299,11 +297,12 @@ def _path(text: str) -> str:
 
 
 def _size(text: str) -> float:
-    """Parse a size in bytes: 20000, 20k, 20kB, 1.5MB, 20KiB or 1MiB."""
-    if parts := SIZE.fullmatch(text):
-        with suppress(ArithmeticError):
-            return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, so that 1.001k is whole
-    raise argparse.ArgumentTypeError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
+    from sgmethod.budget import bytes_value
+
+    try:
+        return bytes_value(text)
+    except SgError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def _looks(text: str) -> float:

@@ -67,8 +67,9 @@ def _check_threads() -> None:
         from sgmethod.cli.files import CommandError
         from sgmethod.threads import MAX_THREADS
 
-        if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_THREADS):
-            raise CommandError(f"SG_THREADS must be a whole number from 1 to {MAX_THREADS}, not {text!r}")
+        # float() takes any number of digits; int() refuses more than 4,300.
+        if not (text.isascii() and text.isdecimal() and 1 <= float(text) <= MAX_THREADS):
+            raise CommandError(f"SG_THREADS must be a whole number from 1 to {MAX_THREADS}, not {text[:40]!r}")
 
 
 def _abandon_stdout() -> None:

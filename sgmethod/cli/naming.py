@@ -9,11 +9,10 @@ from pathlib import Path
 
 from sgmethod.cli import files
 from sgmethod.cli.files import STREAM, CommandError
-from sgmethod.io.pictures import SUFFIXES
+from sgmethod.io import formats
 
 SUFFIX = ".sg"
-PICTURES = {*SUFFIXES, ".tif", ".tiff", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jxl", ".jpe", ".jfif", ".apng"}
-PICTURES |= {".pbm", ".pgm", ".pnm", ".qoi", ".avifs", ".dib"}
+PICTURES = formats.SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,10 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
 
 
 def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
-    """List conversions of files, and of folders' files with a known extension, into the output folder."""
+    """List conversions of files, and of folders' files with a known extension, into the output folder.
+
+    Where a.jpg has taken the name of a.png, that keeps its extension: a.sg and a.png.sg. Raises CommandError.
+    """
     if arguments.output is not None:
         raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
@@ -88,6 +90,8 @@ def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callabl
     made: dict[str, Conversion] = {}
     for source in (one for name in arguments.names for one in files_of(name, known)):
         target = str(Path(arguments.output_dir) / Path(renamed(source)).name)
+        if target in made and Path(made[target].source).name != Path(source).name:
+            target = str(Path(arguments.output_dir) / (Path(source).name + Path(target).suffix))
         if target in made:
             raise CommandError(f"{made[target].source} and {source} would both become {target}")
         made[target] = Conversion(source, target)

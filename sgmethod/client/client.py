@@ -18,11 +18,11 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from sgmethod.budget import DEFAULT_BUDGET, Budget
+from sgmethod.budget import DEFAULT_BUDGET, AnyFloat, AnyInt, Budget
 from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
 from sgmethod.errors import ServerError
 from sgmethod.io.files import File, bytes_of
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Tune
 from sgmethod.trace import Progress, TracePoint
 
 PAGE = 200  # jobs in one answer
@@ -67,11 +67,11 @@ class Client:
         self,
         image: File,
         budget: Budget = DEFAULT_BUDGET,
-        profile: str = DEFAULT_PROFILE,
+        profile: Profile = DEFAULT_PROFILE,
         *,
-        tune: str | None = None,
-        effort: int = DEFAULT_EFFORT,
-        time_limit_s: float | None = None,
+        tune: Tune | None = None,
+        effort: AnyInt = DEFAULT_EFFORT,
+        time_limit_s: AnyFloat | None = None,
         priority: Priority = "interactive",
         on_progress: Progress | None = None,
         idempotency_key: str | None = None,
@@ -106,11 +106,11 @@ class Client:
         self,
         image: File,
         budget: Budget = DEFAULT_BUDGET,
-        profile: str = DEFAULT_PROFILE,
+        profile: Profile = DEFAULT_PROFILE,
         *,
-        tune: str | None = None,
-        effort: int = DEFAULT_EFFORT,
-        time_limit_s: float | None = None,
+        tune: Tune | None = None,
+        effort: AnyInt = DEFAULT_EFFORT,
+        time_limit_s: AnyFloat | None = None,
         priority: Priority = "interactive",
     ) -> str:
         """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
@@ -121,11 +121,11 @@ class Client:
         self,
         job_id: str,
         budget: Budget,
-        profile: str = DEFAULT_PROFILE,
+        profile: Profile = DEFAULT_PROFILE,
         *,
-        tune: str | None = None,
-        effort: int = DEFAULT_EFFORT,
-        time_limit_s: float | None = None,
+        tune: Tune | None = None,
+        effort: AnyInt = DEFAULT_EFFORT,
+        time_limit_s: AnyFloat | None = None,
         priority: Priority = "interactive",
     ) -> str:
         """Submit the image of an existing job again, without another upload, and return the id of the new job.
@@ -215,9 +215,14 @@ class Client:
 
 
 def _query(
-    budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
+    budget: Budget,
+    profile: Profile,
+    tune: Tune | None,
+    effort: AnyInt,
+    time_limit_s: AnyFloat | None,
+    priority: Priority,
 ) -> Json:
-    wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
+    wanted: Json = {budget.kind: budget.value, "profile": profile, "tune": tune}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s, "effort": effort}
     return {name: value for name, value in wanted.items() if value is not None}
 

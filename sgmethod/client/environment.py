@@ -6,27 +6,62 @@ values, because the URL of a proxy may contain a password.
 
 from __future__ import annotations
 
+import ipaddress
 import os
+import re
 import ssl
+from contextlib import suppress
+from urllib.request import getproxies
 
 import httpx
 
 from sgmethod.errors import ServerError
 
-PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")  # or in lower case
+PORTS = {"http": 80, "https": 443}
 
 
 def http_client(url: httpx.URL, headers: dict[str, str], timeout_s: float) -> httpx.Client:
-    """Create an HTTP client with the environment's proxies and certificates. Raises ServerError."""
+    """Create an HTTP client with the environment's proxy and certificates. Raises ServerError."""
     context = _certificates()
-    for name, value in os.environ.items():
-        if name.upper() in PROXIES and value:
-            _check_proxy(name, value if "://" in value else f"http://{value}", context)
+    return httpx.Client(
+        base_url=url,
+        headers=headers,
+        timeout=timeout_s,
+        limits=httpx.Limits(max_connections=None),  # as many as the caller has threads
+        verify=context,
+        proxy=_proxy_for(url, context),
+        trust_env=False,  # httpx checks proxies and networks that NO_PROXY makes unnecessary
+    )
+
+
+def _proxy_for(url: httpx.URL, context: ssl.SSLContext) -> str | None:
+    """Return the URL of the proxy for a server, None to do without. Raises ServerError if it cannot be used."""
+    proxies = getproxies()
+    kind = url.scheme if proxies.get(url.scheme) else "all"
+    proxy = proxies.get(kind)
+    if not proxy or _is_exempt(url, proxies.get("no", "")):
+        return None
+    proxy = proxy if "://" in proxy else f"http://{proxy}"
+    name = f"{kind}_proxy"
+    _check_proxy(name if name in os.environ else name.upper(), proxy, context)
+    return proxy
+
+
+def _is_exempt(url: httpx.URL, no_proxy: str) -> bool:
+    """Whether NO_PROXY lists a server: its host, a domain or a network around it (as for curl), or host and port."""
+    host, port = url.host.rstrip("."), url.port or PORTS[url.scheme]
+    listed = [entry.replace("[", "").replace("]", "") for entry in re.split(r"[\s,]+", no_proxy.lower())]
+    if {"*", host, f"{host}:{port}"} & set(listed):
+        return True
     try:
-        many = httpx.Limits(max_connections=None)  # as many as the caller has threads
-        return httpx.Client(base_url=url, headers=headers, timeout=timeout_s, limits=many, verify=context)
-    except httpx.InvalidURL as error:  # the other variables have been checked above
-        raise ServerError(f"NO_PROXY must be a list of hosts, separated by commas: {error}") from error
+        address = ipaddress.ip_address(host)
+    except ValueError:  # a name
+        return any(f".{host}".endswith(f".{entry.strip('.')}") for entry in listed if entry)
+    networks = []
+    for entry in listed:
+        with suppress(ValueError):
+            networks.append(ipaddress.ip_network(entry, strict=False))
+    return any(address in network for network in networks)
 
 
 def check_host(url: httpx.URL) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from sgmethod.budget import DEFAULT_BUDGET, checked_integer
+from sgmethod.budget import DEFAULT_BUDGET, AnyInt, checked_integer
 from sgmethod.client.client import Client
 from sgmethod.errors import ServerError
 from sgmethod.io.files import bytes_of
@@ -27,7 +27,7 @@ def encode_many(
     items: Iterable[Item],
     output_dir: str | os.PathLike[str],
     *,
-    jobs: int = 4,
+    jobs: AnyInt = 4,
     resume: bool = False,
     on_row: OnRow[Row] | None = None,
     **options: Any,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sgmethod.errors import GaussiansError
 from sgmethod.numerics import quiet
-from sgmethod.scene import Gaussians
+from sgmethod.scene import Gaussians, readable
 
 Number = TypeVar("Number", np.float32, np.float64)
 
@@ -38,9 +38,7 @@ def checked_gaussians(gaussians: Gaussians) -> Gaussians:
 @quiet
 def checked_array(values: Any, kind: type[Number]) -> NDArray[Number]:
     """Convert a NumPy array, a tensor of any device or nested lists to a C-contiguous array. Raises GaussiansError."""
-    if hasattr(values, "detach"):  # a tensor
-        values = values.detach().cpu()
     try:
-        return np.ascontiguousarray(values, kind)
+        return np.ascontiguousarray(readable(values), kind)
     except (TypeError, ValueError, OverflowError) as error:
         raise GaussiansError(f"{type(values).__name__} is not an array of numbers") from error

@@ -5,7 +5,8 @@
 | means, in pixels   | kept                    | x, y; z is 0                   | x, y                            |
 | factors, in pixels | kept                    | rot, and logarithms in scale   | of the covariance, flattened    |
 |                    |                         |                                | along z                         |
-| colours            | kept                    | f_dc; opacity is 1             | f_dc times opacity              |
+| colours            | kept                    | f_dc, f_rest is 0; opacity     | f_dc times opacity              |
+|                    |                         | is 1                           |                                 |
 | order              | kept                    | kept                           | kept                            |
 | where one ends     | where those of files do | nowhere; the nearest such      | where those of files do; the    |
 |                    |                         | Gaussian is written            | nearest such Gaussian is taken  |
@@ -21,7 +22,7 @@ import io
 import os
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +38,11 @@ PathLike = str | os.PathLike[str]
 C0 = 0.28209479177387814  # the first spherical harmonic, in units of which f_dc is
 OPAQUE = 20.0  # logit of an opacity that single precision takes for 1
 FLAT = -16.0  # logarithm of a scale along z
-WRITTEN = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
-WRITTEN += ["rot_0", "rot_1", "rot_2", "rot_3"]
-NEEDED = set(WRITTEN) - {"z", "scale_2"}  # 2D splats have no third scale
+NEEDED = ["x", "y", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"]
+# All that programs of 3D splats expect, in their order: normals are unused, f_rest are harmonics of degrees 1 to 3.
+NORMALS, HARMONICS = 3, 45
+WRITTEN = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(HARMONICS))]
+WRITTEN += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
 TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4"}
@@ -75,8 +78,8 @@ def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     axes, scales, _ = np.linalg.svd(np.stack([l1, 0 * l1, l2, l3], 1).reshape(-1, 2, 2))
     half = np.arctan2(axes[:, 1, 0], axes[:, 0, 0]) / 2  # of the angle of the major axis
     zero = np.zeros_like(half)
-    columns = [*whole.means.T, zero, *((whole.colors - 0.5) / C0).T, zero + OPAQUE]
-    columns += [*np.log(scales).T, zero + FLAT, np.cos(half), zero, zero, np.sin(half)]
+    columns = [*whole.means.T, zero, *[zero] * NORMALS, *((whole.colors - 0.5) / C0).T, *[zero] * HARMONICS]
+    columns += [zero + OPAQUE, *np.log(scales).T, zero + FLAT, np.cos(half), zero, zero, np.sin(half)]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(half)}"]
     lines = [*header, *(f"property float {name}" for name in WRITTEN), "end_header", ""]
     write_atomically(checked_path(path), "\n".join(lines).encode() + np.stack(columns, 1).astype("<f4").tobytes())
@@ -102,24 +105,84 @@ def read_ply(path: PathLike) -> Gaussians:
     return recut(checked_gaussians(flat), NO_CUTOFF)
 
 
+class _Element(NamedTuple):
+    """An element of a PLY file: how many rows, and the properties of each by name.
+
+    A property has one type, or two if it is a list: that of its length, and that of its items.
+    """
+
+    name: str
+    rows: int
+    properties: list[tuple[str, list[str]]]
+
+
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
-    """Read the vertices of a PLY file, its first element, with a field for each property."""
-    head = re.match(rb"ply\r?\nformat (\w+) 1\.0\r?\n(.*?)end_header\r?\n", data, re.DOTALL)
-    lines = head[2].decode("latin1") if head else ""
-    vertex = re.match(r"(?:(?:comment|obj_info) .*\n)*element vertex (\d+)\s*\n((?:(?:property|comment) .*\n)*)", lines)
-    order = BYTE_ORDERS.get(head[1].decode()) if head else None
-    fields = re.findall(r"^property (.+) (\w+)\s*$", vertex[2] if vertex else "", re.MULTILINE)
-    if head is None or vertex is None or order is None or not {kind for kind, _ in fields} <= set(TYPES):
-        raise GaussiansError(f"{name} is not a PLY file of Gaussians")
-    if missing := sorted(NEEDED - {field for _, field in fields}):
-        raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
-    body = data[head.end() :]
+    """Read the vertices of a PLY file, with a field for each property."""
     try:
-        count = int(vertex[1])
-        kind = np.dtype([(field, order + TYPES[kind]) for kind, field in fields])
-        if order == "=":
-            rows = [tuple(line.split()) for line in body.decode().splitlines()[:count]]
-            return np.array(rows, kind) if len(rows) == count else np.frombuffer(b"", kind, count)
-        return np.frombuffer(body, kind, count)
-    except (ValueError, OverflowError) as error:
+        order, elements, start = _header(data)
+        place = [element.name for element in elements].index("vertex")
+    except (ValueError, LookupError) as error:
+        raise GaussiansError(f"{name} is not a PLY file of Gaussians") from error
+    before, vertex = elements[:place], elements[place]
+    if missing := sorted(set(NEEDED) - {field for field, _ in vertex.properties}):
+        raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
+    try:
+        kind = np.dtype([(field, order + TYPES[" ".join(types)]) for field, types in vertex.properties])
+        if order != "=":
+            return np.frombuffer(data, kind, vertex.rows, _end(data, start, before, order))
+        first = sum(element.rows for element in before)
+        rows = [tuple(line.split()) for line in data[start:].decode().splitlines()[first : first + vertex.rows]]
+        return np.array(rows, kind) if len(rows) == vertex.rows else np.frombuffer(b"", kind, vertex.rows)
+    except (ValueError, OverflowError, LookupError) as error:
         raise GaussiansError(f"{name} is truncated, or not a PLY file") from error
+
+
+def _header(data: bytes) -> tuple[str, list[_Element], int]:
+    """Read the header of a PLY file, to its byte order, its elements and where these begin.
+
+    Raises ValueError or LookupError for one that breaks the rules (G. Turk, The PLY Polygon File Format, 1994).
+    """
+    first = re.match(rb"ply[ \t]*(\r?\n|\r)", data)
+    if first is None:
+        raise ValueError("another file")
+    end = rb"\r" if first[1] == b"\r" else rb"\r?\n"  # what follows a lone \r may be \n by chance
+    last = re.search(rb"[\r\n]end_header[ \t]*" + end, data)
+    if last is None:
+        raise ValueError("no end")
+    order, elements = "", list[_Element]()
+    for line in re.split(rb"[\r\n]+", data[3 : last.start()]):
+        match line.decode("latin1").split():
+            case [] | ["comment" | "obj_info", *_]:
+                pass
+            case ["format", kind, "1.0"]:
+                order = BYTE_ORDERS[kind]
+            case ["element", kind, rows] if rows.isdecimal():
+                elements.append(_Element(kind, int(rows), []))
+            case ["property", "list", length, kind, field]:
+                elements[-1].properties.append((field, [length, kind]))
+            case ["property", kind, field]:
+                elements[-1].properties.append((field, [kind]))
+            case _:
+                raise ValueError("another line")
+    if not order:
+        raise ValueError("no format")
+    return order, elements, last.end()
+
+
+def _end(data: bytes, start: int, elements: list[_Element], order: str) -> int:
+    """Find where elements end that begin at `start`, in binary."""
+    for element in elements:
+        types = [[np.dtype(order + TYPES[kind]) for kind in kinds] for _, kinds in element.properties]
+        if all(len(kinds) == 1 for kinds in types):
+            start += element.rows * sum(kind.itemsize for (kind,) in types)
+            continue
+        for _ in range(element.rows):
+            for *lengths, kind in types:
+                items = 1
+                for length in lengths:
+                    items = int(np.frombuffer(data, length, 1, start)[0])
+                    start += length.itemsize
+                if items < 0:
+                    raise ValueError("a list of negative length")
+                start += items * kind.itemsize
+    return start

@@ -13,7 +13,7 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
-from sgmethod.budget import MOST_GAUSSIANS, Budget, checked_integer, finite_number
+from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, Budget, checked_integer, finite_number
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
@@ -29,11 +29,11 @@ SWEEPS = 2  # of refining, over all Gaussians
 @quiet
 def pack(
     gaussians: Gaussians,
-    width: int,
-    height: int,
+    width: AnyInt,
+    height: AnyInt,
     *,
-    bpp: float | None = None,
-    quantum: float | None = None,
+    bpp: AnyFloat | None = None,
+    quantum: AnyFloat | None = None,
     background: Any = (0.0, 0.0, 0.0),
     image: Input | None = None,
 ) -> bytes:

@@ -48,10 +48,10 @@ class JpegXl(NamedTuple):
 
 
 def of_png(data: bytes) -> dict[bytes, bytes]:
-    """Find the chunks cICP, iCCP and eXIf. Pillow finds an eXIf after the pixels only after decoding them."""
+    """Find the chunks cICP, iCCP, tRNS and eXIf. Pillow finds an eXIf after the pixels only after decoding them."""
     found: dict[bytes, bytes] = {}
     for kind, start, end in _png_chunks(data):
-        if kind in (b"cICP", b"iCCP", b"eXIf"):
+        if kind in (b"cICP", b"iCCP", b"tRNS", b"eXIf"):
             found.setdefault(kind, data[start:end])
     return found
 

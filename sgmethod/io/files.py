@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from contextlib import suppress
@@ -10,7 +11,10 @@ from pathlib import Path
 
 from sgmethod.errors import SgError
 
-File = str | os.PathLike[str] | bytes  # a path, or the bytes themselves
+# Some systems and file systems cannot sync folders, and a folder that may be written to may not be open to reading.
+CANNOT_SYNC = {errno.EINVAL, errno.EBADF, errno.EISDIR, errno.ENOSYS, errno.ENOTSUP, errno.EACCES, errno.EPERM}
+
+File = str | os.PathLike[str] | bytes | bytearray | memoryview  # a path, or the bytes themselves
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:
@@ -19,8 +23,8 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
     The data is written to a new file and synced, and only then renamed to the target, with the permissions and, if
     allowed, the owner of the file it replaces. The new file is created beside the target, or in the folder `unfinished`
     of the same file system, where a power cut may leave it to be cleaned up. Links are followed; devices and pipes are
-    written directly. Raises OSError after removing the new file; only if the final sync of the folder fails does the
-    target already have the new data.
+    written directly. Raises OSError after removing the new file; only if the disk fails in the last sync, that of the
+    folder, does the target already have the new data.
     """
     # Checked before links are resolved: /dev/stdout and >(...) are links to pipes that have no path.
     if Path(path).exists() and not Path(path).is_file():
@@ -50,21 +54,25 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
 
 def _take_over(file: Path, before: os.stat_result) -> None:
     """Give a file the owner and permissions of the one it replaces, as far as the system allows."""
-    with suppress(PermissionError, AttributeError):  # Windows has no owners
+    with suppress(OSError, AttributeError):  # Windows has no owners
         os.chown(file, before.st_uid, before.st_gid)
-    with suppress(PermissionError):
+    with suppress(OSError):
         file.chmod(stat.S_IMODE(before.st_mode))
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder's names to disk, except on Windows. Raises OSError."""
+    """Sync a folder's names to disk where that is possible. Raises OSError if the disk fails."""
     if os.name == "nt":
         return
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        if error.errno not in CANNOT_SYNC:
+            raise
 
 
 def checked_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:

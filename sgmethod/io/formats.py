@@ -42,6 +42,8 @@ READERS = {
     "PPM": ("PIL.PpmImagePlugin", "PpmImageFile"),
     "QOI": ("PIL.QoiImagePlugin", "QoiImageFile"),
 }
+SUFFIXES = {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".webp", ".avif", ".avifs", ".heic", ".heif", ".hif"}
+SUFFIXES |= {".tif", ".tiff", ".bmp", ".dib", ".gif", ".jxl", ".ppm", ".pgm", ".pbm", ".pnm", ".qoi"}
 REFUSED = {
     "an .sg file already": tuple(bytes([0xD3, 0xC0 + version]) for version in range(1, 16)),
     "a big-endian BigTIFF": (b"MM\0+",),

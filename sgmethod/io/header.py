@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import re
 import struct
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
-from sgmethod.errors import ImageError, SgError
+from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.colour import Colour, ProfileError
 from sgmethod.io.levels import BITS_PER_SAMPLE, Box, stated_colour
+from sgmethod.io.pillow_defaults import pillow_defaults
 from sgmethod.native import native
 
 # TIFF: tags; values of PLANAR and SAMPLE_FORMAT
@@ -22,6 +27,7 @@ NEW_SUBFILE_TYPE, ORIENTATION, PLANAR, SAMPLE_FORMAT = 254, 274, 284, 339
 SEPARATE, UNSIGNED, UNKNOWN = 2, 1, 4
 EXIF_MARKS = re.compile(rb"^(Exif\0\0)*")  # some writers put it there twice
 WHOLE_NUMBERS = {1: "B", 3: "H", 4: "I"}  # TIFF's types
+PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parents[1], Path(Image.__file__).parent))
 UNSUPPORTED_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
 
 
@@ -80,12 +86,13 @@ class Opened:
 
 @contextmanager
 def only_image_errors(kind: str = "image") -> Iterator[None]:
-    """Turn everything that Pillow raises on a bad file into ImageError.
+    """Turn everything that Pillow raises on a bad file into ImageError, and use its defaults.
 
     Pillow's warnings take their way: Python's filters, which could silence them, belong to all threads of a program.
     """
     try:
-        yield
+        with pillow_defaults():
+            yield
     except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for MAX_SIDE
         raise
     except Image.DecompressionBombError as error:  # Pillow's own limit, where the caller's is higher
@@ -95,6 +102,21 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
     except Exception as error:
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise ImageError(f"the {kind} is damaged, truncated or unsupported ({reason})") from error
+
+
+def warn(notes: list[str]) -> None:
+    """Issue an ImageWarning for each note, attributed to the program that has called this package or Pillow.
+
+    Within errors.noted(), they are added to its list instead.
+    """
+    if (collected := NOTES.get()) is not None:
+        collected += notes
+        return
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGES):
+        level, frame = level + 1, frame.f_back
+    for note in notes:
+        warnings.warn(note, ImageWarning, stacklevel=level)  # skip_file_prefixes needs Python 3.12
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:

@@ -38,7 +38,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import ImageFile
 
-from sgmethod.errors import ImageError, warn
+from sgmethod.errors import ImageError
 from sgmethod.io import chunks, formats
 from sgmethod.io.header import (
     ImageHeader,
@@ -48,6 +48,7 @@ from sgmethod.io.header import (
     is_still,
     only_image_errors,
     open_file,
+    warn,
 )
 from sgmethod.io.levels import Samples, samples_of
 from sgmethod.scene import Pixels

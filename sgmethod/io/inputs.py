@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from sgmethod.errors import ImageError, warn
+from sgmethod.errors import ImageError
 from sgmethod.io.files import checked_path
 from sgmethod.io.header import (
     ImageLimits,
@@ -19,12 +19,13 @@ from sgmethod.io.header import (
     frame_of,
     only_image_errors,
     orientation_of,
+    warn,
 )
 from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
 from sgmethod.io.levels import Samples
 from sgmethod.scene import Pixels
 
-Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
+Input = str | os.PathLike[str] | bytes | bytearray | memoryview | Image.Image | npt.NDArray[Any]
 
 
 def read_input(image: Input, *, keep_alpha: bool = False) -> Pixels:
@@ -79,8 +80,9 @@ def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Pixels:
     if pixels.dtype not in (np.uint8, np.uint16):
         if not np.issubdtype(pixels.dtype, np.floating):
             raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
-        if not (pixels.min() >= 0 and pixels.max() <= 1):  # also refuses NaN
-            raise ImageError("image values must lie in [0, 1]")
+        least, most = float(pixels.min()), float(pixels.max())
+        if not (least >= 0 and most <= 1):  # also refuses NaN
+            raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
     white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
     notes: list[str] = []
     samples = Samples(pixels, white)

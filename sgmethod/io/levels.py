@@ -85,9 +85,9 @@ def samples_of(reader: Image.Image, data: bytes | None, stated: Colour, frame: B
     if levels.shape[2] in (2, 4):
         levels, alpha = levels[..., :-1], levels[..., -1:]
     elif key is not None:
-        # The transparent colour of a PNG. Pillow scales samples of 2 and 4 bits to 8, but not this colour.
-        stretched = {2: 85, 4: 17}.get(data[24], 1) if data is not None and reader.format == "PNG" else 1
-        alpha = np.any(levels != np.multiply(key, stretched), axis=2, keepdims=True) * levels.dtype.type(peak)
+        if data is not None and reader.format == "PNG":
+            key = _transparent_in_png(data, levels.shape[2], peak)
+        alpha = np.any(levels != np.bitwise_and(key, peak), axis=2, keepdims=True) * levels.dtype.type(peak)
     if frame is not None:
         x0, y0, x1, y1 = frame
         covered = np.zeros((*levels.shape[:2], 1), levels.dtype)
@@ -99,6 +99,17 @@ def samples_of(reader: Image.Image, data: bytes | None, stated: Colour, frame: B
     if alpha is None or alpha.min() == opaque:
         return Samples(levels, peak)
     return Samples(levels, peak, alpha, opaque)
+
+
+def _transparent_in_png(data: bytes, channels: int, peak: int) -> npt.NDArray[Any]:
+    """Return the transparent colour of a PNG without palette, in levels up to `peak`.
+
+    Pillow keeps the bits above the file's depth, which are to be ignored (PNG, third edition, 11.3.1.1), and scales
+    samples of 1, 2 and 4 bits to 8, but not this colour.
+    """
+    highest = (1 << data[24]) - 1
+    stored = np.frombuffer(chunks.of_png(data)[b"tRNS"], ">u2", channels).astype(np.int64)
+    return (stored & highest) * (peak // highest)
 
 
 def _stored(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Levels, int]:

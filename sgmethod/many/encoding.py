@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import checked_integer
+from sgmethod.budget import AnyInt, checked_integer
 from sgmethod.codec import encode
 from sgmethod.errors import noted
 from sgmethod.io.inputs import Input
@@ -22,15 +22,15 @@ def encode_many(
     items: Iterable[Item],
     output_dir: str | os.PathLike[str],
     *,
-    jobs: int = 1,
+    jobs: AnyInt = 1,
     resume: bool = False,
     on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
     """Encode any number of pictures to output_dir/NAME.sg, with a manifest, output_dir/manifest.jsonl.
 
-    items: paths of pictures, NAME being the file's without its suffix, or pairs (NAME, picture) with a picture as
-    encode() takes it. They are taken one by one, and may come from a generator.
+    items: paths of pictures, NAME being the file's without its suffix, or with it if another file has that name; or
+    pairs (NAME, picture) with a picture as encode() takes it. They are taken one by one, and may come from a generator.
     jobs: pictures encoded at a time, 1 to 256, each in a process with its share of the threads. A script that asks for
     more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for

@@ -40,14 +40,17 @@ def into_folder(
 
 def _tasks(items: Iterable[Item]) -> Iterator[Task[Row]]:
     """Yield a task for each picture. Raises SgError for a name that is invalid or used twice."""
-    names = set()
+    names: dict[str, str | None] = {}  # and the file that has each, if it is one
     for item in items:
         name, picture = item if isinstance(item, tuple) else (checked_path(item).stem, item)
+        file_name = None if isinstance(item, tuple) else checked_path(item).name
+        if file_name is not None and names.get(name, file_name) != file_name:
+            name = file_name
         if not isinstance(name, str) or not name or checked_path(name).name != name:
             raise SgError(f"the name of a picture must be a file name without folders, got {name!r}")
         if name in names:
             raise SgError(f"two pictures are named {name!r}: give other names, as pairs (name, picture)")
-        names.add(name)
+        names[name] = file_name
         path = os.fsdecode(picture) if isinstance(picture, str | os.PathLike) else None
         yield Task(picture, Row(f"{name}.sg", path))
 

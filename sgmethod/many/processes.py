@@ -43,7 +43,9 @@ def in_processes(
     Function, items and results are pickled. Few items are taken ahead, so there may be any number. Raises SgError if
     no process can begin, or the system allows no more.
     """
-    waiting, begun = iter(items), RawValue("b", 0)  # an Event has a lock, which a killed process may hold for ever
+    waiting = iter(items)
+    with _limits_said():
+        begun = RawValue("b", 0)  # an Event has a lock, which a killed process may hold for ever
     while lost := (yield from _until_killed(function, waiting, processes, 2 * processes, begun)):
         if not begun.value:
             raise SgError(NONE_BEGINS)
@@ -62,7 +64,9 @@ def _until_killed(
     threads = max(native.thread_count() // processes, 1)
     running: dict[Future[Result], Item] = {}
     lost: list[Item] = []
-    with ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, begun)) as pool:
+    with _limits_said():
+        made = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, begun))
+    with made as pool:
         try:
             while True:
                 while not lost and len(running) < ahead:
@@ -71,12 +75,10 @@ def _until_killed(
                     except StopIteration:
                         break
                     try:
-                        with _uninterrupted():
+                        with _limits_said(), _uninterrupted():
                             running[pool.submit(function, item)] = item
                     except BrokenProcessPool:
                         lost.append(item)
-                    except (OSError, RuntimeError) as error:  # of the system's limits
-                        raise SgError(f"no further process can begin: {error}") from error
                 if not running:
                     return lost
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -93,6 +95,17 @@ def _until_killed(
             for process in own:
                 process.terminate()
             raise
+
+
+@contextmanager
+def _limits_said() -> Iterator[None]:
+    """Raise SgError where the system allows no more processes, or has no semaphores (/dev/shm) for any."""
+    try:
+        yield
+    except BrokenProcessPool:
+        raise
+    except (OSError, RuntimeError, ImportError) as error:
+        raise SgError(f"no further process can begin: {error}; a single job needs none") from error
 
 
 @contextmanager

@@ -1,4 +1,7 @@
-""".sg files for Pillow: Image.open("photo.sg") and image.save("photo.sg", bpp=0.3), once sgmethod is imported."""
+""".sg files for Pillow: Image.open("photo.sg") and image.save("photo.sg", bpp=0.3), once sgmethod is imported.
+
+The format's name is "SGM", for image.save(file, "SGM") and Image.open(file, formats=["SGM"]).
+"""
 
 from __future__ import annotations
 

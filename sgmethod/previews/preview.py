@@ -17,7 +17,7 @@ from PIL import Image
 
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.bitstream.v2 import SMALLEST_FILE
-from sgmethod.budget import checked_integer
+from sgmethod.budget import AnyInt, Budget, checked_integer
 from sgmethod.codec import encode
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
@@ -99,7 +99,7 @@ def _webp_uri(file: SgFile) -> str:
 
 
 @quiet
-def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:
+def preview(image: Input, bytes: AnyInt | str = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:
     """Encode a picture as a text of a few hundred characters, for an attribute or a JSON string.
 
     >>> made = sgmethod.preview("photo.jpg")
@@ -107,7 +107,7 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     (128, 96, True)
 
     image: as for encode(); transparency is kept; bytes: of the file at most, 12 to 16,384 (three bytes become four
-    characters); limits: of image files.
+    characters), or a text such as "1k"; limits: of image files.
     Raises ImageError, BudgetError, OSError and MemoryError, and warns with ImageWarning, as encode() does.
     """
     bytes = checked_bytes(bytes)
@@ -119,8 +119,10 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK))
 
 
-def checked_bytes(bytes: object) -> int:
+def checked_bytes(bytes: AnyInt | str) -> int:
     """Return the bytes of a preview as an int. Raises BudgetError for a number that no preview can have."""
+    if isinstance(bytes, str):
+        bytes = int(Budget("bytes", bytes).value)
     return checked_integer(bytes, "the bytes of a preview", SMALLEST_FILE, MAX_BYTES, BudgetError)
 
 

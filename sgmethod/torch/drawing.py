@@ -8,10 +8,12 @@ docs/format.md defines.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
@@ -19,7 +21,7 @@ from torch.autograd import forward_ad
 from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.pairs import Pairs, is_drawn
 from sgmethod.backend.protocol import Frame
-from sgmethod.budget import checked_integer, finite_number
+from sgmethod.budget import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance
@@ -32,9 +34,9 @@ def render(
     means: Tensor,
     factors: Tensor,
     colors: Tensor,
-    size: tuple[int, int],
-    background: float | Tensor = 0.0,
-    scale: float = 1.0,
+    size: Iterable[AnyInt],
+    background: npt.ArrayLike | Tensor = 0.0,
+    scale: AnyFloat = 1.0,
     pyramid: bool = True,
 ) -> Tensor:
     """Draw Gaussians as a picture [..., 3, height, width], differentiable in all tensors: 0 black, 1 white, unclamped.
@@ -45,7 +47,7 @@ def render(
 
     means [..., N, 2]: centres (x, y) in pixels, the first pixel's centre at (0.5, 0.5);
     factors [..., N, 3]: (l1, l2, l3) in pixels of the lower triangular L, covariance = L L^T;
-    colors [..., N, 3]: red, green and blue, of any sign. All of one device, in float32 or float64.
+    colors [..., N, 3]: red, green and blue, of any sign. All of one device, in float32 or float64; autocast to float32.
     size: width and height of the picture in pixels.
     background: below the Gaussians, a number or [..., 3].
     scale: output pixels per pixel of the picture, 1/64 to 64.
@@ -53,10 +55,11 @@ def render(
     The two differ by 0.002 on average in a fitted photograph (root mean square).
 
     Gaussians with a value that is not finite, with l1 or l3 <= 0, or with a covariance or an inverse of it that the
-    precision cannot hold, are not drawn, and get gradients of 0. Raises GaussiansError for other shapes, and ViewError
-    for an invalid scale or size.
+    precision cannot hold, are not drawn, and get gradients of 0. On the CPU, a RuntimeWarning tells of values that are
+    not finite, unless compiled. Raises GaussiansError for other shapes, and ViewError for an invalid scale or size.
     """
     means, factors, colors, lead = _checked(means, factors, colors)
+    _warn_unless_finite(means, factors, colors)
     width, height = checked_size(size)
     number = finite_number(scale)
     if number is None or not MIN_SCALE <= number <= MAX_SCALE:
@@ -79,7 +82,7 @@ def checked_size(size: object) -> tuple[int, int]:
 
 def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor, tuple[int, ...]]:
     """Reshape tensors to [B, N, ...]; also return the leading dimensions."""
-    tensors = means, factors, colors
+    tensors = means, factors, colors = [_autocast(values) for values in (means, factors, colors)]
     for values, name, last in zip(tensors, ("means", "factors", "colors"), (2, 3, 3), strict=True):
         if not isinstance(values, Tensor) or values.ndim < 2 or values.shape[-1] != last:
             found = list(values.shape) if isinstance(values, Tensor) else type(values).__name__
@@ -97,6 +100,23 @@ def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Te
     n = means.shape[-2]
     own = (values.expand(*lead, n, -1).reshape(math.prod(lead), n, values.shape[-1]) for values in tensors)
     return *own, tuple(lead)  # type: ignore[return-value]
+
+
+def _autocast(values: Tensor) -> Tensor:
+    """Return a tensor in the precision in which it is drawn, where torch chooses precisions."""
+    if not isinstance(values, Tensor) or values.dtype not in (torch.bfloat16, torch.float16):
+        return values
+    device = values.device.type
+    return values.float() if torch.amp.is_autocast_available(device) and torch.is_autocast_enabled(device) else values
+
+
+def _warn_unless_finite(*tensors: Tensor) -> None:
+    """Warn of values that are not finite, which no picture shows, where nothing has to wait for a GPU."""
+    if torch.compiler.is_compiling() or forward_ad._current_level >= 0 or tensors[0].device.type != "cpu":
+        return
+    if not all(values.isfinite().all() for values in tensors):
+        message = "Gaussians with values that are not finite are not drawn; if this is a fit, it has diverged"
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
 def _resized(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch.utils.data import Dataset
 
 from sgmethod import decoder
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import MOST_GAUSSIANS, checked_integer
+from sgmethod.budget import MOST_GAUSSIANS, AnyInt, checked_integer
 from sgmethod.decoder import MAX_PIXELS, WHOLE, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.io.files import File
@@ -33,7 +33,7 @@ def decode(
     dtype: torch.dtype = torch.uint8,
     layout: Layout = "CHW",
     view: View = WHOLE,
-    max_pixels: int = MAX_PIXELS,
+    max_pixels: AnyInt = MAX_PIXELS,
 ) -> Tensor:
     """Decode an .sg file, or a view of it, to a tensor on a device: [3, H, W], [4, H, W] with alpha.
 
@@ -103,8 +103,8 @@ class SgDataset(Dataset[dict[str, Any]]):
         self,
         files: Sequence[File] | str | os.PathLike[str],
         *,
-        size: tuple[int, int] | None = None,
-        most_gaussians: int | None = None,
+        size: Iterable[AnyInt] | None = None,
+        most_gaussians: AnyInt | None = None,
     ) -> None:
         if (size is None) == (most_gaussians is None):
             raise SgError("SgDataset needs either size or most_gaussians")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from threading import Event
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sgmethod.backend.devices import backend_on, checked_device, has_tiles
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
-from sgmethod.budget import MOST_GAUSSIANS, checked_integer, finite_number
+from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.codec import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
@@ -43,12 +43,12 @@ class Fit(NamedTuple):
 
 def fit(
     images: Tensor,
-    gaussians: int,
+    gaussians: AnyInt,
     *,
-    steps: int | None = None,
-    seed: int = 0,
-    tune: str = "psnr",
-    quantum: float | None = None,
+    steps: AnyInt | None = None,
+    seed: AnyInt = 0,
+    tune: Literal["psnr"] = "psnr",
+    quantum: AnyFloat | None = None,
     stop: Stop | None = None,
     on_progress: OnProgress | None = None,
 ) -> Fit:
@@ -90,7 +90,7 @@ def fit(
     return Fit(means, factors, colors, levels.reshape(-1, 3) / 255, error)
 
 
-def task_of(gaussians: int, pixels: int, steps: int | None, seed: int, quantum: float | None) -> ExactFit:
+def task_of(gaussians: AnyInt, pixels: int, steps: AnyInt | None, seed: AnyInt, quantum: AnyFloat | None) -> ExactFit:
     """Check the arguments of a fit of pictures that have at least this many pixels. Raises BudgetError."""
     gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MOST_GAUSSIANS), BudgetError)
     steps = None if steps is None else checked_integer(steps, "steps", 1, MOST_STEPS, BudgetError)
@@ -170,7 +170,8 @@ def pictures_of(images: Tensor) -> list[Pixels]:
     if images.dtype != torch.uint8:
         if not images.is_floating_point():
             raise ImageError(f"images must be uint8 or floating-point values in [0, 1], not {images.dtype}")
-        if not ((images >= 0) & (images <= 1)).all():  # also refuses NaN
-            raise ImageError("image values must lie in [0, 1]")
+        least, most = (float(value) for value in images.detach().aminmax()) if images.numel() else (0.0, 1.0)
+        if not (least >= 0 and most <= 1):  # also refuses NaN
+            raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
         images = (255 * images.detach().float()).round().to(torch.uint8)
     return list(images.permute(0, 2, 3, 1).contiguous().cpu().numpy())

@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -23,8 +24,8 @@ import numpy as np
 from torch import Tensor
 
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import MOST_GAUSSIANS, checked_integer
-from sgmethod.errors import SgError
+from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, checked_integer
+from sgmethod.errors import ImageError, SgError
 from sgmethod.exchange.files import arrays_of
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import read_input
@@ -35,7 +36,9 @@ from sgmethod.scene import Pixels
 from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
 
 MOST_IN_A_SHARD = 1_000_000
+NAME = re.compile(r"((?:.*/)?[^./]+)\.([^/]*)")  # as webdataset reads it: a key, and the end after its first dot
 Arrays = dict[str, np.ndarray]
+Labelled = tuple[Pixels, tuple[str, bytes] | None]  # [H, W, 3]; a label as the end of a file's name and its content
 
 
 class Pictures(Protocol):
@@ -48,12 +51,12 @@ class Pictures(Protocol):
 def fit_many(
     dataset: Pictures,
     output_dir: str | os.PathLike[str],
-    gaussians: int,
+    gaussians: AnyInt,
     *,
-    shard: int = 1000,
-    steps: int | None = None,
-    seed: int = 0,
-    quantum: float | None = None,
+    shard: AnyInt = 1000,
+    steps: AnyInt | None = None,
+    seed: AnyInt = 0,
+    quantum: AnyFloat | None = None,
     device: object = None,
     resume: bool = False,
     on_row: OnRow[Row] | None = None,
@@ -68,22 +71,33 @@ def fit_many(
     are the same.
     on_row: called with each finished shard's line of the manifest, and with the run so far, which counts shards.
 
-    A shard with a picture that cannot be fitted is recorded with its error; the rest continues. Raises BudgetError for
-    wrong options, SgError for a manifest that cannot be written, and OSError if the folder cannot be created.
+    A picture that cannot be fitted, such as one of fewer pixels than Gaussians, is left out of its shard. The shard's
+    line names it, with its error, and a run that resumes makes that shard again. Raises BudgetError for wrong options,
+    SgError for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
-    task_of(gaussians, MOST_GAUSSIANS, steps, seed, quantum)
+    fit = task_of(gaussians, MOST_GAUSSIANS, steps, seed, quantum)
     shard, where = checked_integer(shard, "pictures in a shard", 1, MOST_IN_A_SHARD), checked_device(device)
     folder, pictures = checked_path(output_dir), len(dataset)
     folder.mkdir(parents=True, exist_ok=True)
 
     def written(task: Task[Row]) -> Row:
-        samples = [_sample(dataset[index]) for index in task.picture]
-        least = min(picture.shape[0] * picture.shape[1] for picture, _ in samples)
-        fitted = fit_pictures([one for one, _ in samples], task_of(gaussians, least, steps, seed, quantum), where)
-        data = _archive(task.picture, fitted, samples)
-        write_atomically(folder / task.row.name, data)
-        error = float(np.mean([one.error for one in fitted]))
-        return replace(task.row, bytes=len(data), figures={"pictures": len(fitted), "error": error})
+        samples: dict[int, Labelled] = {}
+        lost = []
+        for index in task.picture:
+            try:
+                samples[index] = _sample(dataset[index], fit.gaussians)
+            except (SgError, OSError) as error:
+                lost.append(f"picture {index}: {error}")
+        row = replace(task.row, notes=lost)
+        if lost:
+            row = replace(row, error=f"{len(lost)} of {len(task.picture)} pictures cannot be fitted; {lost[0]}")
+        if not samples:
+            return row
+        fitted = fit_pictures([pixels for pixels, _ in samples.values()], fit, where)
+        data = _archive(samples, fitted)
+        write_atomically(folder / row.name, data)
+        mean = float(np.mean([one.error for one in fitted]))
+        return replace(row, bytes=len(data), figures={"pictures": len(fitted), "error": mean})
 
     asked = {"gaussians": gaussians, "steps": steps, "seed": seed, "quantum": quantum}
     with Manifest(folder, {**asked, "shard": shard, "pictures": pictures}) as manifest:
@@ -96,10 +110,13 @@ def _tasks(pictures: int, shard: int) -> Iterator[Task[Row]]:
         yield Task(range(first, min(first + shard, pictures)), Row(f"{number:06}.tar", None))
 
 
-def _sample(item: Any) -> tuple[Pixels, tuple[str, bytes] | None]:
-    """Return an item's pixels [H, W, 3], and its label as the end of a file's name and its content."""
+def _sample(item: Any, gaussians: int) -> Labelled:
+    """Return an item's pixels and label. Raises SgError and OSError if this many Gaussians cannot be fitted to it."""
     picture, label = item if isinstance(item, tuple) else (item, None)
     pixels = pictures_of(picture[None])[0] if isinstance(picture, Tensor) else read_input(picture)
+    height, width, _ = pixels.shape
+    if height * width < gaussians:
+        raise ImageError(f"{width} x {height} pixels are too few for {gaussians} Gaussians")
     if isinstance(label, Tensor | np.ndarray) and label.ndim == 0:
         label = label.item()
     if isinstance(label, Integral):
@@ -112,11 +129,11 @@ def _sample(item: Any) -> tuple[Pixels, tuple[str, bytes] | None]:
         raise SgError(f"a label must be a whole number or a dict for JSON, not {label!r}") from error
 
 
-def _archive(indices: range, fitted: list[Exact], samples: list[tuple[Pixels, tuple[str, bytes] | None]]) -> bytes:
+def _archive(samples: dict[int, Labelled], fitted: list[Exact]) -> bytes:
     """Write a tar file, the same bytes for the same Gaussians."""
     file = io.BytesIO()
     with tarfile.open(fileobj=file, mode="w") as archive:
-        for index, one, (pixels, label) in zip(indices, fitted, samples, strict=True):
+        for (index, (pixels, label)), one in zip(samples.items(), fitted, strict=True):
             found, npz = one.gaussians, io.BytesIO()
             np.savez(
                 npz,
@@ -169,10 +186,10 @@ def samples_of(path: str | os.PathLike[str]) -> list[Sample]:
         try:
             with tarfile.open(shard, "r:") as archive:
                 for entry in archive:
-                    key, _, end = entry.name.partition(".")
-                    parts.setdefault(key, {})[end] = entry.offset_data, entry.size
+                    if entry.isfile() and (name := NAME.fullmatch(entry.name)):
+                        parts.setdefault(name[1], {})[name[2]] = entry.offset_data, entry.size
         except (tarfile.TarError, ValueError, OverflowError) as error:  # of sizes that are none
-            raise SgError(f"{shard} is not a shard: {error}") from error
+            raise SgError(f"{shard} is not a shard, which is a tar file without compression: {error}") from error
         found += [Sample(shard, each) for each in parts.values() if "npz" in each]
     if not found:
         raise SgError(f"{place} has no fitted pictures")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from sgmethod import BitstreamError, decode
+from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.text import from_text, to_text
 from tests.harness.data import golden
 
@@ -20,6 +22,23 @@ def test_a_text_is_a_file(name: str) -> None:
     assert re.fullmatch(r"w[A-Za-z0-9_-]*", text)
     assert len(text) == -(-4 * (len(GOLDEN[name]) - 1) // 3)
     assert from_text(text) == GOLDEN[name]
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_text_is_decoded_like_its_file(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = to_text(GOLDEN[name])
+    assert np.array_equal(decode(text), decode(GOLDEN[name]))
+    assert info(text) == info(GOLDEN[name])
+    with pytest.raises(BitstreamError if len(text) > 255 else FileNotFoundError):  # too long for the name of a file
+        decode(text[:-1] + "!")
+
+
+def test_the_name_of_a_file_may_look_like_a_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = to_text(GOLDEN["v2-pixel"])
+    Path(text).write_bytes(GOLDEN["v2-color"])
+    assert np.array_equal(decode(text), decode(GOLDEN["v2-color"]))
 
 
 @pytest.mark.parametrize("version", [3, 4, 15])

@@ -234,7 +234,7 @@ def test_version(module: bool) -> None:
         ("encode photo.png out.png", "the output out.png must end in .sg"),
         ("encode photo.png --output-dir folder --trace t.json", "--trace"),
         ("encode photo.png --output-dir photo.png", "cannot write photo.png: File exists"),
-        ("encode photo.png ./photo.jpg --output-dir folder", "would both become folder/photo.sg"),
+        ("encode photo.png ./photo.png --output-dir folder", "would both become folder/photo.sg"),
         (ENCODE + "--jobs 0", "from 1 to 256"),
         ("decode picture.sg out.gif", "must end in one of .png, .jpg"),
         ("compare photo.png picture.sg", "differ in size: 128 x 96 and 40 x 56"),

@@ -52,26 +52,30 @@ def test_many_files_are_decoded(run: Run) -> None:
 
 
 def test_folders(run: Run) -> None:
-    """Their pictures, by suffix; nothing hidden, nothing deeper, nothing else. A pipe would be waited for."""
+    """Their pictures, by suffix; nothing hidden, nothing deeper, nothing else. A pipe would be waited for.
+
+    A name that another picture has taken keeps its suffix.
+    """
     Path("photos/deeper").mkdir(parents=True)
     Path("photos/folder.png").mkdir()
     os.mkfifo("photos/pipe.png")
-    for name in ("photos/b.JPG", "photos/a.png", "photos/deeper/c.png", "photos/.d.png"):
+    for name in ("photos/b.JPG", "photos/a.png", "photos/b.webp", "photos/deeper/c.png", "photos/.d.png"):
         PHOTO.save(name)
     Path("photos/notes.txt").write_text("hello")
-    assert list(naming.files_of("photos", naming.PICTURES)) == ["photos/a.png", "photos/b.JPG"]
+    assert list(naming.files_of("photos", naming.PICTURES)) == ["photos/a.png", "photos/b.JPG", "photos/b.webp"]
     ran = run("encode", "photos", "photo.png", "--output-dir", "out", "--gaussians", "9")
     assert (ran.status, ran.err) == (0, "")
     assert [line.partition(":")[0] for line in ran.out.splitlines()] == [
         "photos/a.png -> out/a.sg",
         "photos/b.JPG -> out/b.sg",
+        "photos/b.webp -> out/b.webp.sg",
         "photo.png -> out/photo.sg",
-        "3 encoded, 0 skipped, 0 failed",
+        "4 encoded, 0 skipped, 0 failed",
     ]
     assert run("decode", "out", "--output-dir", "out", "--quiet") == (0, "", "")
     assert {path.name for path in Path("out").iterdir()} == {
         "manifest.jsonl",
-        *(f"{name}.{suffix}" for name in ("a", "b", "photo") for suffix in ("sg", "png")),
+        *(f"{name}.{suffix}" for name in ("a", "b", "b.webp", "photo") for suffix in ("sg", "png")),
     }
 
 
@@ -217,10 +221,12 @@ def test_pipes_by_name_for_encode_and_its_trace() -> None:
 # --- threads and seconds
 
 
-@pytest.mark.parametrize("text", ["0", "257", "two", "1.5", " 2"])
+@pytest.mark.parametrize("text", ["0", "257", "two", "1.5", " 2", "9" * 5000])
 def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("SG_THREADS", text)
-    assert_refused(run("decode", GOLDEN, "out.png"), f"SG_THREADS must be a whole number from 1 to 256, not {text!r}")
+    assert_refused(
+        run("decode", GOLDEN, "out.png"), f"SG_THREADS must be a whole number from 1 to 256, not {text[:40]!r}"
+    )
 
 
 @pytest.mark.parametrize("text", ["", "1", "256"])

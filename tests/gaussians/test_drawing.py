@@ -124,6 +124,39 @@ def test_it_draws_what_a_file_shows(scale: float) -> None:
     assert np.abs(levels - file.pixels(scale)).max() < 0.501
 
 
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_autocast(compiled: bool, dtype: torch.dtype) -> None:
+    """What a network gives then is drawn in single precision, beside parameters that are in it; gradients return."""
+    means, factors, colors = stacked(6, 2)
+    layer = torch.nn.Linear(3, 3)
+
+    def drawn() -> tuple[Tensor, Tensor]:
+        halves = layer(colors)
+        return halves, render(means, factors, halves, SIZE, 0.5)
+
+    with torch.autocast("cpu", dtype):
+        halves, image = (torch.compile(drawn, backend="aot_eager", fullgraph=True) if compiled else drawn)()
+    assert (halves.dtype, image.dtype) == (dtype, torch.float32)
+    assert torch.equal(image, render(means, factors, halves.float(), SIZE, 0.5))
+    image.sum().backward()
+    assert layer.weight.grad is not None
+    assert layer.weight.grad.any()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("place", range(3))
+def test_a_fit_that_diverges_is_noticed(place: int, value: float) -> None:
+    """Its picture has no such values. Padding is no trouble."""
+    values = stacked(6, 2)
+    with torch.no_grad():
+        values[place][1, 4] = value
+    with pytest.warns(RuntimeWarning, match="it has diverged") as caught:
+        render(*values, SIZE)
+    assert [warning.filename for warning in caught] == [__file__]
+    render(*(torch.nn.functional.pad(one, (0, 0, 0, 3)) for one in stacked(6, 2)), SIZE)
+
+
 NOT_DRAWN = {
     "padding": (0, [0, 0, 0], 0),
     "place": (np.nan, [1, 0, 1], 1),
@@ -149,7 +182,8 @@ def test_what_is_no_gaussian_is_not_drawn(path: str, scale: float, monkeypatch: 
     bad = [torch.tensor(row, dtype=torch.float64).to(dtype) for row in rows]
     bad[0], bad[2] = bad[0][:, None].expand(-1, 2), bad[2][:, None].expand(-1, 3)
     all_values = [torch.cat(both).detach().requires_grad_() for both in zip(good, bad, strict=True)]
-    image = render(*all_values, SIZE, 0.0, scale)
+    with pytest.warns(RuntimeWarning, match="not finite are not drawn"):
+        image = render(*all_values, SIZE, 0.0, scale)
     assert torch.equal(image, render(*good, SIZE, 0.0, scale))
     for gradient in torch.autograd.grad(image.square().sum(), all_values):
         assert gradient[:3].isfinite().all()
@@ -166,6 +200,7 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
         ((ONE[1], ONE[1], ONE[2]), {}, GaussiansError, r"means must be a tensor \[..., N, 2\], not \[1, 3\]"),
         ((ONE[0], ONE[1].double(), ONE[2]), {}, GaussiansError, "factors are torch.float64"),
         ((ONE[0].half(), ONE[1].half(), ONE[2].half()), {}, GaussiansError, "float32 or all float64"),
+        ((ONE[0].half().to("meta"), ONE[1], ONE[2]), {}, GaussiansError, "float32 or all float64"),
         ((ONE[0], ONE[1].expand(2, 3), ONE[2]), {}, GaussiansError, "of as many Gaussians"),
         ((ONE[0].expand(2, 1, 2), ONE[1].expand(3, 1, 3), ONE[2]), {}, GaussiansError, "leading dimensions"),
         (ONE, {"size": (0, 4)}, ViewError, "a side must be a whole number from 1"),

@@ -12,7 +12,7 @@ import torch
 
 import sgmethod
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
-from sgmethod.exchange.files import C0
+from sgmethod.exchange.files import C0, WRITTEN
 from sgmethod.exchange.packing import seen
 from sgmethod.metrics import psnr
 from sgmethod.native import native
@@ -83,11 +83,28 @@ def test_covariances() -> None:
     assert close(Gaussians.from_covariances(SOME.means, lower @ lower.mT, SOME.colors), SOME)
 
 
+def test_equal_gaussians() -> None:
+    """By value, whatever the arrays are; NumPy's comparison of each element was an error."""
+    tensors = Gaussians(*(torch.from_numpy(values).clone().requires_grad_() for values in SOME.arrays))
+    moved, fewer = SOME.copy(), SOME.rows(np.arange(19))
+    moved.means[3, 0] += 1
+    assert SOME == SOME.copy() == tensors
+    assert all(other != SOME for other in (moved, fewer, None, SOME.arrays))
+    assert [moved, SOME.copy()].index(SOME) == 1
+    assert SOME not in [moved, fewer]
+    with pytest.raises(TypeError, match="unhashable type: 'Gaussians'"):
+        hash(SOME)
+
+
 def test_arrays_of_any_kind() -> None:
     wanted = sgmethod.pack(SOME, *SIZE, quantum=0.1)
     lists = Gaussians(*(values.tolist() for values in SOME.arrays))
     tensors = Gaussians(*(torch.from_numpy(values).double().requires_grad_() for values in SOME.arrays))
     assert sgmethod.pack(lists, *SIZE, quantum=0.1) == sgmethod.pack(tensors, *SIZE, quantum=0.1) == wanted
+    halves = Gaussians(*(torch.from_numpy(values).bfloat16() for values in SOME.arrays))  # type: ignore[arg-type]
+    rounded = Gaussians(*(values.float().numpy() for values in halves.arrays))  # type: ignore[attr-defined]
+    assert halves == rounded
+    assert sgmethod.pack(halves, *SIZE, quantum=0.1) == sgmethod.pack(rounded, *SIZE, quantum=0.1)
 
 
 def test_a_budget_is_kept_and_used() -> None:
@@ -190,10 +207,58 @@ def test_ply_of_3d_splats_is_flattened(order: str, tmp_path: Path) -> None:
     assert close(sgmethod.read_ply(tmp_path / "splats.ply"), recut(wanted, NO_CUTOFF))
 
 
+PLAIN = ["ply", "format binary_little_endian 1.0", "element vertex 20"]
+PLAIN += [*(f"property float {name}" for name in WRITTEN), "end_header"]
+
+
+def with_element(*properties: str, rows: int = 2) -> list[str]:
+    return [*PLAIN[:2], f"element camera {rows}", *(f"property {words}" for words in properties), *PLAIN[2:]]
+
+
+@pytest.mark.parametrize(
+    ("lines", "before", "newline"),
+    [
+        (["ply", "comment by hand", *PLAIN[1:]], b"", "\n"),
+        ([*PLAIN[:9], "obj_info x", "comment property float opacity", "", *PLAIN[9:]], b"", "\n"),
+        (["\t ".join(line.split(" ")) + " \t" for line in PLAIN], b"", "\n"),
+        (PLAIN, b"", "\r\n"),
+        (PLAIN, b"", "\r"),
+        (with_element("float focal", "uchar lens"), bytes(10), "\n"),
+        (with_element("list uchar short v", "float focal"), b"\2    ffff\0ffff", "\n"),
+        (with_element(), b"", "\n"),
+    ],
+)
+def test_headers_of_ply_as_its_rules_allow(lines: list[str], before: bytes, newline: str, tmp_path: Path) -> None:
+    """Words are separated by blanks; comments and other elements may stand anywhere."""
+    path = tmp_path / "some.ply"
+    sgmethod.write_ply(path, SOME)
+    body = path.read_bytes().partition(b"end_header\n")[2]
+    assert len(body) == 20 * 62 * 4
+    wanted = sgmethod.read_ply(path)
+    path.write_bytes(newline.join([*lines, ""]).encode() + before + body)
+    found = sgmethod.read_ply(path)
+    assert all(np.array_equal(a, b) for a, b in zip(found.arrays, wanted.arrays, strict=True))
+
+
+def test_ply_has_what_programs_of_3d_splats_expect(tmp_path: Path) -> None:
+    """The reference implementation reads 45 values of f_rest, and viewers rely on the order."""
+    sgmethod.write_ply(tmp_path / "some.ply", SOME)
+    lines = (tmp_path / "some.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()
+    names = [line.split()[-1] for line in lines if line.startswith("property float ")]
+    assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    assert names[9:54] == [f"f_rest_{number}" for number in range(45)]
+    assert names[54:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
         (b"", "not a PLY file"),
+        ("\n".join(PLAIN).replace("vertex 20", "vertex -1").encode() + b"\n" + bytes(248), "not a PLY file"),
+        ("\n".join(with_element("list char int v", rows=10**30)).encode() + b"\n\xff\xff\xff", "truncated"),
+        ("\n".join(with_element("list quad int v")).encode() + b"\n\0\0", "truncated, or not a PLY file"),
+        (b"ply\nproperty float x\nend_header\n", "not a PLY file"),
+        (b"ply\nelement vertex 0\nend_header\n", "not a PLY file"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no property f_dc_0"),
         (HEADER.format(order="ascii").encode() + b"1 2\n", "truncated"),
         (HEADER.format(order="binary_little_endian").encode() + b"1 2\n", "truncated"),

@@ -114,7 +114,7 @@ def test_progress_and_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     fit(BATCH, 20, steps=400, on_progress=seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1
-    assert 0 < seen[0] < 1
+    assert any(0 < share < 1 for share in seen)
     began = time.perf_counter()
     found = fit(BATCH, 50, steps=1_000_000, stop=lambda: time.perf_counter() > began + 0.3)
     assert time.perf_counter() - began < 10
@@ -149,7 +149,7 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
         (lambda: fit(BATCH.numpy(), 5), ImageError, "not ndarray"),
         (lambda: fit(BATCH.int(), 5), ImageError, r"uint8 or floating-point values in \[0, 1\], not torch.int32"),
         (lambda: fit(BATCH / 255 * torch.nan, 5), ImageError, r"must lie in \[0, 1\]"),
-        (lambda: fit(BATCH.float(), 5), ImageError, r"must lie in \[0, 1\]"),
+        (lambda: fit(BATCH.float(), 5), ImageError, r"must lie in \[0, 1\], got 23 to 255"),
         (lambda: fit(BATCH[..., :0], 5), ImageError, "empty"),
         (lambda: fit(BATCH, 0), BudgetError, "gaussians must be a whole number from 1 to 1551, got 0"),
         (lambda: fit(BATCH, 1552), BudgetError, "from 1 to 1551, got 1552"),

@@ -127,13 +127,49 @@ def test_a_shard_that_fails_is_tried_again() -> None:
     items = [crop(0), crop(1), "none.png", crop(3)]
     assert many(items) == (1, 0, 1)
     assert "none.png" in rows()[1]["error"]
+    assert len(SgDataset("out", most_gaussians=1)) == 3
     Image.fromarray(crop(2)).save("none.png")
     assert many(items, resume=True) == (1, 1, 0)
     assert len(SgDataset("out", most_gaussians=1)) == 4
-    assert many([PHOTO[:3, :3], crop(1)]) == (0, 0, 1)
-    assert rows()[-1]["error"] == "gaussians must be a whole number from 1 to 9, got 12"
-    assert many([(crop(0), "a wall")]) == (0, 0, 1)
-    assert rows()[-1]["error"] == "a label must be a whole number or a dict for JSON, not 'a wall'"
+
+
+def test_one_picture_is_left_out_of_its_shard() -> None:
+    """The others are in it, under their own numbers."""
+    items = [(PHOTO[:3, :3], 0), (crop(1), 1), (crop(2), "a wall"), (crop(3), 3)]
+    assert many(items, shard=4) == (0, 0, 1)
+    row = rows()[-1]
+    assert row["error"] == "2 of 4 pictures cannot be fitted; picture 0: 3 x 3 pixels are too few for 12 Gaussians"
+    assert row["notes"][1] == "picture 2: a label must be a whole number or a dict for JSON, not 'a wall'"
+    assert row["figures"]["pictures"] == 2
+    with tarfile.open("out/000000.tar") as archive:
+        assert archive.getnames() == ["000000001.npz", "000000001.cls", "000000003.npz", "000000003.cls"]
+    data = SgDataset("out", most_gaussians=12)
+    assert [data[index]["cls"] for index in range(len(data))] == [1, 3]
+
+
+def test_a_shard_of_pictures_that_all_fail() -> None:
+    assert many([PHOTO[:3, :3]]) == (0, 0, 1)
+    assert shards() == {}
+
+
+@pytest.mark.parametrize("folder", ["./", "train/", "v1.0/", "/a/b.c/"])
+def test_a_shard_that_was_packed_again(folder: str) -> None:
+    """By tar, from a folder of files, among which a Mac puts its own."""
+    many(Labelled(2))
+    with tarfile.open("out/000000.tar") as archive:
+        files = [(entry.name, archive.extractfile(entry).read()) for entry in archive]  # type: ignore[union-attr]
+    with tarfile.open("again.tar", "w") as archive:
+        whole = tarfile.TarInfo(folder)
+        whole.type = tarfile.DIRTYPE
+        archive.addfile(whole)
+        for name, data in files:
+            for start, content in (("._", b"Mac OS X"), ("", data)):
+                entry = tarfile.TarInfo(folder + start + name)
+                entry.size = len(content)
+                archive.addfile(entry, io.BytesIO(content))
+    data, again = (SgDataset(f"{path}.tar", most_gaussians=12) for path in ("out/000000", "again"))
+    assert [again[index]["cls"] for index in range(len(again))] == [0, 1]
+    assert torch.equal(again[1]["means"], data[1]["means"])
 
 
 def test_other_files_are_no_shards() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import zlib
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -108,3 +110,50 @@ def test_a_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     assert list(tmp_path.iterdir()) == [target]
     with pytest.raises(OSError, match="missing"):
         write_atomically(tmp_path / "missing" / "out.png", b"x")
+
+
+@pytest.mark.parametrize(
+    ("number", "reported"), [(errno.EINVAL, False), (errno.ENOTSUP, False), (errno.EACCES, False), (errno.EIO, True)]
+)
+def test_a_folder_that_cannot_be_synced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, reported: bool
+) -> None:
+    """Only a disk that fails is an error: the file is there, and more cannot be done where folders are not synced."""
+    sync = os.fsync
+
+    def only_files(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(number, os.strerror(number))
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", only_files)
+    with pytest.raises(OSError, match=os.strerror(number)) if reported else nullcontext():
+        write_atomically(tmp_path / "out.sg", b"new")
+    assert (tmp_path / "out.sg").read_bytes() == b"new"
+
+
+def test_a_folder_that_cannot_be_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One may write to it, as to a folder to drop files into."""
+    opened = os.open
+
+    def without_folders(path: str, flags: int, *more: int, **named: int) -> int:
+        if flags & os.O_DIRECTORY:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return opened(path, flags, *more, **named)
+
+    monkeypatch.setattr(os, "open", without_folders)
+    write_atomically(tmp_path / "out.sg", b"new")
+    assert (tmp_path / "out.sg").read_bytes() == b"new"
+
+
+def test_owner_and_mode_that_a_file_system_cannot_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container's kernel calls owners that it does not know invalid."""
+
+    def invalid(*_: object, **__: object) -> None:
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    (tmp_path / "out.sg").write_bytes(b"before")
+    monkeypatch.setattr(os, "chown", invalid)
+    monkeypatch.setattr(os, "chmod", invalid)
+    write_atomically(tmp_path / "out.sg", b"after")
+    assert (tmp_path / "out.sg").read_bytes() == b"after"

@@ -6,18 +6,22 @@ import io
 import struct
 import time
 from itertools import chain
+from threading import Thread
+from types import ModuleType
 
 import numpy as np
 import pillow_heif
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageFile
 
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
+from sgmethod.io.inputs import read_input
 from sgmethod.io.levels import to_8_bit
+from sgmethod.io.pillow_defaults import pillow_defaults
 from tests.harness.pictures import photo
 from tests.io.odd_files import chunk, png, tiff
 
@@ -25,6 +29,7 @@ pillow_heif.register_heif_opener()
 PIXELS = np.ascontiguousarray(photo("kodim05-crop")[30:62, 20:68])
 PHOTO = Image.fromarray(PIXELS)
 SEE_THROUGH = pytest.mark.filterwarnings("ignore:transparency is composited over white:sgmethod.ImageWarning")
+PILLOWS = [(ImageFile, "LOAD_TRUNCATED_IMAGES", True), (Image, "MAX_IMAGE_PIXELS", 9)]
 ROUNDED = 0.501  # levels, worst seen 0.4999; in single precision what lies beside a half may go to the other side
 
 
@@ -219,11 +224,22 @@ def test_transparency_is_composited_over_white() -> None:
 @SEE_THROUGH
 @pytest.mark.parametrize("depth", [1, 2, 4, 8, 16])
 def test_transparent_grey_of_any_depth(depth: int) -> None:
-    """One row of three samples 1, 0, 1, where 1 is the transparent colour, and so becomes white."""
+    """One row of three samples 1, 0, 1. Bits of the transparent colour above the depth are ignored."""
     bits = "".join(format(value, f"0{depth}b") for value in (1, 0, 1)).ljust(48, "0")
     row = b"\0" + bytes(int(bits[i : i + 8], 2) for i in range(0, -(-3 * depth // 8) * 8, 8))
-    pixels = read_image_8_bit(png(row, (3, 1), [chunk(b"tRNS", b"\0\1")], depth=depth, colour=0))
-    assert pixels[0, :, 1].tolist() == [255, 0, 255]
+    excess = (0xFFFF << depth) & 0xFFFF
+    for key in (1, excess | 1, excess):
+        transparent = [value == key & 1 for value in (1, 0, 1)]
+        file = png(row, (3, 1), [chunk(b"tRNS", struct.pack(">H", key))], depth=depth, colour=0)
+        assert (read_image_8_bit(file, keep_alpha=True)[0, :, 3] == 0).tolist() == transparent
+
+
+@SEE_THROUGH
+def test_transparent_colour_with_excess_bits_in_a_pillow_image() -> None:
+    file = png_of(PIXELS, 2, chunk(b"tRNS", struct.pack(">3H", *(256 + PIXELS[3, 5].astype(int)))))
+    expected = np.all(PIXELS[3, 5] == PIXELS, axis=2)
+    for image in (file, Image.open(io.BytesIO(file))):
+        assert np.array_equal(read_input(image, keep_alpha=True)[..., 3] == 0, expected)
 
 
 @SEE_THROUGH
@@ -283,6 +299,46 @@ def test_limits_are_the_callers() -> None:
     for read in (read_header, read_image_8_bit):
         with pytest.raises(ImageError, match="too large"):
             read(data, ImageLimits(max_pixels=48 * 32 - 1))
+
+
+@pytest.mark.parametrize(("module", "name", "value"), PILLOWS)
+def test_what_others_set_for_pillow_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
+) -> None:
+    files = [data[:size] for data in KINDS.values() for size in (len(data), 2 * len(data) // 3)]
+
+    def results() -> list[object]:
+        found: list[object] = []
+        for data in files:
+            try:
+                found.append(read_image_8_bit(data).tolist())
+            except ImageError as error:
+                found.append(str(error))
+        return found
+
+    before = results()
+    monkeypatch.setattr(module, name, value)
+    assert results() == before
+
+
+@pytest.mark.parametrize(("module", "name", "value"), PILLOWS)
+def test_other_threads_find_what_they_set_for_pillow(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
+) -> None:
+    """Even while this one reads."""
+    found = []
+
+    def look() -> None:
+        number = getattr(module, name)
+        found.append((number == value, bool(number), 2 * number == 2 * value, value + 1 > number))
+
+    monkeypatch.setattr(module, name, value)
+    with pillow_defaults():
+        thread = Thread(target=look)
+        thread.start()
+        thread.join()
+    look()
+    assert found == [(True, True, True, True)] * 2
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -23,7 +23,8 @@ from PIL import Image
 from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded
 from sgmethod.client import encode_many as encode_on_server
-from sgmethod.errors import noted, warn
+from sgmethod.errors import noted
+from sgmethod.io.header import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
 from tests.harness.pictures import photo
@@ -162,11 +163,22 @@ def test_names_that_are_none(name: Any) -> None:
         encode_many([(name, PHOTO)], "out", gaussians=9)
 
 
-def test_what_ends_the_run() -> None:
+def test_a_name_that_is_taken_keeps_its_extension() -> None:
     PHOTO.save("0.jpg")
-    with pytest.raises(SgError, match="two pictures are named '0'"):
-        encode_many(["0.png", "0.jpg"], "out", gaussians=9)
-    assert [row["name"] for row in rows()] == ["0.sg"]
+    for encoded, skipped in ((3, 0), (0, 3)):
+        tally = encode_many(["0.png", "0.jpg", "1.png"], "out", resume=True, gaussians=9)
+        assert (tally.encoded, tally.skipped) == (encoded, skipped)
+    assert [row["name"] for row in rows()] == ["0.sg", "0.jpg.sg", "1.sg"]
+    encode_many([("0", PHOTO), "0.jpg"], "pairs", gaussians=9)
+    assert {path.name for path in Path("pairs").glob("*.sg")} == {"0.sg", "0.jpg.sg"}
+
+
+def test_what_ends_the_run() -> None:
+    for again in ("0.png", ("0", PHOTO)):
+        with pytest.raises(SgError, match="two pictures are named '0'"):
+            encode_many(["0.png", again], "out", gaussians=9)
+        assert [row["name"] for row in rows()] == ["0.sg"]
+        Path("out/manifest.jsonl").unlink()
     for jobs in (0, 257, 1.5):
         with pytest.raises(SgError, match="the number of jobs must be"):
             many(jobs=jobs)

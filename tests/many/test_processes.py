@@ -63,6 +63,14 @@ def test_a_system_that_allows_no_more_processes(monkeypatch: pytest.MonkeyPatch,
         list(in_processes(doubled, [1], 1))
 
 
+@pytest.mark.parametrize("error", [OSError(38, "Function not implemented"), ImportError("no sem_open")])
+def test_a_system_without_semaphores(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    """AWS Lambda has no /dev/shm."""
+    monkeypatch.setattr(processes.CONTEXT, "Lock", Mock(side_effect=error))
+    with pytest.raises(SgError, match=r"no further process can begin: .*; a single job needs none"):
+        list(in_processes(doubled, [1, 2], 2))
+
+
 def test_errors_are_raised_and_end_no_other_process() -> None:
     other = processes.CONTEXT.Process(target=time.sleep, args=(60,))
     other.start()

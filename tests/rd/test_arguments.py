@@ -44,6 +44,13 @@ def test_a_budget_of_a_small_float_does_not_overflow(kind: type) -> None:
     assert budget.max_bytes(768, 512) == 12288
 
 
+@pytest.mark.parametrize(
+    ("text", "size"), [("20k", 20_000), ("500", 500), ("1.5MB", 1_500_000), ("1 KiB", 1024), ("1.001kb", 1001)]
+)
+def test_a_size_may_be_a_text(text: str, size: int) -> None:
+    assert Budget("bytes", text) == Budget("bytes", size)
+
+
 @pytest.mark.parametrize("kind", [*INTEGERS, int])
 def test_a_region_is_pythons_own(kind: type) -> None:
     part = [kind(n) for n in (10, 11, 30, 20)]
@@ -61,6 +68,8 @@ def test_a_region_is_pythons_own(kind: type) -> None:
 def test_other_arguments_are_pythons_own() -> None:
     expected = sgmethod.encode(PIXELS, bytes=300, seed=5, effort=4).data
     assert sgmethod.encode(PIXELS, bytes=np.uint16(300), seed=np.uint8(5), effort=np.int8(4)).data == expected
+    assert sgmethod.encode(PIXELS, bytes="0.3k", seed=5, effort=4).data == expected
+    assert sgmethod.preview(PIXELS, "0.1k") == sgmethod.preview(PIXELS, np.uint8(100))
     assert sgmethod.encode(PIXELS, bytes=300, time_limit_s=np.float16(9)).stats.bytes <= 300
     assert sgmethod.decode(GOLDEN, np.uint16(48 * 40)).shape == (40, 48, 3)
     view = View(np.float16(0.5), prefix=np.float16(0.5))
@@ -76,8 +85,16 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(None), ImageError, "numpy array, not NoneType"),
         (lambda: sgmethod.encode([[1]]), ImageError, "not list"),
         (lambda: sgmethod.encode(Image.new("RGB", (0, 4))), ImageError, "empty"),
+        (lambda: sgmethod.encode(np.float32([[0, 255]])), ImageError, "must lie in [0, 1], got 0 to 255: rescale"),
+        (lambda: sgmethod.encode(np.array([[-0.5, 1.0000001]])), ImageError, "got -0.5 to 1.0000001"),
+        (lambda: sgmethod.encode(np.array([[0, math.nan]])), ImageError, "got nan to nan"),
         (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
         (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
+        (lambda: sgmethod.encode(PIXELS, bytes="20g"), BudgetError, "such as 20000, 20k or 1.5MB, not '20g'"),
+        (lambda: sgmethod.encode(PIXELS, bytes="0.5"), BudgetError, "bytes must be a whole number, got 0.5"),
+        (lambda: sgmethod.encode(PIXELS, bytes="-1k"), BudgetError, "bytes must be a positive number, got '-1k'"),
+        (lambda: sgmethod.encode(PIXELS, looks="best"), BudgetError, "or one of preview, web, archive, got 'best'"),
+        (lambda: sgmethod.preview(PIXELS, bytes="20k"), BudgetError, "from 12 to 16384, got 20000"),
         (lambda: sgmethod.encode(PIXELS, bpp=0.3, psnr=30), BudgetError, "give one budget, not 2: bpp, psnr"),
         (lambda: sgmethod.encode(PIXELS, Budget("bpp", 1), bpp=0.3), BudgetError, "not 2"),
         (lambda: sgmethod.encode(PIXELS, profile="poster"), BudgetError, "unknown profile"),
@@ -113,6 +130,9 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.View(scale=20).size(65535, 1), ViewError, "at most 1,048,576 pixels a side"),
         (lambda: Budget("gaussians", 2**24 + 1).max_gaussians(65535, 65535), BudgetError, "16777216 that a file can"),
         (lambda: sgmethod.decode(GOLDEN, view=(1, None)), ViewError, "sgmethod.View, not tuple"),
+        (lambda: sgmethod.decode(GOLDEN, View(0.5)), ViewError, "give a view by its name, view=View(...)"),
+        (lambda: sgmethod.decode(GOLDEN, view=View(0.5), width=9), ViewError, "scale cannot be combined"),
+        (lambda: sgmethod.decode(GOLDEN, width=0), ViewError, "a width or height must be a whole number"),
         (lambda: sgmethod.decode(GOLDEN, "many"), SgError, "max_pixels must be a whole number"),
         (lambda: sgmethod.info(GOLDEN, -1), SgError, "max_gaussians must be a whole number"),
         (lambda: sgmethod.set_threads(0), SgError, "threads must be a whole number from 1 to 256, got 0"),

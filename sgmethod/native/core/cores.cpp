@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cerrno>
 #include <climits>
-#include <fstream>
+#include <cstdio>
+#include <cstdlib>
 #include <thread>
 #include <vector>
 
@@ -19,18 +20,29 @@ int whole_cores(long long quota, long long period) {
   return static_cast<int>(std::clamp<long long>(quota / period, 1, INT_MAX));
 }
 
+// The text of a small file, empty if it cannot be read. C's files: a module that brings its own C++ library, loaded beside
+// others that bring theirs, may find a foreign locale behind a stream and crash.
+std::string text_of(const std::string& path) {
+  std::string text;
+  if (std::FILE* file = std::fopen(path.c_str(), "re")) {
+    char part[4096];
+    while (const size_t size = std::fread(part, 1, sizeof(part), file)) text.append(part, size);
+    std::fclose(file);
+  }
+  return text;
+}
+
 // Version 2: "250000 100000", or "max 100000" without a limit.
 int quota_v2(const std::string& group) {
-  std::ifstream file(group + "/cpu.max");
   long long quota, period;
-  return file >> quota >> period ? whole_cores(quota, period) : INT_MAX;
+  return std::sscanf(text_of(group + "/cpu.max").c_str(), "%lld %lld", &quota, &period) == 2 ? whole_cores(quota, period)
+                                                                                           : INT_MAX;
 }
 
 // Version 1: two files, with -1 for no limit.
 int quota_v1(const std::string& group) {
-  std::ifstream quota_file(group + "/cpu.cfs_quota_us"), period_file(group + "/cpu.cfs_period_us");
-  long long quota, period;
-  return quota_file >> quota && period_file >> period ? whole_cores(quota, period) : INT_MAX;
+  const auto quota = std::atoll(text_of(group + "/cpu.cfs_quota_us").c_str());
+  return whole_cores(quota, std::atoll(text_of(group + "/cpu.cfs_period_us").c_str()));
 }
 
 // The smallest quota from `group` up to the mount itself. A container may see its group's path on the host, while the
@@ -64,8 +76,9 @@ int affinity_cores() { return std::max(1, static_cast<int>(std::thread::hardware
 
 int quota_cores(const std::string& root) {
   std::string v2, v1;  // the paths of the process's groups
-  std::ifstream groups(root + "/proc/self/cgroup");
-  for (std::string line; std::getline(groups, line);) {  // "number:controllers:path"; "0::path" for version 2
+  const std::string groups = text_of(root + "/proc/self/cgroup");
+  for (size_t begin = 0, end; (end = groups.find('\n', begin)) != std::string::npos; begin = end + 1) {
+    const std::string line = groups.substr(begin, end - begin);  // "number:controllers:path"; "0::path" for version 2
     const size_t first = line.find(':'), second = line.find(":/", first + 1);
     if (second == std::string::npos) continue;
     const std::string controllers = line.substr(first + 1, second - first - 1), group = line.substr(second + 1);

@@ -52,11 +52,10 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("HTTP_PROXY", "ftp://user:secret@host"),
+        ("HTTPS_PROXY", "ftp://user:secret@host"),
         ("https_proxy", "http://user:secret"),
         ("ALL_PROXY", "socks5://user:secret@host:1080"),
         ("HTTPS_PROXY", "http://secret..host"),
-        ("NO_PROXY", "localhost,[::1"),
         ("SSL_CERT_FILE", "missing.pem"),
         ("SSL_CERT_FILE", __file__),
         ("SSL_CERT_DIR", "missing"),
@@ -71,10 +70,43 @@ def test_an_environment_that_cannot_be_used(
     monkeypatch.setenv(name, value)
     monkeypatch.setitem(sys.modules, "socksio", None)
     names = [str(tmp_path / f"{name}.png") for name in "ab"]
-    assert cli.main(["encode", *names, "--output-dir", str(tmp_path / "out"), "--server", "http://127.0.0.1:9"]) == 2
+    assert cli.main(["encode", *names, "--output-dir", str(tmp_path / "out"), "--server", "https://127.0.0.1:9"]) == 2
     said = capfd.readouterr().err
     assert re.fullmatch(rf"sgmethod: .*{name}.*\n", said)
     assert "secret" not in said
+
+
+@pytest.mark.parametrize(
+    ("host", "exempt", "proxied"),
+    [  # as curl 7.88 has it, except for ports and networks of IPv6
+        (
+            "localhost",
+            ["*", "localhost", "a, LOCALHOST", "a localhost", "localhost:9"],
+            ["", ",", ".", "host", "localhost:8"],
+        ),
+        ("www.example.com", ["example.com", ".example.com", "com"], ["*.example.com", "ample.com", "w.example.com"]),
+        ("127.0.0.1", ["127.0.0.1", "127.0.0.0/8", "127.0.0.1:9"], ["0.0.1", "10.0.0.0/8", "fd00::/8", "127.0.0.0/33"]),
+        ("[::1]", ["::1", "[::1]", "::/64", "[::1]:9", "fd00::/8,::1"], ["::2", "fd00::/8", "1"]),
+    ],
+)
+def test_hosts_without_proxy(host: str, exempt: list[str], proxied: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A proxy that cannot be used matters only to servers that NO_PROXY does not list."""
+    monkeypatch.setenv("HTTP_PROXY", "ftp://proxy")
+    for entries in exempt:
+        monkeypatch.setenv("NO_PROXY", entries)
+        Client(f"http://{host}:9").close()
+    for entries in proxied:
+        monkeypatch.setenv("NO_PROXY", entries)
+        with pytest.raises(ServerError, match="HTTP_PROXY must be the URL of a proxy"):
+            Client(f"http://{host}:9")
+        Client(f"https://{host}:9").close()
+
+
+def test_a_server_is_asked_through_its_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
+    with other() as proxy:
+        monkeypatch.setenv("http_proxy", proxy.removeprefix("http://"))
+        with Client("http://service.invalid") as client, pytest.raises(ServerError, match="is not an sgmethod service"):
+            client.job("0" * 32)
 
 
 class Other(BaseHTTPRequestHandler):
