@@ -242,7 +242,7 @@ EXTREMES = {
 
 @pytest.mark.parametrize("picture", EXTREMES)
 def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_raise(
-    picture: str, set_threads: Callable[[int], None]
+    picture: str, set_threads: Callable[[int], None], tmp_path: Path
 ) -> None:
     set_threads(2)
     pixels = EXTREMES[picture].astype(np.uint8)
@@ -252,6 +252,8 @@ def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_rais
             assert file.pixels(scale=1 / 48).shape == (2, 2, 3)
             tiny = sgmethod.Gaussians(*(values * np.float32(1e-30) for values in file.gaussians().arrays))
             assert np.isfinite(tiny.covariances).all()
+            sgmethod.write_ply(tmp_path / "tiny.ply", tiny)
+            assert len(sgmethod.read_ply(tmp_path / "tiny.ply")) == len(tiny)
         assert sgmethod.preview(pixels).width == 96
         assert sgmethod.torch.fit(torch.from_numpy(pixels / 255).expand(1, 3, 96, 96), 9, steps=5).error.shape == (1,)
     with np.errstate(all="warn"):  # in the threads of a pool, too, where the caller's setting does not reach
