@@ -23,7 +23,7 @@ def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int) -> Tensor:
 
 def _means(points: Tensor, weights: Tensor, index: Tensor, fallback: Tensor) -> Tensor:
     """Weighted mean [K, D] of the points of each index; the fallback [K, D] for an index without points."""
-    total = torch.zeros(len(fallback)).index_add_(0, index, weights)
+    total = torch.zeros(len(fallback), dtype=torch.float32).index_add_(0, index, weights)
     sums = torch.zeros_like(fallback).index_add_(0, index, points * weights[:, None])
     return torch.where(total[:, None] > 0, sums / total.clamp_min(1e-20)[:, None], fallback)
 

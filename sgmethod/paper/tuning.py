@@ -81,11 +81,13 @@ class Tuner:
             decay=s.codebook_decay,
             seed=seed,
         )
-        self.position_bits = torch.tensor([float(s.position_bits)])
+        self.position_bits = torch.tensor([s.position_bits], dtype=torch.float32)
         self.ranges = [means.amin(0), means.amax(0), factors.quantile(tail, dim=0), factors.quantile(1 - tail, dim=0)]
         self._widen()
         self.soft_bits = (
-            self._sensitivity_bits() if s.adaptive_bitwidth else torch.full((self.n, 1), float(s.min_bitwidth))
+            self._sensitivity_bits()
+            if s.adaptive_bitwidth
+            else torch.full((self.n, 1), s.min_bitwidth, dtype=torch.float32)
         )
         self.shift = 0.0
         self.steps = 0
