@@ -9,6 +9,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     opencv      OpenCV, or how to install it
     budget      what an encode may spend; conversion of numbers
     trace       progress of an encode
+    numerics    arithmetic that ignores floating-point errors
     scene       the set of Gaussians
     settings/   every number of the method
     profiles    names of profiles, tunings and efforts

@@ -42,6 +42,7 @@ from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.formats import SUFFIXES
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
+from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_PROFILE, Profile, checked_effort, checked_profile, profile_of, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
@@ -132,6 +133,7 @@ class Encoded:
         write_atomically(target, self.data)
 
 
+@quiet
 def encode(
     image: Input,
     budget: Budget | None = None,

@@ -17,6 +17,7 @@ from sgmethod.budget import AnyFloat, AnyInt, checked_integer
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native
+from sgmethod.numerics import quiet
 from sgmethod.scene import FloatArray, Gaussians, Scene
 from sgmethod.view import View, recut
 
@@ -25,6 +26,7 @@ MAX_LIMIT = 2**63 - 1
 MAX_PIXELS = 100_000_000  # 300 MB of output, as many as ImageLimits reads: a damaged header may claim any size
 
 
+@quiet
 def decode(
     data: File,
     max_pixels: AnyInt = MAX_PIXELS,
@@ -54,6 +56,7 @@ def decode(
     return photo._draw((view if texture else replace(view, texture=False)).within(photo.size, width, height))
 
 
+@quiet
 def info(data: File, max_gaussians: AnyInt | None = None) -> Info:
     """Read the header of an .sg file, and how its bits are spent.
 
@@ -84,6 +87,7 @@ class SgFile:
     (48, 64, 3)
     """
 
+    @quiet
     def __init__(self, data: File, max_pixels: AnyInt = MAX_PIXELS) -> None:
         """Open and check a file.
 
@@ -115,6 +119,7 @@ class SgFile:
         red, green, blue = self._stream.background
         return red / 255, green / 255, blue / 255
 
+    @quiet
     def gaussians(self) -> Gaussians:
         """Return the Gaussians, the largest first in version 2, without those of alpha and without texture.
 
@@ -127,6 +132,7 @@ class SgFile:
         scene = self._stream.scene()
         return recut(scene.gaussians, scene.cutoff)
 
+    @quiet
     def pixels(
         self,
         scale: AnyFloat = 1.0,

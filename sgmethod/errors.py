@@ -15,9 +15,9 @@ ImageWarning            something was dropped from the image, and the rest is us
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 
 class SgError(Exception):
@@ -69,11 +69,15 @@ class ImageWarning(UserWarning):
     """Something was dropped from the image: further pictures, transparency, a damaged profile."""
 
 
+NOTES: ContextVar[list[str] | None] = ContextVar("notes", default=None)  # of the innermost noted()
+
+
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """Collect a block's ImageWarnings instead of showing them, and drop others; filled when the block ends."""
+    """Collect what this thread would warn of within a block, one sentence each, instead of warning of it."""
     notes: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ImageWarning)
+    before = NOTES.set(notes)
+    try:
         yield notes
-    notes += [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
+    finally:
+        NOTES.reset(before)

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
+from sgmethod.numerics import quiet
+
 FloatArray = NDArray[np.float32]
 Pixels = NDArray[np.uint8]
 
@@ -49,15 +51,16 @@ class Gaussians:
         return cls(*(np.empty((n, width), np.float32) for width in (2, 3, 3)))
 
     @classmethod
+    @quiet
     def from_covariances(cls, means: npt.ArrayLike, covariances: npt.ArrayLike, colors: npt.ArrayLike) -> Gaussians:
         """Build Gaussians from covariances [N, 2, 2] in pixels squared; factors are NaN unless positive definite."""
         (xx, xy), (_, yy) = np.moveaxis(np.asarray(covariances, np.float64), 0, -1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            l1 = np.sqrt(xx)
-            factors = np.stack([l1, xy / l1, np.sqrt(yy - (xy / l1) ** 2)], 1)
+        l1 = np.sqrt(xx)
+        factors = np.stack([l1, xy / l1, np.sqrt(yy - (xy / l1) ** 2)], 1)
         return cls(*(np.asarray(values, np.float32) for values in (means, factors, colors)))
 
     @property
+    @quiet
     def covariances(self) -> FloatArray:
         """Covariances [N, 2, 2] in pixels squared."""
         l1, l2, l3 = self.factors.T

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from sgmethod.budget import AnyInt, checked_integer
 from sgmethod.native import native
+from sgmethod.numerics import quiet
 
 MAX_THREADS = 256
 Item = TypeVar("Item")
@@ -30,6 +31,7 @@ def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> li
     items = list(items)
     results: dict[int, Result] = {}
 
+    @quiet
     def compute(index: int) -> None:
         results[index] = function(items[index])
 

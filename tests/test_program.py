@@ -11,6 +11,8 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ import torch
 from PIL import Image
 
 import sgmethod
+import sgmethod.torch
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
@@ -108,6 +111,27 @@ def test_a_child_forked_while_a_picture_is_read_reads_and_warns(monkeypatch: pyt
     assert in_child(warned) == expected
     assert expected.endswith(b"1")
     reading.join()
+
+
+@pytest.mark.filterwarnings("ignore::sgmethod.ImageWarning")
+def test_reading_pictures_leaves_a_programs_warnings_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """They belong to all its threads."""
+    file = io.BytesIO()
+    Image.fromarray(PIXELS).save(file, "GIF", save_all=True, append_images=[Image.new("L", (48, 36))])
+    seen, real = [], formats.open_reader
+
+    def state() -> list[object]:
+        return [warnings.filters, *warnings.filters, warnings.showwarning]
+
+    def looked(*arguments: Any) -> object:
+        seen.append(state())
+        return real(*arguments)
+
+    monkeypatch.setattr(formats, "open_reader", looked)
+    sgmethod.encode(file.getvalue(), bytes=400, effort=1)
+    sgmethod.preview(file.getvalue())
+    sgmethod.encode_many([("a", file.getvalue())], tmp_path, bytes=400, effort=1)
+    assert seen == [state()] * 4
 
 
 INTERRUPTED = """
@@ -206,3 +230,38 @@ def test_files_are_the_same_whatever_a_program_has_set(state: str, profile: str)
     expected = encoded(**more)
     with STATES[state]():
         assert encoded(**more) == expected
+
+
+Y, X = np.mgrid[0:96, 0:96]
+EXTREMES = {
+    "a step of one level": 100 + (X >= 48),
+    "a bump": np.clip(2040 * np.exp(-(np.square(X - 48.0) + np.square(Y - 48)) / 30), 0, 255),
+    "a line": 255 * (X != Y),
+}
+
+
+@pytest.mark.parametrize("picture", EXTREMES)
+def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_raise(
+    picture: str, set_threads: Callable[[int], None], tmp_path: Path
+) -> None:
+    set_threads(2)
+    pixels = EXTREMES[picture].astype(np.uint8)
+    with np.errstate(all="raise"):
+        for budget in ({"bpp": 3}, {"psnr": 60}, {"looks": 99}):
+            file = sgmethod.open(sgmethod.encode(pixels, tune="psnr", measure=True, **budget).data)
+            assert file.pixels(scale=1 / 48).shape == (2, 2, 3)
+            tiny = sgmethod.Gaussians(*(values * np.float32(1e-30) for values in file.gaussians().arrays))
+            assert np.isfinite(tiny.covariances).all()
+            sgmethod.write_ply(tmp_path / "tiny.ply", tiny)
+            assert len(sgmethod.read_ply(tmp_path / "tiny.ply")) == len(tiny)
+        assert sgmethod.preview(pixels).width == 96
+        assert sgmethod.torch.fit(torch.from_numpy(pixels / 255).expand(1, 3, 96, 96), 9, steps=5).error.shape == (1,)
+    with np.errstate(all="warn"):  # in the threads of a pool, too, where the caller's setting does not reach
+        assert sgmethod.encode(pixels, bpp=3, tune="psnr", measure=True).stats.bytes > 0
+
+
+def test_torchs_default_type_stays_the_programs_while_a_profile_computes() -> None:
+    seen: list[torch.dtype] = []
+    with default_dtype(torch.float64):
+        encoded(profile="paper", effort=DEFAULT_EFFORT, on_progress=lambda _: seen.append(torch.get_default_dtype()))
+    assert set(seen) == {torch.float64}

@@ -27,7 +27,7 @@ MEDIA_TYPES: dict[PictureFormat, str] = {
     "avif": "image/avif",
 }
 # Pixels of the longer side that a format can hold, or its library writes.
-MAX_SIDES: dict[PictureFormat, int] = {"png": 2**31 - 1, "jpg": 65_535, "webp": 16_383, "avif": 16_384}
+MAX_SIDES: dict[PictureFormat, int] = {"png": 2**31 - 1, "jpg": 65_500, "webp": 16_383, "avif": 16_384}
 DEFAULT_QUALITY: dict[PictureFormat, int] = {"jpg": 90, "webp": 85, "avif": 75}
 OPTIONS: dict[PictureFormat, dict[str, Any]] = {"webp": {"method": 0}, "avif": {"speed": 9, "max_threads": 1}}
 # Of rivals: without a profile, which would be a tenth of a small file.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.errors import GaussiansError
+from sgmethod.numerics import quiet
 from sgmethod.scene import Gaussians, readable
 
 Number = TypeVar("Number", np.float32, np.float64)
@@ -34,6 +35,7 @@ def checked_gaussians(gaussians: Gaussians) -> Gaussians:
     return own
 
 
+@quiet
 def checked_array(values: Any, kind: type[Number]) -> NDArray[Number]:
     """Convert a NumPy array, a tensor of any device or nested lists to a C-contiguous array. Raises GaussiansError."""
     try:

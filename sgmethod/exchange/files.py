@@ -31,6 +31,7 @@ from sgmethod.errors import GaussiansError
 from sgmethod.exchange.arrays import checked_gaussians
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.native import native
+from sgmethod.numerics import quiet
 from sgmethod.scene import Gaussians
 from sgmethod.view import NO_CUTOFF, recut
 
@@ -71,6 +72,7 @@ def arrays_of(data: bytes, names: Sequence[str], wrong: str) -> dict[str, NDArra
         raise GaussiansError(wrong) from error
 
 
+@quiet
 def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Write a binary PLY file in the format of 3D Gaussian splatting. Raises GaussiansError and OSError."""
     whole = recut(checked_gaussians(gaussians), native.CUTOFF_V2, NO_CUTOFF)
@@ -85,6 +87,7 @@ def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     write_atomically(checked_path(path), "\n".join(lines).encode() + np.stack(columns, 1).astype("<f4").tobytes())
 
 
+@quiet  # the results are checked
 def read_ply(path: PathLike) -> Gaussians:
     """Read Gaussians from a PLY file of 2D or 3D Gaussian splatting. Raises GaussiansError and OSError."""
     vertices = _vertices(checked_path(path).read_bytes(), str(path))
@@ -93,14 +96,13 @@ def read_ply(path: PathLike) -> Gaussians:
         return np.stack([vertices[name] for name in names.split()], 1).astype(np.float64)
 
     solid = "scale_2" in (vertices.dtype.names or ())
-    with np.errstate(all="ignore"):  # the results are checked below
-        scales = np.exp(columns("scale_0 scale_1 scale_2" if solid else "scale_0 scale_1"))
-        quaternions = columns("rot_0 rot_1 rot_2 rot_3")
-        w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
-        along_x = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        along_y = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-        axes = np.stack([np.stack(rows, 1)[:, : scales.shape[1]] * scales for rows in (along_x, along_y)], 1)
-        colors = (0.5 + C0 * columns("f_dc_0 f_dc_1 f_dc_2")) / (1 + np.exp(-columns("opacity")))
+    scales = np.exp(columns("scale_0 scale_1 scale_2" if solid else "scale_0 scale_1"))
+    quaternions = columns("rot_0 rot_1 rot_2 rot_3")
+    w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    along_x = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    along_y = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    axes = np.stack([np.stack(rows, 1)[:, : scales.shape[1]] * scales for rows in (along_x, along_y)], 1)
+    colors = (0.5 + C0 * columns("f_dc_0 f_dc_1 f_dc_2")) / (1 + np.exp(-columns("opacity")))
     flat = Gaussians.from_covariances(columns("x y"), axes @ axes.swapaxes(1, 2), colors)
     return recut(checked_gaussians(flat), NO_CUTOFF)
 

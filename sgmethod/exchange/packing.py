@@ -19,12 +19,14 @@ from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.native import native
+from sgmethod.numerics import quiet
 from sgmethod.rd.rate_control import error_per_bit
 from sgmethod.scene import Gaussians
 
 SWEEPS = 2  # of refining, over all Gaussians
 
 
+@quiet
 def pack(
     gaussians: Gaussians,
     width: AnyInt,

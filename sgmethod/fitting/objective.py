@@ -51,6 +51,11 @@ class Objective:
         """Objective for an alpha plane [H, W]."""
         return cls(np.repeat(alpha[..., None], 3, axis=2), settings, is_alpha=True)
 
+    @property
+    def replaces_grain(self) -> bool:
+        """Whether texture may replace grain: not in strips thinner than the blocks in which it is measured."""
+        return self.for_eye and min(self.pixels.shape[:2]) >= texture.BLOCK
+
     def under(self, pixels: Pixels, alpha: Pixels) -> Objective:
         """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
         return Objective.of(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
@@ -60,13 +65,13 @@ class Objective:
         if self.is_alpha:
             return OvershootingTarget(target, background, self.settings.moving)
         shrink = self.settings.moving.shrink // spacing
-        if self.for_eye and shrink > 1:
+        if self.replaces_grain and shrink > 1:
             return ExaggeratedTarget(target, shrink, self.settings.moving)
         return MovingTarget(target)
 
     def hidden_by(self, effort: Effort) -> int:
         """Coarser sizes whose gains can hide a place of growth: few if the target moves, as coarse errors persist."""
-        return effort.hidden_by_moving if self.for_eye else effort.hidden_by
+        return effort.hidden_by_moving if self.replaces_grain else effort.hidden_by
 
     def energies(self, gaussians: Gaussians) -> FloatArray:
         """Weighted squared error [N] that dropping each Gaussian alone would add."""
@@ -80,7 +85,7 @@ class Objective:
 
     def texture(self, stream: Stream) -> Codes | None:
         """Texture codes for a coded picture without texture; None if it needs none."""
-        if not self.for_eye:
+        if not self.replaces_grain:
             return None
         drawn = draw_whole(stream)
         if self.shown is not None:  # no texture where alpha hides it

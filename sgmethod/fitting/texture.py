@@ -8,7 +8,7 @@ energy that is then missing, up to a spread of a few levels.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from sgmethod.scene import Pixels
 from sgmethod.settings.rd import TextureSettings
 
 Plane = NDArray[np.float32]
+Value = TypeVar("Value", np.float32, np.float64)
 BLOCK = 8  # pixels along a side of the blocks whose energies are compared within a cell
 MOST_FLAT = 1 / 8  # most flat pixels in a block of noise
 REACH = 9  # side of the square around a pixel in which its darkest (ink) and brightest (paper) levels are found
@@ -31,6 +32,9 @@ SIDE = TEXTURE_CELL // BLOCK  # blocks along a side of a cell
 SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/test_texture.py
 STEPS = 30  # towards the strengths of cells, which then move by less than a tenth of a code
 TINY = 1e-3  # squared levels
+# Weights [blocks of a cell, 9] in linear interpolation of the cell and its neighbours: of 3 cells, the middle one's.
+ALONG = cv2.resize(np.eye(3), (3, 3 * SIDE), interpolation=cv2.INTER_LINEAR)[SIDE : 2 * SIDE]
+SPREAD = np.kron(ALONG, ALONG)
 MARGIN = 4  # rows, more than reduction and enlargement reach; even, so that rows keep their pairs
 
 
@@ -90,9 +94,9 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
         energy[here], noisy[here] = _energy(_detail(luma)), _noisy(luma)
         missing = 255 * _luma(np.ascontiguousarray(left(first, end).transpose(1, 2, 0)))
         part = np.minimum(_energy(_detail(_padded(missing, columns))) / (energy[here] + TINY), 1)
-        found = np.quantile(_by_cell(noisy[here] * energy[here]), settings.quantile, axis=1)
+        found = np.quantile(_by_cell(noisy[here] * energy[here])[0], settings.quantile, axis=1)
         found *= _rise(np.sqrt(found), settings.grain_levels)
-        found *= _rise(np.median(_by_cell(part), axis=1), settings.grain_left)
+        found *= _rise(np.median(_by_cell(part)[0], axis=1), settings.grain_left)
         strength[row] = found
     strength = _plane(cv2.resize(strength, energy.shape[::-1], interpolation=cv2.INTER_LINEAR))
     share = noisy * np.minimum(strength / (energy + TINY), 1)
@@ -158,10 +162,10 @@ def _energy(detail: Plane, side: int = BLOCK) -> Plane:
     return _plane(cv2.resize(detail * detail, None, fx=1 / side, fy=1 / side, interpolation=cv2.INTER_AREA))
 
 
-def _by_cell(blocks: Plane) -> Plane:
-    """Group the blocks of one row of cells by cell, [columns, blocks]; a cell is as many blocks wide as high."""
-    rows = len(blocks)
-    return _plane(blocks.reshape(rows, -1, rows).transpose(1, 0, 2).reshape(-1, rows * rows))
+def _by_cell(blocks: NDArray[Value]) -> NDArray[Value]:
+    """Group blocks by cell, [rows, columns, blocks of a cell]."""
+    rows, columns = (count // SIDE for count in blocks.shape)
+    return blocks.reshape(rows, SIDE, columns, SIDE).transpose(0, 2, 1, 3).reshape(rows, columns, SIDE * SIDE)
 
 
 def _energies(plane: Plane) -> Iterator[Plane]:
@@ -179,20 +183,26 @@ def _strengths(spread: Plane, settings: TextureSettings) -> NDArray[np.float64]:
     sky beside it. It begins at a low quantile of a cell's blocks, and its steps multiply: a cell of which some blocks
     only have noise gets none, and none falls below 0.
     """
-    down, across = (_between(count // SIDE) for count in spread.shape)
-    by_row = [_by_cell(spread[first : first + SIDE]) for first in range(0, len(spread), SIDE)]
-    strengths = np.array([np.quantile(row, settings.quantile, axis=1) for row in by_row], np.float64)
+    strengths: NDArray[np.float64] = np.quantile(_by_cell(spread), settings.quantile, axis=2).astype(np.float64)
     for _ in range(STEPS):
-        shown = down @ strengths @ across.T
+        shown = cv2.resize(strengths, spread.shape[::-1], interpolation=cv2.INTER_LINEAR)
         weights = np.where(shown > spread, settings.excess, 1.0)
-        strengths *= (down.T @ (weights * spread) @ across) / (down.T @ (weights * shown) @ across + TINY)
+        strengths *= _gathered(weights * spread) / (_gathered(weights * shown) + TINY)
     return strengths
 
 
-def _between(count: int) -> NDArray[np.float64]:
-    """Linear interpolation from cells to blocks, along one axis, as a matrix [blocks, cells]."""
-    matrix = cv2.resize(np.eye(count), (count, count * SIDE), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(matrix.reshape(-1, count), np.float64)
+def _gathered(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Transpose of the linear interpolation from cells to blocks: sum blocks by their weights for each cell."""
+    parts = _by_cell(blocks) @ SPREAD
+    rows, columns = parts.shape[:2]
+    sums = np.zeros((rows + 2, columns + 2))
+    for n in range(9):
+        y, x = divmod(n, 3)
+        sums[y : y + rows, x : x + columns] += parts[..., n]
+    for side in (sums, sums.T):  # beyond the edge, interpolation repeats the cells there
+        side[1] += side[0]
+        side[-2] += side[-1]
+    return sums[1:-1, 1:-1]
 
 
 def _codes(strengths: NDArray[Any]) -> Codes:

@@ -74,7 +74,6 @@ class SeenShare:
             visibility = visibility.halved()
             self._levels.append(visibility.values)
 
-    @np.errstate(invalid="ignore")
     def of(self, gaussians: Gaussians) -> FloatArray:
         """Visible share [N]. A NaN centre counts as the picture's corner, a NaN size as zero."""
         means, factors, colors = gaussians.arrays

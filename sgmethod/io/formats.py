@@ -12,6 +12,7 @@ import io
 import logging
 
 from PIL import ImageFile
+from PIL.JpegImagePlugin import JpegImageFile
 
 from sgmethod.errors import ImageError
 from sgmethod.io import chunks
@@ -30,7 +31,7 @@ MAGICS: dict[str, tuple[bytes, ...]] = {
 HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 READERS = {
     "PNG": ("PIL.PngImagePlugin", "PngImageFile"),
-    "JPEG": ("PIL.JpegImagePlugin", "JpegImageFile"),
+    "JPEG": (__name__, "JpegReader"),
     "WebP": ("PIL.WebPImagePlugin", "WebPImageFile"),
     "TIFF": ("PIL.TiffImagePlugin", "TiffImageFile"),
     "BMP": ("PIL.BmpImagePlugin", "BmpImageFile"),
@@ -62,6 +63,13 @@ PLUGINS = {
 
 # Without a handler, Python prints Pillow's messages about odd files to stderr.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
+
+
+class JpegReader(JpegImageFile):
+    """Pillow's reader, except that it leaves out the resolution in EXIF data, of whose damage it would warn."""
+
+    def _read_dpi_from_exif(self) -> None:
+        pass
 
 
 def name_of(data: bytes) -> str:

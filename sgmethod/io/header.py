@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+import struct
 import sys
-import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from typing import Any
 
 from PIL import Image
 
-from sgmethod.errors import ImageError, ImageWarning, SgError
+from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.colour import Colour, ProfileError
 from sgmethod.io.levels import BITS_PER_SAMPLE, Box, stated_colour
@@ -24,16 +25,10 @@ from sgmethod.native import native
 # TIFF: tags; values of PLANAR and SAMPLE_FORMAT
 NEW_SUBFILE_TYPE, ORIENTATION, PLANAR, SAMPLE_FORMAT = 254, 274, 284, 339
 SEPARATE, UNSIGNED, UNKNOWN = 2, 1, 4
+EXIF_MARKS = re.compile(rb"^(Exif\0\0)*")  # some writers put it there twice
+WHOLE_NUMBERS = {1: "B", 3: "H", 4: "I"}  # TIFF's types
 PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parents[1], Path(Image.__file__).parent))
 UNSUPPORTED_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
-
-# Python's warning filters, silenced below, are shared by all threads. A fork waits for the lock, because the child
-# would inherit the lock and the filters in another thread's state. An RLock, because a signal handler may fork in the
-# thread that holds it.
-_PILLOW_LOCK = threading.RLock()
-if hasattr(os, "register_at_fork"):  # not on Windows
-    _RELEASE = _PILLOW_LOCK.release
-    os.register_at_fork(before=_PILLOW_LOCK.acquire, after_in_parent=_RELEASE, after_in_child=_RELEASE)
 
 
 @dataclass(frozen=True)
@@ -91,24 +86,32 @@ class Opened:
 
 @contextmanager
 def only_image_errors(kind: str = "image") -> Iterator[None]:
-    """Turn everything that Pillow raises on a bad file into ImageError, silence its warnings, and use its defaults."""
-    with pillow_defaults(), _PILLOW_LOCK, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
+    """Turn everything that Pillow raises on a bad file into ImageError, and use its defaults.
+
+    Pillow's warnings take their way: Python's filters, which could silence them, belong to all threads of a program.
+    """
+    try:
+        with pillow_defaults():
             yield
-        except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for MAX_SIDE
-            raise
-        except Image.DecompressionBombError as error:  # Pillow's own limit, where the caller's is higher
-            raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
-        except MemoryError as error:
-            raise ImageError("not enough memory to decode the image") from error
-        except Exception as error:
-            reason = str(error).strip().split("\n")[0] or type(error).__name__
-            raise ImageError(f"the {kind} is damaged, truncated or unsupported ({reason})") from error
+    except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for MAX_SIDE
+        raise
+    except Image.DecompressionBombError as error:  # Pillow's own limit, where the caller's is higher
+        raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
+    except MemoryError as error:
+        raise ImageError("not enough memory to decode the image") from error
+    except Exception as error:
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise ImageError(f"the {kind} is damaged, truncated or unsupported ({reason})") from error
 
 
 def warn(notes: list[str]) -> None:
-    """Issue an ImageWarning for each note, attributed to the program that has called this package or Pillow."""
+    """Issue an ImageWarning for each note, attributed to the program that has called this package or Pillow.
+
+    Within errors.noted(), they are added to its list instead.
+    """
+    if (collected := NOTES.get()) is not None:
+        collected += notes
+        return
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGES):
         level, frame = level + 1, frame.f_back
@@ -208,14 +211,21 @@ def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str
         return None, [f"its colour profile is ignored: {error}"]
 
 
-def orientation_of(block: bytes | None) -> int:
-    """EXIF orientation, 1 to 8, from an EXIF block; 1 if there is none. Never decodes pixels."""
-    if not block:
-        return 1
-    exif = Image.Exif()
+def orientation_of(block: object) -> int:
+    """EXIF orientation, 1 to 8, from an EXIF block; 1 if there is none.
+
+    Only this entry is parsed: Pillow parses all, and warns of damage that does not matter here.
+    """
+    tiff = re.sub(EXIF_MARKS, b"", block) if isinstance(block, bytes) else b""
+    order = "<" if tiff[:2] == b"II" else ">"
     try:
-        exif.load(block)
-        value = exif.get(ORIENTATION, 1)
-    except Exception:  # damaged EXIF data says nothing about the pixels
-        return 1
-    return value if value in range(1, 9) else 1
+        (at,) = struct.unpack_from(order + "I", tiff, 4)
+        (entries,) = struct.unpack_from(order + "H", tiff, at)
+        for place in range(at + 2, at + 2 + 12 * entries, 12):
+            tag, kind = struct.unpack_from(order + "HH", tiff, place)
+            if tag == ORIENTATION:
+                (value,) = struct.unpack_from(order + WHOLE_NUMBERS[kind], tiff, place + 8)
+                return value if value in range(1, 9) else 1
+    except (struct.error, KeyError):  # damaged EXIF data says nothing about the pixels
+        pass
+    return 1

@@ -25,7 +25,7 @@ refused file raises an ImageError with one clear sentence, anything dropped an I
                    16 bits are refused, because they do not say which value is white.
     transparency   kept in 8 bits if the caller wants it; else composited over white in sRGB values,
                    value * alpha + (1 - alpha), with a warning
-    the rest       other metadata is dropped
+    the rest       other metadata is dropped; Pillow may warn of damage in it
 """
 
 from __future__ import annotations
@@ -133,11 +133,14 @@ def _with_end(jpeg: bytes) -> bytes:
     jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
     number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
     restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # missing pixels may continue with the next restart marker
-    readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in RANDOM_TAILS]
-    ended, *others = map(np.asarray, readers)
+    completed = jpeg + chunks.JPEG_END  # missing pixels become grey
+    tails = [bits + restart + bits + chunks.JPEG_END for bits in RANDOM_TAILS]
+    ended, *others = (
+        np.asarray(formats.open_reader(data, "JPEG")) for data in (completed, *(jpeg + tail for tail in tails))
+    )
     if not all(np.array_equal(ended, other) for other in others):
         raise ImageError("the JPEG is truncated")
-    return jpeg + chunks.JPEG_END
+    return completed
 
 
 def without_alpha(samples: Samples, notes: list[str]) -> Samples:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sgmethod.io.colour import from_srgb
 from sgmethod.metrics.pixels import WINDOW_SIZE, window_weights
+from sgmethod.numerics import quiet
 from sgmethod.threads import in_parallel
 
 Plane = NDArray[np.float32]
@@ -58,6 +59,7 @@ WEIGHTS = np.array(
 )
 
 
+@quiet
 def ssimulacra2(picture: NDArray[Any], source: NDArray[Any]) -> float | None:
     """SSIMULACRA 2 of a picture [H, W, 3], uint8 sRGB; None if a side is below SMALLEST_SIDE pixels.
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sgmethod.numerics import quiet
 from sgmethod.threads import in_parallel
 
 Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.floating[Any]]
@@ -32,6 +33,7 @@ BAND = 1 << 16  # windows compared at a time, about
 MS_SSIM_SIDE = (WINDOW_SIZE - 1) * 2 ** (len(SCALE_WEIGHTS) - 1) + 1
 
 
+@quiet
 def psnr(a: Pixels, b: Pixels) -> float:
     """Peak signal-to-noise ratio in dB, over all pixels and channels together; inf for equal pictures.
 
@@ -47,6 +49,7 @@ def psnr(a: Pixels, b: Pixels) -> float:
     return math.inf if total == 0 else -10 * math.log10(total / (a.size * peak**2))
 
 
+@quiet
 def ms_ssim(a: Pixels, b: Pixels) -> float | None:
     """Multi-scale structural similarity of two pictures [H, W, C], mean over channels, in [0, 1].
 

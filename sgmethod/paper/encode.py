@@ -117,12 +117,11 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
 
 @contextmanager
 def _torch_defaults() -> Iterator[None]:
-    """Compute with torch's defaults, whatever the program has set: float32 on the CPU, with gradients.
+    """Compute on the CPU, with gradients, whatever the program has set.
 
     On one thread: torch's pool and the kernels' on the same cores would take several times as long.
     """
-    kind, threads = torch.get_default_dtype(), torch.get_num_threads()
-    torch.set_default_dtype(torch.float32)
+    threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         with (
@@ -133,7 +132,6 @@ def _torch_defaults() -> Iterator[None]:
         ):
             yield
     finally:
-        torch.set_default_dtype(kind)
         torch.set_num_threads(threads)
 
 

@@ -72,10 +72,11 @@ class Tuner:
         self.book = ResidualCodebook(
             self.p.colors, stages=CODEBOOK_STAGES, entries=CODEBOOK_ENTRIES, decay=s.codebook_decay, seed=seed
         )
-        self.position_bits = torch.tensor([float(s.position_bits)])
+        self.position_bits = torch.tensor([s.position_bits], dtype=torch.float32)
         self.ranges = [means.amin(0), means.amax(0), factors.quantile(tail, dim=0), factors.quantile(1 - tail, dim=0)]
         self._widen()
-        self.soft_bits = torch.full((self.n, 1), s.start_bitwidth if s.adaptive_bitwidth else float(s.min_bitwidth))
+        bits = s.start_bitwidth if s.adaptive_bitwidth else s.min_bitwidth
+        self.soft_bits = torch.full((self.n, 1), bits, dtype=torch.float32)
         self.shift = 0.0
         self.steps = 0
         spans = [(high - low).amax().item() for low, high in (self.ranges[:2], self.ranges[2:])]

@@ -24,6 +24,7 @@ from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.inputs import Input
+from sgmethod.numerics import quiet
 from sgmethod.previews.reducing import reduced
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
@@ -97,6 +98,7 @@ def _webp_uri(file: SgFile) -> str:
     return f"data:image/webp;base64,{base64.b64encode(webp.getvalue()).decode()}"
 
 
+@quiet
 def preview(image: Input, bytes: AnyInt | str = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:
     """Encode a picture as a text of a few hundred characters, for an attribute or a JSON string.
 

@@ -16,6 +16,7 @@ from sgmethod.scene import Pixels
 
 Size = tuple[int, int]  # width, height
 
+THINNEST = 16  # pixels; a thinner strip counts as this thick, because its Gaussians are no smaller along it
 SHORTEST = 3 / 4  # least shorter side tried for the best aspect ratio, as a part of the longest allowed
 SPARE = 2  # a picture is first reduced cheaply to this multiple of the size, a JPEG while it is decoded
 
@@ -44,15 +45,17 @@ def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tup
 def reduced_size(size: Size, pixels: int) -> Size:
     """Size of about this many pixels at most, with the aspect ratio nearest to that of `size`.
 
+    A strip keeps one pixel across, and is reduced along.
+
     >>> reduced_size((4032, 3024), 12_800), reduced_size((3872, 2592), 12_800)
     ((128, 96), (121, 81))
     """
-    width, height = size
-    scale = (pixels / (width * height)) ** 0.5
+    short, long = sorted(size)
+    longest = pixels // THINNEST
+    scale = min((pixels / (short * long)) ** 0.5, longest / long)
     if scale >= 1:
         return size
-    short, long = sorted(size)
     most = max(int(scale * short), 1)
-    sides = [(side, max(round(side * long / short), 1)) for side in range(most, int(SHORTEST * most), -1)]
+    sides = [(side, min(round(side * long / short), longest)) for side in range(most, int(SHORTEST * most), -1)]
     best = min(sides, key=lambda one: abs(one[1] / one[0] * short / long - 1))
-    return best if width < height else best[::-1]
+    return best if size[0] < size[1] else best[::-1]

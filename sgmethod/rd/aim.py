@@ -72,6 +72,10 @@ class Aim(RateControl, ABC):
             return NO_LIMIT
         return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
 
+    def is_enough(self, coded: Coded) -> bool:
+        """Never: a better file than asked is made smaller."""
+        return False
+
     def is_missed(self, files: Iterable[Coded]) -> bool:
         return max(map(self.reached, files)) < self.aim_db - self.round_slack_db
 

@@ -42,11 +42,15 @@ def encode(request: Request) -> tuple[StreamV2, int]:
             if stage.is_due:
                 state = prune(plan, state, stage)
                 state = steer(plan, state, stage)
+                if state.is_enough:
+                    break
                 state = densify(plan, state, stage)
             state = fit(plan, state, stage)
         state = settle(plan, state, plan.times(number))
-        if number in rounds or number > rounds[-1]:
+        if state.is_enough or number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
+            if rate.is_enough(files[number]):
+                break
         if number >= rounds[-1]:
             if not rate.is_missed(files.values()):
                 break

@@ -18,6 +18,7 @@ from sgmethod.fitting.deadline import Clock, Deadline, cosine
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.numerics import quiet
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
@@ -52,6 +53,7 @@ class ExactFit:
     quantum: float = 0.0
     seed: int = 0
 
+    @quiet
     def of(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
         plan = self._plan(pixels, backend, clock)

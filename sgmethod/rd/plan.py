@@ -201,7 +201,8 @@ class State:
     """The state of a fit.
 
     moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: estimated
-    size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing.
+    size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing; is_enough:
+    see RateControl.is_enough().
     """
 
     gaussians: Gaussians
@@ -211,6 +212,7 @@ class State:
     steps: int = 0
     size: int = 0
     saturated_price: float = np.inf
+    is_enough: bool = False
 
     @property
     def bit_price(self) -> float:

@@ -186,6 +186,10 @@ class RateControl:
         """Whether none of the files has the quality that was asked for."""
         return False
 
+    def is_enough(self, coded: Coded) -> bool:
+        """Whether further steps and bytes gain nothing: every pixel is exact."""
+        return coded.error == 0
+
     def best(self, files: Iterable[Coded]) -> Coded:
         """Choose the file that meets the budget best."""
         first, *others = files

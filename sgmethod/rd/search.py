@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -22,7 +23,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     rounds: completed. For each after the first, a random half of the Gaussians is fitted again to what rounding the
     others leaves, and all are refined again: refining alone finds no single change that helps.
     """
-    request, rate = plan.request, plan.request.rate
+    request, rate, s = plan.request, plan.request.rate, plan.settings.refine
 
     @cache  # several quanta have one code
     def coded(quantum: float) -> StreamV2:
@@ -47,11 +48,16 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
     if rate.is_cut_short(payload(state.quantum), limit):
         tried.append(refined(state.gaussians, state.quantum, limit))
+    if state.is_enough:
+        tried.append(Coded(coded(state.quantum), request.objective))
     best = rate.chosen(tried)
+    if rate.is_enough(best):
+        best = smaller(plan, best, target)
+        rounds = 0
     rng = np.random.default_rng(request.seed)
     for _ in request.deadline.tries(max(rounds - 1, 0) if best.size else 0):
         held = rng.random(len(best.stream.gaussians())) < 0.5
-        again = relaxed(plan, best.stream, target, held)
+        again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
         best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
     if not request.is_nearly_flat:
         return best
@@ -77,15 +83,46 @@ def _refined(
     return Coded(StreamV2(*colours, texture, is_short=coding.is_short), request.objective)
 
 
-def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_]) -> Gaussians:
-    """Take some steps with the Gaussians [N] of a coded picture, except those that are held [N]."""
+def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
+    """Search for a smaller file of an exact picture, with fewer Gaussians or a coarser quantum, until none is found."""
+    request, s = plan.request, plan.settings.refine
+    exact, last = Coded(replace(exact.stream, texture=None), request.objective), None
+
+    def fewer(share: float) -> Coded:
+        stream, gaussians = exact.stream, exact.stream.gaussians()
+        strongest = np.argsort(-request.objective.energies(gaussians), kind="stable")
+        few = gaussians.rows(np.sort(strongest[: int(share * len(strongest))]))
+        held = np.zeros(len(few), bool)
+        moved = relaxed(plan, request.stream(few, stream.quantum), target, held, [s.exact_rate] * s.exact_steps)
+        return _refined(plan, target, None, moved, stream.quantum, exact.size)
+
+    def coarser(by: float) -> Coded:
+        return _refined(plan, target, None, exact.stream.gaussians(), exact.stream.quantum * by, exact.size)
+
+    slow = request.deadline.tries(3 * s.exact_pixels // request.samples)
+    quick = request.deadline.tries(s.exact_tries)
+    ways = [(partial(fewer, share), slow) for share in s.exact_shares]
+    ways += [(partial(coarser, by), quick) for by in s.exact_coarser]
+    while last is not exact:
+        last = exact
+        for way, tries in ways:
+            for _ in tries:
+                found = way()
+                if found.error > 0 or found.size >= exact.size:
+                    break
+                exact = found
+    return exact
+
+
+def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_], rates: Sequence[float]) -> Gaussians:
+    """Take steps of these rates with the Gaussians [N] of a coded picture, except those that are held [N]."""
     s, level = plan.settings.refine, replace(plan.finest, target=target)
     before = stream.gaussians()
     moving, moments = before.copy(), Moments.none(len(before))
     price = s.relaxed_weight * error_per_bit(stream.quantum)
     descent = plan.descent(level, stream.quantum, price)
-    for _ in range(s.relaxed_steps):
-        plan.request.backend.steps(moving, moments, descent, [s.relaxed_rate])
+    for rate in rates:
+        plan.request.backend.steps(moving, moments, descent, [rate])
         for values, held_at in zip(moving.arrays, before.arrays, strict=True):
             values[held] = held_at[held]
     return moving

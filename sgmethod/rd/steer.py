@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v2 import StreamV2
+from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2
 from sgmethod.rd.aim import LooksAim
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
@@ -43,11 +43,16 @@ class FitNow:
 
 
 def steer(plan: Plan, state: State, stage: Stage) -> State:
-    """Set the file's size, and the quantum that rate control wants for it."""
+    """Set the file's size, and the quantum that rate control wants for it.
+
+    Where bytes are left at the finest quantum, the picture may be exact already.
+    """
     request = plan.request
     now = FitNow(plan, state, request.stream(state.gaussians, state.quantum))
     if request.recorder.preview is not None:
         request.recorder.preview(container.serialise(now.stream))
+    if now.stream.quantum <= MIN_QUANTUM and request.rate.is_enough(Coded(now.stream, request.objective)):
+        return replace(state, size=now.file_bytes, is_enough=True)
     quantum = request.rate.steered(state.quantum, stage.times, stage.at, now)
     coded = StreamV2.coded_quantum(quantum, request.rate.is_short)
     return replace(state, size=now.file_bytes, quantum=coded)

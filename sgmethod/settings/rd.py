@@ -201,6 +201,16 @@ class RefineSettings:
     relaxed_gain: float = 0.005  # expected saving, as a part of the file's size, for a budget in dB
     size_per_db: float = 0.3  # further saving, as a part of the size, per dB above the requested PSNR
     most_spared: float = 0.05  # largest saving, as a part of the size
+    # Where a file is exact already, smaller ones are tried: with these shares of the Gaussians, after some steps of
+    # this rate, on at most so many pixels in all; and with a quantum that is coarser by these factors. Seen for any
+    # budget that suffices: a dot on a plain picture takes 47 to 56 bytes instead of 56 to 105, a step of one level 29
+    # to 40 instead of 114 to 372.
+    exact_shares: tuple[float, ...] = (0.7, 0.9)
+    exact_steps: int = 100
+    exact_rate: float = 0.4
+    exact_pixels: int = 1 << 20
+    exact_coarser: tuple[float, ...] = (2**0.5, 2**0.25)
+    exact_tries: int = 40  # limit on files with a coarser quantum
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sgmethod import Budget, codec, decode
+from sgmethod import Budget, codec, decode, encode
 from sgmethod.cli import naming
 from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, on_terminal, run, start
+from tests.io.odd_files import tiff
 
 __all__ = ["in_folder", "run"]  # fixtures
 
@@ -253,3 +254,14 @@ def test_seconds_are_those_that_somebody_waits(run: Run, monkeypatch: pytest.Mon
     began = next(clock) + 1
     lines = run("encode", "photo.png", "--output-dir", "out", "--gaussians", "9").out.splitlines()
     assert lines[-1].endswith(f", {next(clock) - 1 - began:.1f} s")
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_pillows_warnings_are_not_printed(jobs: str) -> None:
+    """Of a tag with two values instead of one."""
+    for name in ("odd.tiff", "odder.tiff"):
+        Path(name).write_bytes(tiff([(np.zeros((9, 9, 1), np.uint8), {296: (2, 2)})]))
+    with pytest.warns(UserWarning, match="tag 296 had too many entries"):
+        encode("odd.tiff", effort=1)
+    arguments = ["odd.tiff", "odder.tiff", "--output-dir", "out", "--jobs", jobs, "--effort", "1"]
+    assert start("encode", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE).communicate()[1] == ""

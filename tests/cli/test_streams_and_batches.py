@@ -21,6 +21,7 @@ from sgmethod import decode
 from sgmethod.cli import encoding, naming
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.client import RemoteEncoded
+from sgmethod.errors import ImageError
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.many import processes
 from sgmethod.metrics import psnr, ssimulacra2
@@ -96,9 +97,14 @@ def test_every_format_but_ppm_says_srgb() -> None:
     assert b"colrnclx\0\1\0\r" in encode_picture(pixels, "AVIF")  # the code points of sRGB: 1 and 13
 
 
-def test_a_picture_that_a_format_cannot_hold() -> None:
-    with pytest.raises(Exception, match=r"cannot write .* as WebP"):
-        encode_picture(np.zeros((1, 17_000, 3), np.uint8), "WebP")
+@pytest.mark.parametrize(("kind", "most"), [("JPEG", 65_500), ("WebP", 16_383)])
+def test_a_picture_that_a_format_cannot_hold(kind: str, most: int, capfd: pytest.CaptureFixture[str]) -> None:
+    for height, width in ((1, most), (most, 1)):
+        size = Image.open(io.BytesIO(encode_picture(np.zeros((height, width, 3), np.uint8), kind))).size
+        assert size == (width, height)
+    with pytest.raises(ImageError, match=f"at most {most:,} pixels per side"):
+        encode_picture(np.zeros((1, most + 1, 3), np.uint8), kind)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_name_left_out(run: Run) -> None:

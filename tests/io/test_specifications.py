@@ -309,6 +309,22 @@ def test_a_jpeg_may_lack_its_end_alone(options: dict[str, object]) -> None:
         assert np.array_equal(found, pixels)
 
 
+@pytest.mark.parametrize("subsampling", [0, 2])
+@pytest.mark.parametrize("level", [0, 255])
+def test_missing_pixels_of_one_colour_are_missed(level: int, subsampling: int) -> None:
+    """Each block takes so few bits, and has so few codes, that any bits decode to the same as those missing."""
+    file, pixels = io.BytesIO(), np.full((40, 64, 3), level, np.uint8)
+    Image.fromarray(pixels).save(file, "JPEG", optimize=True, subsampling=subsampling)
+    for missing in range(1, 9):
+        try:
+            found = read_image_8_bit(file.getvalue()[:-missing])
+        except ImageError:
+            continue
+        assert np.abs(found.astype(int) - level).max() <= 1
+    with pytest.raises(ImageError, match="truncated"):
+        read_image_8_bit(file.getvalue()[:-7])
+
+
 def test_scans_that_are_missing_are_missed() -> None:
     """Cut between two scans, where each byte that is there is whole."""
     whole = jpeg(progressive=True)

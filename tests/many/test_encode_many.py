@@ -24,6 +24,7 @@ from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded
 from sgmethod.client import encode_many as encode_on_server
 from sgmethod.errors import noted
+from sgmethod.io.header import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
 from tests.harness.pictures import photo
@@ -131,12 +132,29 @@ def test_what_is_dropped_is_in_the_line() -> None:
     assert rows()[0]["notes"] == ["only the first of several pictures is used"]
 
 
-@pytest.mark.filterwarnings("default:other")
-def test_other_warnings_are_no_notes() -> None:
-    with noted() as notes:
+def test_each_thread_has_its_own_notes() -> None:
+    all_note, notes = threading.Barrier(2), {}
+
+    def work(name: str) -> None:
+        with noted() as notes[name]:
+            all_note.wait(60)
+            warn([name])
+            all_note.wait(60)
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in ("first", "second")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert notes == {"first": ["first"], "second": ["second"]}
+    with pytest.warns(ImageWarning, match="third"):
+        warn(["third"])
+
+
+def test_warnings_of_others_are_no_notes() -> None:
+    with noted() as notes, pytest.warns(UserWarning, match="other"):
         warnings.warn("other", UserWarning, stacklevel=1)
-        warnings.warn("dropped", ImageWarning, stacklevel=1)
-    assert notes == ["dropped"]
+    assert notes == []
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "/a", "a\0", 7])

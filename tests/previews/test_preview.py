@@ -125,6 +125,13 @@ def test_aspect_ratios_reserve_the_right_space(size: tuple[int, int], bytes_: in
         assert all(1 <= small <= large for small, large in zip(reduced_size(odd, 64 * bytes_), odd, strict=True))
 
 
+def test_a_strip_is_reduced_along() -> None:
+    for bytes_, length in ((12, 192), (200, 3200)):
+        assert sgmethod.open(sgmethod.preview(np.zeros((1, 8000), np.uint8), bytes_).data).size == (length, 1)
+    assert reduced_size((8, 8000), 51_200) == (3, 3000)
+    assert reduced_size((3200, 1), 51_200) == (3200, 1)
+
+
 class Tags(HTMLParser):
     """The attributes of each tag."""
 

@@ -83,7 +83,7 @@ def test_gaussians_that_are_held_stay(tune: Tune) -> None:
     stream = plan.request.stream(state.gaussians, state.quantum)
     rounded = stream.gaussians()
     held = np.arange(len(rounded)) % 2 == 0
-    moved = relaxed(plan, stream, state.target.now, held)
+    moved = relaxed(plan, stream, state.target.now, held, [0.15] * 20)
     for before, after in zip(rounded.arrays, moved.arrays, strict=True):
         assert (before[held] == after[held]).all()
         assert (before[~held] != after[~held]).any(1).mean() > 0.9

@@ -193,3 +193,23 @@ def test_odd_pictures(name: str, budget: Budget) -> None:
     assert_sound(encoded, pixels)
     limit = budget.max_bytes(pixels.shape[1], pixels.shape[0])
     assert limit is None or len(encoded.data) <= limit
+
+
+def test_a_picture_that_is_exact_takes_no_more_bytes_and_steps_where_more_are_allowed() -> None:
+    step = np.full((96, 96, 3), 100, np.uint8)
+    step[:, 48:] = 101
+    found = [sgmethod.encode(step, bpp=bpp, tune="psnr") for bpp in (0.1, 0.5, 3)]
+    assert all(np.array_equal(decode(one.data), step) for one in found)
+    assert max(len(one.data) for one in found) < 70  # seen: 40; once 372
+    any_steps = sgmethod.encode(noise(96, 96), bpp=3, tune="psnr").stats.steps
+    assert found[-1].stats.steps < 0.8 * any_steps  # seen: half
+
+
+def test_a_file_made_smaller_stays_exact_for_the_eye_and_under_alpha() -> None:
+    dots = np.full((60, 80, 4), 200, np.uint8)
+    dots[..., 3] = 255
+    dots[20, 30], dots[41, 7] = (255, 0, 0, 255), (0, 0, 0, 0)
+    for pixels in (dots, dots[..., :3]):
+        encoded = sgmethod.encode(np.ascontiguousarray(pixels), bpp=8)
+        assert encoded.stats.psnr == math.inf
+        assert len(encoded.data) < 400

@@ -76,6 +76,8 @@ def test_what_a_kind_of_file_cannot_hold() -> None:
     assert Drawing.of(PictureOptions(), "png", long, NO_LIMIT).width == 16_384
     with pytest.raises(ViewError, match="16,383 per side"):
         Drawing.of(PictureOptions(), "webp", long, NO_LIMIT)
+    with pytest.raises(ViewError, match="65,500 per side"):
+        Drawing.of(PictureOptions(), "jpg", (1, 65_501), NO_LIMIT)
 
 
 def test_entity_tags_tell_pictures_apart() -> None:
