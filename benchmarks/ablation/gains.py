@@ -199,10 +199,10 @@ def measure(
     """Measure rows that differ in their starts alone: on a GPU all at once."""
     keys = [
         {"table": name, "asked": row.gaussians, "setting": row.setting, "image": path.stem}
-        for row in together
         for path in paths
+        for row in together
     ]
-    every = [(row, pixels_of(path, row.middle)) for row in together for path in paths]
+    every = [(row, pixels_of(path, row.middle)) for path in paths for row in together]
     missing = [not record.has(**key) for key in keys]
     if device == "cpu":
         torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
