@@ -76,5 +76,10 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    parts_of_command = {"tables": main, "gains": gains.main, "representation": representation.main}
+    parts_of_command = {
+        "tables": main,
+        "gains": gains.main,
+        "gained": gains.show,
+        "representation": representation.main,
+    }
     sys.exit(run_part(parts_of_command, __doc__, default="tables"))

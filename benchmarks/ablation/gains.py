@@ -1,6 +1,7 @@
 """What the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
     python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
+    python -m benchmarks.ablation gained JSON...    a table of what was measured, and docs/plots/paper.svg
 
 whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
 numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
@@ -13,7 +14,9 @@ All pictures of a row are fitted at once on a GPU.
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import statistics
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -33,6 +36,7 @@ from benchmarks.ablation.gaussian_image import fit as fit_by_adan
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
+from benchmarks.tables import mean, number, table
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
 from sgmethod.decoder import draw
@@ -217,6 +221,62 @@ def measure(
                 record.add({**key, **figures})
 
 
+def summary(rows: Sequence[dict[str, Any]]) -> str:
+    """A table of means, and of gains over a random start with their standard errors, over the pictures of both."""
+    lines = []
+    for name, asked in dict.fromkeys((row["table"], row["asked"]) for row in rows):
+        by = {}
+        for row in rows:
+            if (row["table"], row["asked"]) == (name, asked):
+                by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
+        for setting, levels in by.items():
+            gains = [db - by["random"][image] for image, db in levels.items() if image in by["random"]]
+            error = statistics.stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else None
+            against = [number(mean(gains), "+.2f"), number(error, ".2f")] if setting != "random" else ["", ""]
+            lines.append([name, f"{asked:,}", setting, len(levels), number(mean(levels.values()), ".2f"), *against])
+    return table("table | Gaussians | start | pictures | PSNR | dB against random | standard error", lines)
+
+
+def draw_numbers(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Draw the gain over a random start, with its standard error, over the number of Gaussians."""
+    from benchmarks.report.plots import save, style
+
+    def panel(axes: Any) -> None:
+        levels = {
+            (row["asked"], row["setting"], row["image"]): row["psnr"] for row in rows if row["table"] == "numbers"
+        }
+        numbers = sorted({asked for asked, _, _ in levels})
+        for k, start in enumerate(("fixed", "dynamic")):
+            points = []
+            for asked in numbers:
+                # Where both are the same, only one is measured.
+                of = start if (asked, start) in {key[:2] for key in levels} else "dynamic"
+                gains = [
+                    db - levels[asked, "random", image]
+                    for (n, setting, image), db in levels.items()
+                    if (n, setting) == (asked, of) and (asked, "random", image) in levels
+                ]
+                points.append((asked, mean(gains), statistics.stdev(gains) / math.sqrt(len(gains))))
+            x, y, error = zip(*points, strict=True)
+            look = style(k) | {"label": {"fixed": "fixed, 6:2:1", "dynamic": "dynamic ratio"}[start]}
+            axes.errorbar(x, y, error, capsize=3, **look)
+        axes.axhline(0, color="grey", linewidth=0.8)
+        axes.set(xlabel="Gaussians of 768x512 pixels", ylabel="dB against a random start")
+
+    save([panel], "Structure-guided start", "gain in PSNR, not coded", path)
+
+
+def show() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation gained", description=summary.__doc__)
+    parser.add_argument("json", type=Path, nargs="+")
+    parser.add_argument("--plot", type=Path, help="where to draw the table numbers, without a suffix")
+    options = parser.parse_args()
+    rows = [row for path in options.json for row in json.loads(path.read_text())["rows"]]
+    print(summary(rows))
+    if options.plot:
+        draw_numbers(rows, options.plot)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.ablation gains",
@@ -244,3 +304,4 @@ def main() -> None:
         for together in alike.values():
             if time.monotonic() < ends:
                 measure(record, name, options.device, ends, paths, together)
+    print(f"\n{summary(record.rows)}")

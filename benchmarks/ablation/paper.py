@@ -1,8 +1,8 @@
 """The paper's tables of quantisation, for files of profile paper.
 
-Numbers of Gaussians are for the paper's 768x512 pixels; other pictures have as many for each pixel. Files are of whole
-pictures: a bit of a position is a part of a side, and means less on a smaller picture. Files of one picture, number and
-seed that have the same start share the float fit that they are tuned from.
+Numbers of Gaussians are for the paper's 768x512 pixels; other pictures have as many for each pixel. Positions
+are measured on whole pictures: a bit of one is a part of a side, and means less on a smaller picture. Files of one
+picture, number and seed that have the same start share the float fit that they are tuned from.
 """
 
 from __future__ import annotations
@@ -14,19 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.ablation.fits import PaperFit, fit_of_paper
-from benchmarks.pictures import Pixels
+from benchmarks.ablation.gains import PIXELS, pixels_of
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.settings.paper import PAPER, PaperSettings
 
-PIXELS = 768 * 512
 RANDOM = replace(PAPER.start, structure_guided=False)
 # What GaussianImage codes: random start, no regularisation, 6 bits of a factor, 16 of a position. Our optimiser.
 PLAIN = replace(
@@ -38,10 +36,11 @@ BUDGETED = replace(PAPER, lambda_b=0.0, bits_by_budget=True, mean_bitwidth=7.5)
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the paper. settings: of its rows, by name; numbers: of Gaussians."""
+    """A table of the paper. settings: of its rows, by name; numbers: of Gaussians; middle: the part that is coded."""
 
     settings: dict[str, PaperSettings]
     numbers: tuple[int, ...]
+    middle: tuple[int, int] | None = None
 
 
 TABLES = {
@@ -59,6 +58,7 @@ TABLES = {
             "ABQ, 7.5 bits by a budget": BUDGETED,
         },
         (1000, 3000, 7000),
+        (384, 256),
     ),
     "positions": Table(
         {f"{bits}": replace(BUDGETED, position_bits=bits) for bits in (16, 14, 12, 10)}, (1000, 3000, 7000)
@@ -71,20 +71,18 @@ def measure(
 ) -> dict[str, Any]:
     """Measure one row. steps: of the fit, and of the tuning."""
     settings = replace(table.settings[setting], fit_steps=steps[0], tune_steps=steps[1])
-    return _coded(picture, settings, _as_dense(number, read_image_8_bit(picture.read_bytes())), seed)
-
-
-def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, Any]:
+    pixels = pixels_of(picture, table.middle)
+    n = max(round(number * pixels[..., 0].size / PIXELS), 1)
     of_fit = replace(PAPER, start=settings.start, lambda_g=settings.lambda_g, fit_steps=settings.fit_steps)
     began, clock = time.perf_counter(), Clock()
-    fit = _fitted(path, of_fit, n, seed)
+    fit = _fitted(picture, table.middle, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
     tuner = Tuner(fit.gaussians, fit.level, settings, budget if settings.bits_by_budget else None, seed)
     schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
     schedule.run(Deadline(clock), Recorder(clock), tuner.step)
     stream = tuner.stream("paper")
     seconds = time.perf_counter() - began
-    data, pixels = container.serialise(stream), read_image_8_bit(path.read_bytes())
+    data = container.serialise(stream)
     return {
         "gaussians": n,
         "psnr": psnr(draw(stream.scene()), pixels),
@@ -94,10 +92,6 @@ def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, 
     }
 
 
-@lru_cache(maxsize=1)
-def _fitted(path: Path, settings: PaperSettings, n: int, seed: int) -> PaperFit:
-    return fit_of_paper(read_image_8_bit(path.read_bytes()), n, settings, seed)
-
-
-def _as_dense(number: int, pixels: Pixels) -> int:
-    return max(round(number * pixels[..., 0].size / PIXELS), 1)
+@lru_cache(maxsize=4)
+def _fitted(path: Path, middle: tuple[int, int] | None, settings: PaperSettings, n: int, seed: int) -> PaperFit:
+    return fit_of_paper(pixels_of(path, middle), n, settings, seed)
