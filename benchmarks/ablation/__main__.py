@@ -76,10 +76,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    parts_of_command = {
-        "tables": main,
-        "gains": gains.main,
-        "gained": gains.show,
-        "representation": representation.main,
-    }
-    sys.exit(run_part(parts_of_command, __doc__, default="tables"))
+    commands = {"tables": main, "gains": gains.main, "gained": gains.show, "representation": representation.main}
+    sys.exit(run_part(commands, __doc__, default="tables"))

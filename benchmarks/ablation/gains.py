@@ -225,7 +225,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     """A table of means, and of gains over a random start with their standard errors, over the pictures of both."""
     lines = []
     for name, asked in dict.fromkeys((row["table"], row["asked"]) for row in rows):
-        by = {}
+        by: dict[str, dict[str, float]] = {}
         for row in rows:
             if (row["table"], row["asked"]) == (name, asked):
                 by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
