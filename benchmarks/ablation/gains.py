@@ -233,7 +233,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
             gains = [db - by["random"][image] for image, db in levels.items() if image in by["random"]]
             error = statistics.stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else None
             against = [number(mean(gains), "+.2f"), number(error, ".2f")] if setting != "random" else ["", ""]
-            lines.append([name, f"{asked:,}", setting, len(levels), number(mean(levels.values()), ".2f"), *against])
+            lines.append([name, f"{asked:,}", setting, len(levels), number(mean([*levels.values()]), ".2f"), *against])
     return table("table | Gaussians | start | pictures | PSNR | dB against random | standard error", lines)
 
 
