@@ -30,7 +30,7 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     ),
     (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
-    (stability.page, (), ("stiff", "stability")),
+    (stability.page, (), ("stiff", "stability", "strict")),
     (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
 APART = {"stiff": "picture"}  # of the CSV, besides the usual

@@ -16,7 +16,7 @@ __all__ = ["MISSING", "Content", "Draw", "Page", "load", "mean", "number", "perc
 Content = dict[str, Any]  # of a JSON
 Draw = Callable[[Any], None]  # on the axes of matplotlib
 JOIN = "\n\n".join
-MOST_ROWS = 12  # of a page's table
+MOST_ROWS = 13  # of a page's table
 RESULTS = "../../benchmarks/results"
 
 

@@ -12,12 +12,13 @@ from benchmarks.report.section import MISSING, Content, Draw, Page, number, seve
 from benchmarks.robustness.stiff.rows import Row
 from benchmarks.robustness.stiff.rules import judged
 
-SETS = ("kernels", "fits")
+SETS = ("kernels", "fits", "strict")
 SHORT = {
     "error of a pixel, over": "A pixel drawn by a kernel, against float64",
     "error of a gradient against": "A gradient, against float64, up to a ratio of axes of 1,000",
     "dB that the file is worse": "A fit from a bad start ends no worse than it began, nor than a single colour",
     "bytes above the budget": "A budget of very few or very many bytes is kept, or refused with an error",
+    "encodes that np.errstate": "No encode is ended where warnings and NumPy's underflow are errors",
     "dB between the best": "Ten seeds of one encode give the same quality",
     "dB lost from the first": "Ten generations, each encoded from the one before, keep their PSNR",
 }
@@ -25,9 +26,9 @@ VALUE, GRADIENT = (next(key for key in SHORT if word in key) for word in ("pixel
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """The page from stiff.json and stability.json, as far as there are."""
-    stiff, extremes = (contents.get(name) for name in ("stiff", "stability"))
-    rows = [row for row in extremes["rows"] if row["set"] in SETS] if extremes else []
+    """The page from stiff.json, stability.json and strict.json, as far as there are."""
+    stiff, extremes = contents.get("stiff"), [contents[name] for name in ("stability", "strict") if name in contents]
+    rows = [row for content in extremes for row in content["rows"] if row["set"] in SETS]
     hard = [Row(**row) for row in stiff["rows"]] if stiff else []
     lines = [*(judged(hard) if hard else ()), *extreme_lines(rows)]
     panels: list[Draw] = [partial(draw, rows=rows, rule=rule) for rule in (VALUE, GRADIENT)] if rows else []

@@ -1,8 +1,9 @@
 """Extreme Gaussians, and fits from bad starts: what was tried, the rule, the worst figure seen, the verdict.
 
-    python -m benchmarks.robustness extremes [--sets kernels,fits] [--cases "aspect ratio"] [--out FILE]
+    python -m benchmarks.robustness extremes [--sets kernels,fits,strict] [--cases "aspect ratio"] [--out FILE]
 
 kernels: extreme Gaussians against the definition in float64. fits: bad starts, rates, budgets; seeds and generations.
+strict: hard pictures where warnings and NumPy's underflow are errors.
 Damaged files are `make sanitize` and `make fuzz`.
 """
 
@@ -14,12 +15,13 @@ from pathlib import Path
 
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
-from benchmarks.robustness import fits, kernels
+from benchmarks.robustness import fits, kernels, strict
 from benchmarks.robustness.case import Cases
 
 SETS: dict[str, Callable[[argparse.Namespace], Cases]] = {
     "kernels": lambda _: kernels.cases(),
     "fits": lambda options: fits.cases(fits.Size(options.side, options.seeds, options.generations)),
+    "strict": lambda _: strict.cases(),
 }
 
 
