@@ -28,9 +28,10 @@ def _means(points: Tensor, index: Tensor, fallback: Tensor) -> Tensor:
 
 
 class ResidualCodebook:
-    """Two codebooks [2, 8, 3]: a colour is the sum of an entry of the first and one of the second for what is left.
+    """Two codebooks [2, 8, 3]: a colour is the sum of an entry of each.
 
-    The entries follow the colours by an exponential moving average.
+    The entries follow the colours by an exponential moving average. Colours are assigned over all pairs, which is ours:
+    stage by stage, entries that move change the second stage of many at once, and tuning diverges.
     """
 
     def __init__(self, colors: Tensor, *, stages: int, entries: int, decay: float, seed: int):
@@ -42,21 +43,18 @@ class ResidualCodebook:
         self.entries = torch.stack(books)
 
     def assign(self, colors: Tensor) -> Tensor:
-        """Find for each colour [N, 3] the nearest entry, stage by stage; returns indices [N, 2]."""
-        residual, found = colors, []
-        for book in self.entries:
-            found.append(torch.cdist(residual, book).argmin(1))
-            residual = residual - book[found[-1]]
-        return torch.stack(found, 1)
+        """Find the pair of entries nearest to each colour [N, 3]; returns indices [N, 2]."""
+        first, second = self.entries
+        best = torch.cdist(colors, (first[:, None] + second).reshape(-1, 3)).argmin(1)
+        return torch.stack([best // len(second), best % len(second)], 1)
 
     def lookup(self, index: Tensor) -> Tensor:
         """Return the colours [N, 3] of indices [N, 2]."""
         return self.entries[0][index[:, 0]] + self.entries[1][index[:, 1]]
 
     def follow(self, colors: Tensor, index: Tensor) -> None:
-        """Move each entry by 1 - decay of the way to the mean of what it represents."""
-        residual = colors
-        for stage, book in enumerate(self.entries.clone()):
-            chosen = index[:, stage]
-            self.entries[stage] += (1 - self.decay) * (_means(residual, chosen, book) - book)
-            residual = residual - book[chosen]
+        """Move each entry by 1 - decay of the way to the mean of what the other stage leaves to it."""
+        for stage in range(len(self.entries)):
+            others = self.lookup(index) - self.entries[stage][index[:, stage]]
+            target = _means(colors - others, index[:, stage], self.entries[stage])
+            self.entries[stage] += (1 - self.decay) * (target - self.entries[stage])
