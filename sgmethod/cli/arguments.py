@@ -214,7 +214,7 @@ def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output-dir", type=_path, metavar="DIR", help="write DIR/NAME.sg for every IN, and DIR/manifest.jsonl"
     )
-    parser.add_argument("--bytes", type=_size, metavar="N", default=200, help="of the .sg file at most (default: 200)")
+    parser.add_argument("--bytes", type=_size, metavar="N", default=200, help="maximum .sg file size (default: 200)")
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print one JSON object per picture")
     form.add_argument("--html", action="store_true", help="print an <img> that needs no JavaScript")
