@@ -169,7 +169,7 @@ def _bytes_of(file: File) -> bytes:
     except OSError as error:
         if isinstance(file, str):  # there is no file of that name
             with suppress(BitstreamError):
-                return from_text(file)
+                return from_text(file.strip())  # perhaps with a line end, as in a file of texts
             if error.errno == errno.ENAMETOOLONG:
                 raise BitstreamError("this is neither the name of a file nor the text of an .sg file") from error
         raise

@@ -27,6 +27,15 @@ MAX_SIDE = 1 << 20  # of an output, in pixels
 NO_CUTOFF = 50.0  # sigma at which nothing is left of a Gaussian without cut-off
 
 
+def fitted_scale(scale: float, width: int, height: int) -> float:
+    """Return the scale at which a part of width x height pixels gets a size. Raises ViewError if it is out of range."""
+    if MIN_SCALE <= scale <= MAX_SCALE:
+        return scale
+    most = int(MAX_SCALE)
+    (least_w, most_w), (least_h, most_h) = ((-(-side // most), side * most) for side in (width, height))
+    raise ViewError(f"width can be {least_w} to {most_w}, and height {least_h} to {most_h}")
+
+
 @dataclass(frozen=True, init=False)
 class View:
     """The part of a picture to draw, and its size.
@@ -92,7 +101,7 @@ class View:
         scales = [
             checked_integer(limit, "a width or height", 1, MAX_COORDINATE, ViewError) / side for limit, side in limits
         ]
-        return replace(self, scale=min(scales))
+        return replace(self, scale=fitted_scale(min(scales), part[0], part[1]))
 
     def apply(self, scene: Scene) -> Scene:
         """Convert a scene to output pixels, low-passed if that reduces it. Raises ViewError like area()."""

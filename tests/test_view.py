@@ -167,6 +167,10 @@ def test_a_view_within_a_width_and_height(data: bytes, sides: tuple[Any, Any], s
         file.pixels(0.5, width=sides[0], height=sides[1])
     with pytest.raises(ViewError, match="a width or height must be a whole number"):
         file.pixels(width=0)
+    for side in ({"width": 3}, {"height": 1}, {"width": 20_000, "height": 10_000}):
+        with pytest.raises(ViewError, match="width can be 4 to 12800, and height 2 to 7680"):
+            file.pixels(**side)
+    assert file.pixels(width=4).shape == (2, 4, 3)
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,8 @@ def refused(request: Request, problem: ProblemError) -> Response:
     """The problem as the answer to a request, whose state then holds the reason."""
     setattr(request.state, REFUSAL, problem.reason)
     title = HTTPStatus(problem.status).phrase
-    kind = f"{request.scope.get('root_path', '')}{PAGE}#{problem.reason}"
+    scope = request.scope  # below a mount, root_path is the mount's own
+    kind = f"{scope.get('app_root_path', scope.get('root_path', ''))}{PAGE}#{problem.reason}"
     document = {"type": kind, "title": title, "status": problem.status, "detail": problem.detail}
     headers = {"Cache-Control": "no-store", **problem.headers}
     return JSONResponse({**document, **problem.members}, problem.status, headers, media_type=MEDIA_TYPE)

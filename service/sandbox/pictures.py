@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 import sgmethod
 from sgmethod.errors import ViewError
 from sgmethod.io import pictures
-from sgmethod.view import MAX_SCALE, MIN_SCALE, View
+from sgmethod.view import MAX_SCALE, MIN_SCALE, View, fitted_scale
 
 PictureFormat = Literal["png", "jpg", "webp", "avif"]
 RivalFormat = Literal["jpg", "webp", "avif"]
@@ -165,10 +165,7 @@ class Drawing:
         scale, box = options.scale or 1.0, (options.width, options.height)
         ratios = [want / have for want, have in zip(box, part[2:], strict=True) if want is not None]
         if ratios:
-            scale = min(ratios) if options.fit == "contain" else max(ratios)
-            if not MIN_SCALE <= scale <= MAX_SCALE:
-                (w, h), most = part[2:], int(MAX_SCALE)
-                raise ViewError(f"width can be {-(-w // most)} to {w * most}, and height {-(-h // most)} to {h * most}")
+            scale = fitted_scale(min(ratios) if options.fit == "contain" else max(ratios), part[2], part[3])
         crop = box if options.fit == "crop" else (None, None)
         if crop[0] is not None and crop[1] is not None:
             part = _middle(part, crop[0] / scale, crop[1] / scale)

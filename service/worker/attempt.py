@@ -107,7 +107,7 @@ class Attempt:
             job = self._table.heartbeat(self.claim, self._points, self._sent)
         except JobTableError as error:
             silence = time.monotonic() - self._heard
-            log.warning("job %s: no heartbeat for %.1f s: %s", self.claim.job_id, silence, error)
+            log_seldom(log, "job %s: no heartbeat for %.1f s: %s", self.claim.job_id, silence, error)
             self._next = time.monotonic() + PAUSE_AFTER_TROUBLE_S
             return
         if job is None:

@@ -48,12 +48,12 @@ class Worker:
 
     def run(self) -> None:
         """Claim and work until stopping is requested; sweep meanwhile."""
-        log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
+        log.info("worker %s: ready, threads: %d", self._name, self._settings.encode_threads)
         settings, stop = self._settings, self._stop
         sign_off = functools.partial(self._table.sign_off, self._name)
         threads = [
             Rounds("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
-            Rounds("signing", self._sign, SIGN_S, stop, sign_off),
+            Rounds("reporting", self._sign, SIGN_S, stop, sign_off),
         ]
         for address in settings.webhook_addresses:
             send = functools.partial(send_next, self._table, address, settings.webhook_key)

@@ -41,8 +41,8 @@ examples:
   sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --looks web <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
-  sgmethod encode photos --output-dir out  --resume
-                                                   every picture in the folder, on from where a run ended""",
+  sgmethod encode photos --output-dir out --resume
+                                                   every picture in the folder, except those done before""",
 )
 DECODE = (
     "Decode .sg files, whole or in part, at any size.",
@@ -214,7 +214,7 @@ def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output-dir", type=_path, metavar="DIR", help="write DIR/NAME.sg for every IN, and DIR/manifest.jsonl"
     )
-    parser.add_argument("--bytes", type=_size, metavar="N", default=200, help="of the .sg file at most (default: 200)")
+    parser.add_argument("--bytes", type=_size, metavar="N", default=200, help="maximum .sg file size (default: 200)")
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print one JSON object per picture")
     form.add_argument("--html", action="store_true", help="print an <img> that needs no JavaScript")
@@ -235,7 +235,7 @@ def _add_run_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="encode N pictures at a time (default: 1)",
     )
-    parser.add_argument("--resume", action="store_true", help="skip pictures that DIR/manifest.jsonl has as encoded")
+    parser.add_argument("--resume", action="store_true", help="skip pictures that DIR/manifest.jsonl lists as encoded")
 
 
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:

@@ -46,8 +46,11 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError) and error.filename == str(temporary) and error.filename2 is None:
+            error.filename = os.fspath(path)  # that of the caller
         raise
     sync_folder(target.parent)
 

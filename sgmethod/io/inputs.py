@@ -64,6 +64,14 @@ def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Pixels:
     return samples.in_8_bits()
 
 
+def check_range(least: float, most: float) -> None:
+    """Raise ImageError unless the least and the greatest value of an image lie in [0, 1]."""
+    if not least <= most:  # a minimum is NaN if any value is
+        raise ImageError("image values must lie in [0, 1], got NaN")
+    if least < 0 or most > 1:
+        raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
+
+
 def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Pixels:
     """Convert an array: grey [H, W] or [H, W, 1], RGB [H, W, 3] or RGBA [H, W, 4].
 
@@ -80,9 +88,7 @@ def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Pixels:
     if pixels.dtype not in (np.uint8, np.uint16):
         if not np.issubdtype(pixels.dtype, np.floating):
             raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
-        least, most = float(pixels.min()), float(pixels.max())
-        if not (least >= 0 and most <= 1):  # also refuses NaN
-            raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
+        check_range(float(pixels.min()), float(pixels.max()))
     white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
     notes: list[str] = []
     samples = Samples(pixels, white)

@@ -31,6 +31,8 @@ def into_folder(
     options: everything besides the pictures that decides the files; finish: writes the files of tasks into a folder.
     Raises SgError and OSError, as encode_many() does.
     """
+    if isinstance(items, str | bytes | os.PathLike):  # a text would be taken for paths of one character each
+        raise SgError(f"pictures are given as a list, such as [{items!r}]")
     folder = checked_path(output_dir)
     folder.mkdir(parents=True, exist_ok=True)
     with Manifest(folder, options) as manifest:

@@ -19,6 +19,7 @@ from sgmethod.codec import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
 from sgmethod.io.header import ImageLimits
+from sgmethod.io.inputs import check_range
 from sgmethod.native import native
 from sgmethod.rd.exact import Exact, ExactFit
 from sgmethod.scene import Pixels
@@ -171,7 +172,6 @@ def pictures_of(images: Tensor) -> list[Pixels]:
         if not images.is_floating_point():
             raise ImageError(f"images must be uint8 or floating-point values in [0, 1], not {images.dtype}")
         least, most = (float(value) for value in images.detach().aminmax()) if images.numel() else (0.0, 1.0)
-        if not (least >= 0 and most <= 1):  # also refuses NaN
-            raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
+        check_range(least, most)
         images = (255 * images.detach().float()).round().to(torch.uint8)
     return list(images.permute(0, 2, 3, 1).contiguous().cpu().numpy())

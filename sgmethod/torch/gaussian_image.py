@@ -23,9 +23,13 @@ def from_gaussian_image(
     xyz [N, 2]: places before tanh, which takes them to [-1, 1]; cholesky [N, 3]: l1, l2, l3 in pixels without the bound
     of 0.5, 0, 0.5; features [N, 3]: colours; size: width and height of the picture in pixels.
 
-    GaussianImage's pixels lie at whole numbers, so that half a pixel is added. Raises GaussiansError for other shapes.
+    GaussianImage's pixels lie at whole numbers, so that half a pixel is added. Raises GaussiansError for other shapes
+    or types, and ViewError for sizes that no picture has.
     """
     lasts = ((xyz, 2), (cholesky, 3), (features, 3))
+    for values, _ in lasts:
+        if not isinstance(values, Tensor):
+            raise GaussiansError(f"parameters must be tensors, not {type(values).__name__}")
     if any(values.ndim != 2 or values.shape != (len(xyz), last) for values, last in lasts):
         shapes = ", ".join(str(list(values.shape)) for values, _ in lasts)
         raise GaussiansError(f"parameters must have the shapes [N, 2], [N, 3] and [N, 3], got {shapes}")

@@ -148,7 +148,7 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
         (lambda: fit(BATCH[0], 5), ImageError, r"not \[3, 33, 47\]"),
         (lambda: fit(BATCH.numpy(), 5), ImageError, "not ndarray"),
         (lambda: fit(BATCH.int(), 5), ImageError, r"uint8 or floating-point values in \[0, 1\], not torch.int32"),
-        (lambda: fit(BATCH / 255 * torch.nan, 5), ImageError, r"must lie in \[0, 1\]"),
+        (lambda: fit(BATCH / 255 * torch.nan, 5), ImageError, r"must lie in \[0, 1\], got NaN"),
         (lambda: fit(BATCH.float(), 5), ImageError, r"must lie in \[0, 1\], got 23 to 255"),
         (lambda: fit(BATCH[..., :0], 5), ImageError, "empty"),
         (lambda: fit(BATCH, 0), BudgetError, "gaussians must be a whole number from 1 to 1551, got 0"),

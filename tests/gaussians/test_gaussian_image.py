@@ -48,3 +48,5 @@ def test_other_shapes_are_refused() -> None:
     xyz, cholesky, features = parameters()
     with pytest.raises(GaussiansError, match=r"\[N, 2\], \[N, 3\] and \[N, 3\], got \[20, 2\], \[19, 3\], \[20, 3\]"):
         from_gaussian_image(xyz, cholesky[1:], features, SIZE)
+    with pytest.raises(GaussiansError, match="must be tensors, not ndarray"):
+        from_gaussian_image(xyz.numpy(), cholesky, features, SIZE)

@@ -44,6 +44,9 @@ def test_write_atomically(tmp_path: Path) -> None:
     assert link.is_symlink()
     assert target.read_bytes() == b"third"
     write_atomically(os.devnull, b"gone")
+    for path, error in ((tmp_path / "nowhere" / "out.sg", FileNotFoundError), (target / "out.sg", NotADirectoryError)):
+        with pytest.raises(error, match=f"'{path}'$"):
+            write_atomically(path, b"lost")
     assert not Path(os.devnull).is_file()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link.png", "out.png"]
 

@@ -184,6 +184,10 @@ def test_what_ends_the_run() -> None:
             many(jobs=jobs)
     with pytest.raises(TypeError, match="qualty"):
         many(qualty=3)
+    for one in ("0.png", b"0.png", Path("0.png")):
+        with pytest.raises(SgError, match="pictures are given as a list, such as"):
+            encode_many(one, "one")  # type: ignore[arg-type]
+    assert not Path("one").exists()
     Path("folder/manifest.jsonl").mkdir(parents=True)
     with pytest.raises(SgError, match=r"^cannot write folder/manifest\.jsonl: Is a directory$"):
         encode_many(paths(), "folder", gaussians=9)

@@ -87,7 +87,7 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(Image.new("RGB", (0, 4))), ImageError, "empty"),
         (lambda: sgmethod.encode(np.float32([[0, 255]])), ImageError, "must lie in [0, 1], got 0 to 255: rescale"),
         (lambda: sgmethod.encode(np.array([[-0.5, 1.0000001]])), ImageError, "got -0.5 to 1.0000001"),
-        (lambda: sgmethod.encode(np.array([[0, math.nan]])), ImageError, "got nan to nan"),
+        (lambda: sgmethod.encode(np.array([[0, math.nan]])), ImageError, "must lie in [0, 1], got NaN"),
         (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
         (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
         (lambda: sgmethod.encode(PIXELS, bytes="20g"), BudgetError, "such as 20000, 20k or 1.5MB, not '20g'"),

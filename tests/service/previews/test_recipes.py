@@ -23,6 +23,7 @@ from tests.service.previews.test_previews import show
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
+SHORTENED = "woOAaA..."  # a preview in the document
 PICTURE = """
     const one = document.querySelector("sg-img");
     const img = one.querySelector("img") ?? one.shadowRoot.querySelector("img");
@@ -46,19 +47,20 @@ def test_plain_html(page: Chromium, web: Service) -> None:
     text = to_text(golden(2)["v2-color"])
     page.open_blank(web)
     within, rules, alone = blocks("Plain HTML")
+    assert SHORTENED in within and SHORTENED in alone
     within, alone = (re.sub(r"photo(-2x)?\.avif", "static/samples/cat.webp", html) for html in (within, alone))
     page.run(f"""
         const sheet = new CSSStyleSheet();
         sheet.replaceSync({json.dumps(rules)});
         document.adoptedStyleSheets.push(sheet);
-        document.body.insertAdjacentHTML("afterbegin", {json.dumps(f"<div>{within.replace('xYOAaA...', text)}</div>")});
+        document.body.insertAdjacentHTML("afterbegin", {json.dumps(f"<div>{within.replace(SHORTENED, text)}</div>")});
         document.body.firstChild.style.width = "300px";
     """)
     assert page.run(BOX) == [300, 200, 200]  # before the script has run
     show(page, "")
     assert page.run(BOX) == [300, 200, 200]
     wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
-    show(page, alone.replace("xYOAaA...", text))
+    show(page, alone.replace(SHORTENED, text))
     wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
 
 
@@ -89,13 +91,15 @@ def test_fastapi() -> None:
     names: dict[str, Any] = {"__name__": "recipe"}
     exec(compile(block, "recipe", "exec"), names)
 
-    async def upload() -> httpx.Response:
+    async def upload(data: bytes) -> httpx.Response:
         transport = httpx.ASGITransport(app=names["app"])
         async with httpx.AsyncClient(transport=transport, base_url="http://recipe") as client:
-            return await client.post("/photos", content=PHOTOGRAPH.read_bytes())
+            return await client.post("/photos", content=data)
 
-    answer = asyncio.run(upload())
+    answer = asyncio.run(upload(PHOTOGRAPH.read_bytes()))
     assert answer.status_code == 200
     photo = answer.json()
     assert (photo["width"], photo["height"]) == (128, 96)
     assert len(from_text(photo["preview"])) <= 200
+    answer = asyncio.run(upload(b"text"))
+    assert (answer.status_code, answer.json()["detail"][:15]) == (422, "the file is not")

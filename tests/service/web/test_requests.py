@@ -58,7 +58,8 @@ def test_page_names_nothing_elsewhere(web: Service) -> None:
 
 def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert_problem(web.client.get("/nowhere"), 404)
-    assert_problem(web.client.get("/static/nothing.js"), 404)
+    for path in ("/static/nothing.js", "/static/sgmethod/nothing.js"):
+        assert assert_problem(web.client.get(path), 404)["type"] == "/problems#unknown"
     answer = web.client.put(f"/jobs/{GOOD_ID}")
     assert_problem(answer, 405)
     assert answer.headers["allow"] == "DELETE, GET, HEAD"

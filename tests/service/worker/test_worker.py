@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from service import logs
 from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JobTableError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
@@ -226,6 +227,25 @@ def test_a_heartbeat_that_nobody_hears_goes_on(
     table.lost_answers = 0
     attempt.beat(now=True)
     assert table.trace(claim.job_id) == [{"step": 0}]
+
+
+def test_a_long_silence_does_not_fill_the_log(
+    table: Unsteady,
+    storage: Storage,
+    stop: StopSignal,
+    claim: Claim,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    clock = [1000.0]
+    monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(logs, "_said", {})
+    table.lost_answers = 1000
+    attempt = Attempt(table, storage, claim, stop)
+    for _ in range(100):
+        clock[0] += 1
+        attempt.beat()
+    assert caplog.text.count("no heartbeat") == 2  # once a minute
 
 
 @pytest.mark.parametrize("outcome", [JobError("refused", "no"), Encoded({}, b"data")])
