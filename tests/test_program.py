@@ -157,8 +157,10 @@ for at in range(1, 100):
     except KeyboardInterrupt:
         pass
     sys.setprofile(None)
-    assert steps == at, steps  # it was interrupted
+    if steps < at:  # it was not interrupted: the other thread took more of the tasks
+        break
     assert at % 5 or encode() == expected
+assert at > 10, at
 print("works")
 """
 

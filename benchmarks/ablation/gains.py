@@ -1,7 +1,7 @@
 """What the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
     python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
-    python -m benchmarks.ablation gained JSON...    a table of what was measured, and docs/plots/paper.svg
+    python -m benchmarks.ablation gained JSON...    a table of what was measured
 
 whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
 numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
@@ -237,44 +237,12 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     return table("table | Gaussians | start | pictures | PSNR | dB against random | standard error", lines)
 
 
-def draw_numbers(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw the gain over a random start, with its standard error, over the number of Gaussians."""
-    from benchmarks.report.plots import save, style
-
-    def panel(axes: Any) -> None:
-        levels = {
-            (row["asked"], row["setting"], row["image"]): row["psnr"] for row in rows if row["table"] == "numbers"
-        }
-        numbers = sorted({asked for asked, _, _ in levels})
-        for k, start in enumerate(("fixed", "dynamic")):
-            points = []
-            for asked in numbers:
-                # Where both are the same, only one is measured.
-                of = start if (asked, start) in {key[:2] for key in levels} else "dynamic"
-                gains = [
-                    db - levels[asked, "random", image]
-                    for (n, setting, image), db in levels.items()
-                    if (n, setting) == (asked, of) and (asked, "random", image) in levels
-                ]
-                points.append((asked, mean(gains), statistics.stdev(gains) / math.sqrt(len(gains))))
-            x, y, error = zip(*points, strict=True)
-            look = style(k) | {"label": {"fixed": "fixed, 6:2:1", "dynamic": "dynamic ratio"}[start]}
-            axes.errorbar(x, y, error, capsize=3, **look)
-        axes.axhline(0, color="grey", linewidth=0.8)
-        axes.set(xlabel="Gaussians of 768x512 pixels", ylabel="dB against a random start")
-
-    save([panel], "Structure-guided start", "gain in PSNR, not coded", path)
-
-
 def show() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation gained", description=summary.__doc__)
     parser.add_argument("json", type=Path, nargs="+")
-    parser.add_argument("--plot", type=Path, help="where to draw the table numbers, without a suffix")
     options = parser.parse_args()
     rows = [row for path in options.json for row in json.loads(path.read_text())["rows"]]
     print(summary(rows))
-    if options.plot:
-        draw_numbers(rows, options.plot)
 
 
 def main() -> None:
