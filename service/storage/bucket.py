@@ -31,7 +31,6 @@ HINTS = {
 }
 # A store that accepts a connection and never answers counts as unreachable after this long, since clients wait.
 SILENCE = timedelta(seconds=5)
-SMALL_BYTES = 1 << 20  # are written within that time
 TIMEOUT = timedelta(seconds=60)  # of one request; the largest image fits in at 1 MB a second
 RETRIES_END_AFTER = timedelta(seconds=3)  # so that a request that was met with silence is not repeated
 
@@ -91,17 +90,14 @@ class BucketStorage:
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}
         with _as_os_errors():
             self._store = from_url(url, client_options={**options, "read_timeout": SILENCE}, retry_config=retries)
-            # The library takes for silence too that nothing is read while much is written.
+            # The library takes for silence too that nothing is read while an object is written and stored.
             self._patient = from_url(url, client_options=options, retry_config=retries)
 
     def put(self, key: str, data: bytes) -> None:
-        store = self._store
-        if len(data) > SMALL_BYTES:
-            self.check()  # the request itself may take long
-            store = self._patient
+        self.check()  # at once whether it answers: storing even a small object may take long
         with _as_os_errors():
             # One request for the whole object: an upload that breaks off leaves no parts behind.
-            obstore.put(store, check_key(key), data, use_multipart=False)
+            obstore.put(self._patient, check_key(key), data, use_multipart=False)
 
     def get(self, key: str) -> bytes:
         with _as_os_errors():

@@ -10,6 +10,7 @@ import stat
 import threading
 import time
 from collections.abc import Callable
+from datetime import timedelta
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -17,6 +18,7 @@ from pathlib import Path
 import obstore
 import pytest
 
+from service.storage import bucket
 from service.storage.bucket import BucketStorage
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from tests.harness.nginx import make_certificate
@@ -154,6 +156,42 @@ def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatc
     for action, words in ((storage.check, ": .*404"), (partial(storage.put, source_key(JOB), b"data"), "")):
         with pytest.raises(OSError, match=f"the object store failed{words}"):
             action()
+
+
+def test_a_bucket_that_stores_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small objects were given up after SILENCE, and a worker tried to store its result again for ever."""
+    monkeypatch.setattr(bucket, "SILENCE", timedelta(seconds=0.5))
+    stored: list[bytes] = []
+
+    class Slow(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:  # an empty bucket
+            self.respond(b"<ListBucketResult><Name>pictures</Name><IsTruncated>false</IsTruncated></ListBucketResult>")
+
+        def do_PUT(self) -> None:
+            stored.append(self.rfile.read(int(self.headers["Content-Length"])))
+            time.sleep(1.5)
+            self.respond(b"")
+
+        def respond(self, body: bytes) -> None:
+            self.send_response(200)
+            self.send_header("ETag", '"1"')
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "test")
+    with ThreadingHTTPServer(("127.0.0.1", 0), Slow) as server:
+        threading.Thread(target=server.serve_forever).start()
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_address[1]}")
+        try:
+            BucketStorage("s3://pictures/sgmethod").put(source_key(JOB), b"data")
+        finally:
+            server.shutdown()
+    assert stored == [b"data"]
 
 
 def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
