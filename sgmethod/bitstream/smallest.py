@@ -12,4 +12,4 @@ def smallest_file(settings: RdSettings | PaperSettings, *, has_alpha: bool = Fal
     """Bytes of the smallest file that a profile writes for the largest picture."""
     if isinstance(settings, RdSettings):
         return SMALLEST_FILE + (SMALLEST_ALPHA if has_alpha else 0)
-    return file_bytes(record_bits(settings.position_bits, settings.min_bitwidth), settings.most_groups)
+    return file_bytes(record_bits(settings.position_bits, settings.min_bitwidth), 1)

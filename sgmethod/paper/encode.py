@@ -29,6 +29,7 @@ from sgmethod.start.placement import place
 
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
 PSNR_ATTEMPTS = 4
+EXPECTED_GROUPS = 2  # bitwidths: most Gaussians have the least, and some one bit more
 PSNR_PER_DOUBLING_DB = 1.7  # first guess in a search for a PSNR: gain from twice as many Gaussians
 
 
@@ -75,7 +76,7 @@ def within_bytes(request: Request, max_bytes: int) -> tuple[StreamV1, int]:
         raise BudgetError(
             f"a file of profile {request.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
         )
-    bits = 8 * (max_bytes - v1.file_bytes(0, s.most_groups))
+    bits = 8 * (max_bytes - v1.file_bytes(0, EXPECTED_GROUPS))
     n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
     return run(request, n, max_bytes)
 

@@ -43,10 +43,5 @@ class PaperSettings:
     mean_bitwidth: float = 6.2  # expected; it decides how many Gaussians a budget has room for
     bits_by_budget: bool = False  # bitwidths are raised, too, until they use the budget, which replaces lambda_b
 
-    @property
-    def most_groups(self) -> int:
-        """Number of bitwidths that a file may have."""
-        return self.max_bitwidth - self.min_bitwidth + 1 if self.adaptive_bitwidth else 1
-
 
 PAPER = PaperSettings()
