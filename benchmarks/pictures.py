@@ -56,7 +56,7 @@ def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:
     pixels = megapixels * 1e6
     if own.shape[0] * own.shape[1] >= 0.9 * pixels:
         scale = min(math.sqrt(pixels / (own.shape[0] * own.shape[1])), 1.0)
-        return _middle(own, round(own.shape[0] * scale), round(own.shape[1] * scale))
+        return middle_of(own, round(own.shape[0] * scale), round(own.shape[1] * scale))
     height = round(math.sqrt(pixels / RATIO))
     width = round(pixels / height)
     canvas = np.zeros((height, width, 3), np.uint8)
@@ -68,7 +68,7 @@ def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:
             row.append(read_image_8_bit(paths[(first + number) % len(paths)].read_bytes()))
             x, number = x + row[-1].shape[1], number + 1
             band = min(band, row[-1].shape[0])
-        laid = np.concatenate([_middle(one, band, one.shape[1]) for one in row], axis=1)
+        laid = np.concatenate([middle_of(one, band, one.shape[1]) for one in row], axis=1)
         canvas[y : y + band] = laid[:, :width]
         y += band
     return canvas
@@ -83,6 +83,7 @@ def photograph(side: int) -> Pixels:
     return np.asarray(shown, np.uint8)
 
 
-def _middle(pixels: Pixels, height: int, width: int) -> Pixels:
+def middle_of(pixels: Pixels, height: int, width: int) -> Pixels:
+    """The middle of a picture."""
     y, x = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
     return np.ascontiguousarray(pixels[y : y + height, x : x + width])

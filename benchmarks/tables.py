@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from typing import Any
@@ -20,6 +21,11 @@ def mean(values: Sequence[float | None]) -> float | None:
     """None where there is no value, or one is missing."""
     known = [value for value in values if value is not None]
     return statistics.fmean(known) if known and len(known) == len(values) else None
+
+
+def standard_error(values: Sequence[float]) -> float | None:
+    """That of the mean; None for fewer than two values."""
+    return statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
 
 
 def number(value: float | None, form: str) -> str:

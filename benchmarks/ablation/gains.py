@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import statistics
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -35,10 +34,11 @@ from benchmarks.ablation.gaussian_image import Adan, AdanSettings, shaped
 from benchmarks.ablation.gaussian_image import fit as fit_by_adan
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
-from benchmarks.pictures import Pixels, add_options, named_in
-from benchmarks.tables import mean, number, table
+from benchmarks.pictures import Pixels, add_options, middle_of, named_in
+from benchmarks.tables import mean, number, standard_error, table
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
+from sgmethod.backend.reference import SOBEL
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
@@ -51,7 +51,6 @@ from sgmethod.settings.shared import StartSettings
 from sgmethod.start.placement import place
 
 PIXELS = 768 * 512
-SOBEL = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]])
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,7 @@ def pixels_of(path: Path, middle: tuple[int, int] | None) -> Pixels:
     if pixels.shape[0] > pixels.shape[1]:
         pixels = np.rot90(pixels)
     if middle is not None:
-        y, x = (pixels.shape[0] - middle[1]) // 2, (pixels.shape[1] - middle[0]) // 2
-        pixels = pixels[y : y + middle[1], x : x + middle[0]]
+        return middle_of(pixels, middle[1], middle[0])
     return np.ascontiguousarray(pixels)
 
 
@@ -179,7 +177,7 @@ def by_picture(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
     numel = left[0].numel()
     if lambda_g == 0:
         return left * (2 / numel)
-    kernels = torch.stack([SOBEL, SOBEL.T])[:, None].to(left.device)
+    kernels = torch.stack([SOBEL, SOBEL.T])[:, None].to(left)
     planes = left.flatten(0, 1)[:, None]
     with torch.enable_grad():
         planes.requires_grad_()
@@ -231,8 +229,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
                 by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
         for setting, levels in by.items():
             gains = [db - by["random"][image] for image, db in levels.items() if image in by["random"]]
-            error = statistics.stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else None
-            against = [number(mean(gains), "+.2f"), number(error, ".2f")] if setting != "random" else ["", ""]
+            against = (
+                [number(mean(gains), "+.2f"), number(standard_error(gains), ".2f")] if setting != "random" else ["", ""]
+            )
             lines.append([name, f"{asked:,}", setting, len(levels), number(mean([*levels.values()]), ".2f"), *against])
     return table("table | Gaussians | start | pictures | PSNR | dB against random | standard error", lines)
 

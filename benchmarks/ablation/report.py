@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-import statistics
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from benchmarks.rd.report import bd_psnr
-from benchmarks.tables import in_all, mean, number, table
+from benchmarks.tables import in_all, mean, number, standard_error, table
 
 Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
@@ -16,9 +14,7 @@ By = dict[str, dict[Case, list[Row]]]  # by setting of a table
 Figure = Callable[[list[Row]], float | None]  # of the rows of one picture and seed
 Worth = tuple[float | None, float | None]  # dB, and their standard error over pictures
 
-ANCHORS = {
-    **{"parts": "nothing", "quantisation": "GSImage", "positions": "16"},
-}
+ANCHORS = {"parts": "nothing", "quantisation": "GSImage", "positions": "16"}
 CODED = ("quantisation", "positions")  # by BD-PSNR of files with several numbers of Gaussians
 TITLES = {
     "parts": "Profile `rd` without one part",
@@ -90,7 +86,7 @@ def over_pictures(cases: dict[Case, list[Row]], figure: Figure) -> Worth:
     for (picture, _), rows in cases.items():
         by_picture.setdefault(picture, []).append(figure(rows))
     known = [value for values in by_picture.values() if (value := mean(values)) is not None]
-    return mean(known), statistics.stdev(known) / math.sqrt(len(known)) if len(known) > 1 else None
+    return mean(known), standard_error(known)
 
 
 def summary(content: Row) -> Iterator[str]:

@@ -45,16 +45,3 @@ def seen() -> dict[str, Any]:
     """A codec trained for the eye: source, what it says of itself, and points with bpp, psnr (dB), lpips, dists."""
     content: dict[str, Any] = json.loads((HERE / "seen.json").read_text())
     return content
-
-
-@cache
-def paper() -> dict[str, Any]:
-    """The paper's tables by name, as rows."""
-    content: dict[str, Any] = json.loads((HERE / "paper.json").read_text())
-    return content
-
-
-def quoted_values(title: str, figure: str) -> dict[str, float]:
-    """A figure of one of the paper's tables by row, for Kodak where it has other pictures too."""
-    rows = [row for row in paper()["rows_of"][title] if row.get("dataset", "Kodak") == "Kodak"]
-    return {str(row["method"]) if "method" in row else f"{row['bits']:g}": float(row[figure]) for row in rows}
