@@ -104,16 +104,16 @@ def test_relaxing_makes_a_better_file(budget: Budget) -> None:
 
 @pytest.mark.thorough
 def test_relaxing_makes_smaller_files_of_a_psnr() -> None:
-    """Where the lot has it: it may have nothing that reaches the PSNR with less. Slow: five whole fits."""
+    """On average: a single target may have nothing that reaches it with less (0 to 5 %, as processors round)."""
     before, after = 0, 0
-    for aim in (23, 25, 27, 32, 60):
+    for aim in (*np.arange(23, 36.5, 0.5), 60):
         plan, state = fitted(Budget("psnr", aim), "psnr")
         refined, again = (search(plan, state, rounds) for rounds in (1, 9))
         assert again.size <= refined.size
         assert again.psnr >= aim
         if aim != 60:  # each Gaussian is worth decibels there: none can go
             before, after = before + refined.size, after + again.size
-    assert after < 0.99 * before  # 0.98 seen
+    assert after < 0.995 * before  # 0.987 seen, standard error 0.003
 
 
 def test_little_effort_takes_few_steps_and_keeps_the_budget() -> None:
