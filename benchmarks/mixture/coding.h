@@ -1,8 +1,8 @@
 // Integers of a kernel, their bits by adaptive models, and the search over them: the same for the sum and the mixture.
 //
 // A kernel has a class k of size 2^(k/2) and, in it, u; v and r of shape; h, how fine all this is; a place (X, Y) in the
-// class's cells; the amplitude A; and a colour on a lattice as fine as its class asks. Larger kernels come first. A
-// colour is coded as the difference from what earlier ones show at its place, which is nothing for a sum. Cells of a
+// class's cells; the amplitude A; and a colour in steps as fine as its class asks. Larger kernels come first. A
+// colour is the difference from what earlier ones show at its place, which is nothing for a sum. Cells of a
 // class are a set. Code lengths are those that an exact arithmetic coder approaches.
 #pragma once
 
@@ -10,7 +10,7 @@ struct Ints {
   int32_t k, u, v, r, h, X, Y, A, c[3];
 };
 struct Coding {
-  float quantum, place_step, shape_step, amplitude_step, price, wider;
+  float quantum, place_step, shape_step, amplitude_step, price, wider, color_step, color_power;
   int amplitudes, sweeps;
 };
 constexpr int kSymbols = 20, kContexts = 80, kFirstClass = -4, kClasses = 33, kMostFine = 10;
@@ -24,10 +24,21 @@ inline int rest(int x) { return x < 4 ? 0 : (31 - __builtin_clz(x)) - 1; }
 inline int bits_of_size(int h) { return std::max(h - 1, 0); }
 inline int cell_of(int k) { return std::max(0, (k + 1) >> 1); }
 
+inline float color_step(const Coding& q, int k) { return q.quantum * q.color_step * std::exp2(-0.5f * q.color_power * k); }
+
 struct Places { int g, px, py; };
 
-// From integers to values; false if they are out of range.
-inline bool decode(const Scene& s, const Coding& q, const Ints& n, float* p, Places& at) {
+// The colour that is so far from a prediction.
+inline void paint(const Coding& q, const Ints& n, const float* axes, float* color) {
+  const float step = color_step(q, n.k);
+  for (int j = 0; j < 3; ++j) {
+    color[j] = 0;
+    for (int i = 0; i < 3; ++i) color[j] += kBasis[i][j] * (axes[i] + n.c[i] * step);
+  }
+}
+
+// From integers to values but the colour; false if they are out of range.
+inline bool decode(const Coding& q, const Ints& n, float* p, Places& at) {
   const float fine = std::ldexp(1.0f, -n.h);
   const float size = std::exp2(0.5f * (n.k + (n.u + 0.5f) / (1 << bits_of_size(n.h))));
   const float V = n.v * q.shape_step * fine, rho = n.r * 2 * q.shape_step * fine;
@@ -39,28 +50,24 @@ inline bool decode(const Scene& s, const Coding& q, const Ints& n, float* p, Pla
   p[0] = (n.X + 0.5f) * std::ldexp(1.0f, at.g - at.px) - 2 * cell;
   p[1] = (n.Y + 0.5f) * std::ldexp(1.0f, at.g - at.py) - 2 * cell;
   p[5] = n.A * q.amplitude_step;
-  const float color = q.quantum * std::exp2(-0.5f * n.k);
-  for (int j = 0; j < 3; ++j) {
-    p[6 + j] = 0;
-    for (int i = 0; i < 3; ++i) p[6 + j] += kBasis[i][j] * n.c[i] * color;
-  }
   return n.k >= kFirstClass && n.k < kFirstClass + kClasses && n.h >= 0 && n.h < kMostFine && std::abs(n.A) <= 9 &&
          p[2] > 0.3f && p[4] > 0.3f && std::abs(rho) < 40 && n.X >= 0 && n.Y >= 0;
 }
 // Sets X and Y to those next to a place.
-inline void snap(const Scene& s, const Coding& q, Ints& n, float x, float y) {
+inline void snap(const Coding& q, Ints& n, float x, float y) {
   float p[kValues];
   Places at;
-  decode(s, q, n, p, at);
+  decode(q, n, p, at);
   const float cell = std::ldexp(1.0f, at.g);
   n.X = std::max(0, static_cast<int>(std::floor((x + 2 * cell) / std::ldexp(1.0f, at.g - at.px))));
   n.Y = std::max(0, static_cast<int>(std::floor((y + 2 * cell) / std::ldexp(1.0f, at.g - at.py))));
 }
 
 // Calls f(context, symbol) for each symbol of a kernel but its cell; returns its raw bits, the place's within the cell
-// among them. d: its colour, less the prediction.
+// among them.
 template <typename F>
-int symbols(const Coding& q, const Ints& n, const int* d, const Places& at, F f) {
+int symbols(const Coding& q, const Ints& n, const Places& at, F f) {
+  const int* d = n.c;
   const int y = std::abs(d[0]), a = std::abs(d[1]), b = std::abs(d[2]), v = std::abs(n.v), r = std::abs(n.r);
   const int S = y * y + a * a + b * b, near = S == 0 ? 0 : std::min(1 + (33 - __builtin_clz(S)) / 2 - 1, 9);
   f(kOfY, magnitude(y));
@@ -83,10 +90,10 @@ inline uint64_t morton(uint32_t x, uint32_t y) {
 
 class Search {
  public:
-  Search(const Scene& s, const Coding& q, const float* prior, const float* target, std::vector<Ints> all)
-      : s_(s), q_(q), prior_(prior), target_(target), all_(std::move(all)) { arrange(); }
+  Search(const Scene& s, const Coding& q, const float* prior, const float* target, std::vector<Ints> all, std::vector<float> colors)
+      : all_(std::move(all)), colors_(std::move(colors)), s_(s), q_(q), prior_(prior), target_(target) { arrange(); }
   std::vector<Ints> all_;
-  std::vector<float> p_;
+  std::vector<float> colors_, p_;
   float counts_[kContexts][kSymbols];
   double parts_[5];  // bits of cells, raw bits, colours, shapes with h, amplitudes
 
@@ -101,20 +108,31 @@ class Search {
     const int g = cell_of(k);
     return double((s_.width >> g) + 5) * ((s_.height >> g) + 5);
   }
-  // Sorts kernels as they are coded, and decodes them.
+  // Sorts kernels as they are coded, and decodes them, as near to their colours as their predictions allow.
   void arrange() {
-    std::vector<std::pair<std::pair<int, uint64_t>, Ints>> keyed;
+    std::vector<std::pair<std::pair<int, uint64_t>, size_t>> keyed;
     float p[kValues];
     Places at;
-    for (const Ints& n : all_) {
-      decode(s_, q_, n, p, at);
-      keyed.push_back({{-n.k, morton(n.X >> at.px, n.Y >> at.py)}, n});
+    for (size_t i = 0; i < all_.size(); ++i) {
+      decode(q_, all_[i], p, at);
+      keyed.push_back({{-all_[i].k, morton(all_[i].X >> at.px, all_[i].Y >> at.py)}, i});
     }
-    std::stable_sort(keyed.begin(), keyed.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-    for (size_t i = 0; i < all_.size(); ++i) all_[i] = keyed[i].second;
-    p_.resize(kValues * all_.size());
-    for (size_t i = 0; i < all_.size(); ++i) decode(s_, q_, all_[i], &p_[kValues * i], at);
-    s_.count = static_cast<int>(all_.size());
+    std::stable_sort(keyed.begin(), keyed.end());
+    const std::vector<Ints> all = all_;
+    const std::vector<float> colors = colors_;
+    s_.count = static_cast<int>(all.size());
+    p_.resize(kValues * all.size());
+    for (int i = 0; i < s_.count; ++i) {
+      Ints& n = all_[i] = all[keyed[i].second];
+      float *here = &p_[kValues * i], *color = &colors_[3 * i], axes[3];
+      std::copy_n(&colors[3 * keyed[i].second], 3, color);
+      decode(q_, n, here, at);
+      predicted(i, here, axes);
+      for (int a = 0; a < 3; ++a)
+        n.c[a] = static_cast<int>(std::lround((kBasis[a][0] * color[0] + kBasis[a][1] * color[1] + kBasis[a][2] * color[2] - axes[a]) / color_step(q_, n.k)));
+      paint(q_, n, axes, here + 6);
+      std::copy_n(here + 6, 3, color);
+    }
   }
   void predicted(int i, const float* place, float* axes) const {
     float rgb[3];
@@ -130,13 +148,10 @@ class Search {
     for (int i = 0; i < s_.count; ++i) {
       const Ints& n = all_[i];
       ++number_[n.k - kFirstClass];
-      float p[kValues], axes[3];
+      float p[kValues];
       Places at;
-      decode(s_, q_, n, p, at);
-      predicted(i, p, axes);
-      int d[3];
-      for (int j = 0; j < 3; ++j) d[j] = n.c[j] - static_cast<int>(std::lround(axes[j] * std::exp2(0.5f * n.k) / q_.quantum));
-      parts_[1] += symbols(q_, n, d, at, [&](int context, int symbol) {
+      decode(q_, n, p, at);
+      parts_[1] += symbols(q_, n, at, [&](int context, int symbol) {
         float* c = counts_[context];
         float total = 0;
         for (int j = 0; j < kSymbols; ++j) total += c[j];
@@ -165,8 +180,7 @@ class Search {
   // A candidate with its best colours. cost: by how much it changes error + price * bits, against no kernel.
   bool look(int i, Tried& t) const {
     Places at;
-    t.n.c[0] = t.n.c[1] = t.n.c[2] = 0;
-    if (!decode(s_, q_, t.n, t.p, at)) return false;
+    if (!decode(q_, t.n, t.p, at)) return false;
     const Kernel k(s_, t.p);
     double P = 0, G = 1e-9, Q[3] = {};
     const Picture& pic = *pic_;
@@ -189,29 +203,26 @@ class Search {
     });
     float axes[3];
     predicted(i, t.p, axes);
-    const float step = q_.quantum * std::exp2(-0.5f * t.n.k);
-    int d[3], before = 0;
+    const float step = color_step(q_, t.n.k);
+    int before = 0;
     t.cost = P;
     for (int j = 0; j < 3; ++j) {
-      const double q = kBasis[j][0] * Q[0] + kBasis[j][1] * Q[1] + kBasis[j][2] * Q[2], best = q / (G * step);
-      const int base = static_cast<int>(std::lround(axes[j] / step)), near = static_cast<int>(std::lround(std::clamp(best, -4000.0, 4000.0)));
+      const double q = kBasis[j][0] * Q[0] + kBasis[j][1] * Q[1] + kBasis[j][2] * Q[2];
+      const int best = static_cast<int>(std::lround(std::clamp((q / G - axes[j]) / step, -700.0, 700.0)));
       const float* cost = cost_[j == 0 ? kOfY : j == 1 ? kOfA + sized(before) : kOfB + sized(before)];
-      double least = 1e30;
-      for (const int c : {near, near > base ? near - 1 : near + 1, base}) {
-        const int off = std::abs(c - base);
-        if (off > 700) continue;
-        const double x = c * static_cast<double>(step), error = G * x * x - 2 * x * q;
-        const double bits = cost[magnitude(off)] + rest(off) + (off ? 1.5 : 0);
-        if (error + q_.price * bits < least) least = error + q_.price * bits, t.n.c[j] = c, d[j] = c - base, t.cost += 0;
+      double least = 1e30, gained = 0;
+      for (const int c : {best, best > 0 ? best - 1 : best + 1, 0}) {
+        const double x = axes[j] + c * static_cast<double>(step), error = G * x * x - 2 * x * q;
+        const double with_bits = error + q_.price * (cost[magnitude(std::abs(c))] + rest(std::abs(c)) + (c ? 1.5 : 0));
+        if (with_bits < least) least = with_bits, gained = error, t.n.c[j] = c;
       }
-      if (least > 1e29) return false;
-      before = std::abs(d[j]);
-      const double x = t.n.c[j] * static_cast<double>(step);
-      t.cost += G * x * x - 2 * x * q;
+      before = std::abs(t.n.c[j]);
+      t.cost += gained;
     }
-    decode(s_, q_, t.n, t.p, at);
+    paint(q_, t.n, axes, t.p + 6);
     double bits = 0;
-    bits += symbols(q_, t.n, d, at, [&](int context, int symbol) { bits += cost_[context][symbol]; });
+    const int raw = symbols(q_, t.n, at, [&](int context, int symbol) { bits += cost_[context][symbol]; });
+    bits += raw;
     const double n_k = number_[t.n.k - kFirstClass], m_k = cells(t.n.k);
     t.cost += q_.price * (bits + std::log2((m_k + n_k) / (n_k + 1)));
     return true;
@@ -232,7 +243,7 @@ class Search {
         Tried t = best;
         const float x = best.p[0], y = best.p[1];
         change(t.n);
-        if (moves) snap(s_, q_, t.n, x, y);
+        if (moves) snap(q_, t.n, x, y);
         if (look(static_cast<int>(i), t) && t.cost < best.cost) { best = t; return true; }
         return false;
       };
@@ -260,7 +271,7 @@ class Search {
     }
     std::vector<Ints> left;
     for (size_t i = 0; i < all_.size(); ++i)
-      if (!gone[i]) left.push_back(all_[i]);
+      if (!gone[i]) std::copy_n(&p_[kValues * i + 6], 3, &colors_[3 * left.size()]), left.push_back(all_[i]);
     all_ = left;
   }
 

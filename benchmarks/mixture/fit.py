@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float32]
 STEPS_TOGETHER = 10
 GROWTH_AT = (0.0, 0.06, 0.12, 0.18, 0.24, 0.3, 0.37, 0.45, 0.55, 0.65)
+TRIM_AT = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
+ROUND_GROWTH = (0.0, 0.1, 0.2)
+ROUND_TRIM = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.98)
+SYMBOLS, CONTEXTS, PRIOR, TRAINED, HEADER_BITS = 20, 80, 12.0, 20.0, 96
 SCALES = (0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 17.0, 26.0, 40.0)
 
 
@@ -27,16 +32,16 @@ class SceneHead(ctypes.Structure):
 class FitHead(ctypes.Structure):
     _fields_ = [
         (n, ctypes.c_float)
-        for n in "rate price quantum beta1 beta2 newton floor_bits amplitude_rate ground_rate".split()
+        for n in ("rate", "price", "quantum", "beta1", "beta2", "newton", "amplitude_rate", "ground_rate")
     ]
-    _fields_ += [(n, ctypes.c_int) for n in ("steps", "amplitudes", "t")]
+    _fields_ += [(n, ctypes.c_int) for n in ("steps", "amplitudes")]
 
 
 @cache
 def library() -> ctypes.CDLL:
     """Compile the kernels beside this file."""
     built = Path(tempfile.mkdtemp()) / "kernel.so"
-    flags = "-O3 -march=native -ffast-math -fopenmp-simd -shared -fPIC".split()
+    flags = ["-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-shared", "-fPIC"]
     subprocess.run(["g++", *flags, "-o", built, Path(__file__).with_name("kernel.cpp")], check=True)
     found = ctypes.CDLL(str(built))
     for name in ("errors", "fit", "refine"):
@@ -68,6 +73,13 @@ class Variant:
     rate: float = 0.14
     amplitude_rate: float = 1.0
     excess: float = 0.5
+    refine_weight: float = 0.35
+    place_step: float = 1.4
+    shape_step: float = 1.0
+    amplitude_step: float = 0.7
+    sweeps: int = 4
+    color_step: float = 1.0
+    color_power: float = 1.0
 
 
 @dataclass
@@ -155,7 +167,7 @@ def grow(f: Fitted, target: Array, v: Variant, most: int, least_gain: float) -> 
             continue
         stride = max(1, int(scale / 1.4))
         out = np.empty((h // stride, w // stride, 5), np.float32)
-        args = ctypes.c_float(scale), stride, at(shares), len(shares), at(out)
+        args = ctypes.c_float(scale), stride, at(shares), len(shares), ctypes.c_float(least_gain), at(out)
         library().gains(ctypes.byref(f.head), at(f.p), at(target), *args)
         y, x = np.nonzero(out[..., 0] > least_gain)
         place = np.stack([(x + 0.5) * stride, (y + 0.5) * stride, np.full(len(x), scale)], 1)
@@ -193,7 +205,9 @@ def strongest(f: Fitted, target: Array, most: int, least: float) -> Fitted:
     return f.rows(keep) if len(keep) < len(f.p) else f
 
 
-def run_steps(f: Fitted, target: Array, v: Variant, steps: int, start: float, end: float, price: float, q: float) -> Fitted:
+def run_steps(
+    f: Fitted, target: Array, v: Variant, steps: int, start: float, end: float, price: float, q: float
+) -> Fitted:
     """Take steps; rates fall along a cosine from part `start` to part `end` of a run to a half."""
     done = 0
     while done < steps:
@@ -206,12 +220,151 @@ def run_steps(f: Fitted, target: Array, v: Variant, steps: int, start: float, en
         part = start + (end - start) * done / steps
         rate = v.rate * (0.75 + 0.25 * math.cos(math.pi * part))
         free = int(v.mixture and v.amplitudes == "free")
-        head = FitHead(rate, price, q, 0.9, 0.99, 2.0, 0, v.amplitude_rate, 0.5, n, free, 0)
+        head = FitHead(rate, price, q, 0.9, 0.99, 2.0, v.amplitude_rate, 0.5, n, free)
         f.p = np.ascontiguousarray(f.p)
         args = at(f.p), at(target), at(predicted), at(f.moments), at(f.ground), at(f.ages), ctypes.byref(head)
         library().fit(ctypes.byref(f.head), *args)
         done += n
     return f
+
+
+class Coding(ctypes.Structure):
+    _fields_ = [
+        (n, ctypes.c_float)
+        for n in (
+            "quantum",
+            "place_step",
+            "shape_step",
+            "amplitude_step",
+            "price",
+            "wider",
+            "color_step",
+            "color_power",
+        )
+    ]
+    _fields_ += [(n, ctypes.c_int) for n in ("amplitudes", "sweeps")]
+
+
+@dataclass
+class Coded:
+    """A file that could be written: its kernels as a decoder has them, its bits, and the models' counts."""
+
+    head: SceneHead
+    p: Array
+    bits: float
+    counts: Array
+    parts: NDArray[np.float64]
+    float_psnr: float
+
+    def image(self) -> NDArray[np.uint8]:
+        fitted = Fitted(self.head, self.p, self.p, np.zeros(1, np.int32))
+        return np.clip(np.rint(drawn(fitted) * 255), 0, 255).astype(np.uint8)
+
+    def psnr(self, target: Array) -> float:
+        return psnr(self.image().astype(np.float32) / 255, target)
+
+
+def flat_prior(shares: list[list[int]] | None = None) -> Array:
+    """What models of symbols start with: trained shares, or plain ones."""
+    if shares is not None:
+        return np.ascontiguousarray(TRAINED * np.array(shares) / np.sum(shares, 1, keepdims=True), np.float32)
+    p = 0.7 ** np.arange(SYMBOLS)
+    return np.tile((PRIOR * p / p.sum()).astype(np.float32), (CONTEXTS, 1))
+
+
+def symbol_shares(counts: Array) -> list[list[int]]:
+    p = counts + 0.001 * counts.sum(1, keepdims=True) + 0.3 * 0.7 ** np.arange(SYMBOLS)
+    return np.asarray(np.maximum(np.rint(2000 * p / p.sum(1, keepdims=True)), 1), int).tolist()
+
+
+def bit_price(quantum: float) -> float:
+    """Squared error that a bit is worth: of a uniform quantiser, a colour's with this quantum."""
+    return math.pi * quantum**2 * math.log(2) / 6
+
+
+def code(f: Fitted, target: Array, v: Variant, quantum: float, sweeps: int, prior: Array) -> Coded:
+    """Round, refine and count."""
+    head = SceneHead.from_buffer_copy(f.head)
+    head.log_e = round(head.log_e * 8) / 8
+    for j in range(3):
+        head.b[j] = round(head.b[j] * 255) / 255
+    g = replace(f, head=head, p=f.p.copy())
+    _, _, bend = gradient(g, g.p, target)
+    free = int(v.mixture and v.amplitudes == "free")
+    price = v.refine_weight * bit_price(quantum)
+    q = Coding(
+        quantum, v.place_step, v.shape_step, v.amplitude_step, price, v.wider, v.color_step, v.color_power, free, sweeps
+    )
+    count, ints = ctypes.c_int(), np.empty((len(f.p), 11), np.int32)
+    counts, parts = np.empty((CONTEXTS, SYMBOLS), np.float32), np.empty(5)
+    args = at(target), ctypes.byref(q), at(prior), ctypes.byref(count), at(ints), at(counts), at(parts)
+    bits = library().refine(ctypes.byref(head), at(g.p), at(bend), *args)
+    head.count = count.value
+    return Coded(
+        head,
+        g.p[: count.value],
+        bits + HEADER_BITS + 8 * v.mixture,
+        counts,
+        parts,
+        psnr(drawn(f), target) if sweeps else 0,
+    )
+
+
+def fit_bits(target: Array, v: Variant, budget: float, prior: Array) -> tuple[Fitted, float]:
+    """Fit kernels whose file is to have `budget` bits, with a price of bits. Returns the quantum as well."""
+    f, n = empty(target, v), budget / 27
+    goal = 0.0013 * target[0].size / n
+    quantum = goal / 4
+    for run in range(1 + v.rounds):
+        times = (*GROWTH_AT, *TRIM_AT, 1.0) if run == 0 else (*ROUND_GROWTH, *ROUND_TRIM, 1.0)
+        growth = GROWTH_AT if run == 0 else ROUND_GROWTH
+        steps, surplus_until = (v.steps, 0.88) if run == 0 else (round(v.steps * 0.4), 0.6)
+        surplus_from = 0.45 if run == 0 else 0.0
+        excess = v.excess if run == 0 else 1.0
+        for here, then in pairwise(times):
+            left = 1 - min(max((here - surplus_from) / (surplus_until - surplus_from), 0), 1)
+            if len(f.p) and (here >= 0.12 or run):
+                bits = code(f, target, v, quantum, 0, prior).bits
+                most = (budget * 1.08) * (1 + excess * left)  # refining drops some
+                change = (bits / most) ** (0.9 if here in growth else 1.0)
+                quantum *= min(max(change, 1 / 1.35), 1.35)
+            price = bit_price(quantum)
+            f = strongest(f, target, 10**6, price * (4.3 if here < growth[-1] else 18.0))
+            if here in growth:
+                most_n = min(int(5 * n), target[0].size // 4) - len(f.p)
+                before = len(f.p)
+                least = v.rate_weight * price * v.bits_of_new
+                f = grow(f, target, v, min(most_n, max(before, int(n / 10), 4)), least)
+                if len(f.p) > before:
+                    solve_colours(f, target)
+            n_steps = round(steps * then) - round(steps * here)
+            f = run_steps(f, target, v, n_steps, here, then, v.rate_weight * price, quantum)
+    return f, quantum
+
+
+def search(f: Fitted, quantum: float, target: Array, v: Variant, budget: float, prior: Array) -> list[Coded]:
+    """Files on both sides of the budget, near it."""
+    found: list[tuple[float, Coded]] = []
+    for _ in range(7):
+        one = code(f, target, v, quantum, v.sweeps, prior)
+        found.append((quantum, one))
+        if abs(one.bits / budget - 1) < 0.004:
+            break
+        above = [(q, c) for q, c in found if c.bits > budget]
+        below = [(q, c) for q, c in found if c.bits <= budget]
+        if above and below:
+            (q0, a), (q1, b) = max(above, key=lambda x: x[0]), min(below, key=lambda x: x[0])
+            part = math.log(a.bits / budget) / max(math.log(a.bits / b.bits), 1e-9)
+            quantum = q0 * (q1 / q0) ** min(max(part, 0.1), 0.9)
+        else:
+            quantum *= min(max((one.bits / budget) ** 1.4, 0.6), 1.6)
+    return [c for _, c in found]
+
+
+def at_budget(files: list[Coded], target: Array, budget: float) -> tuple[float, Coded]:
+    """PSNR at exactly the budget, by the slope of 6.02 dB for each doubling over two bits of three at this point."""
+    nearest = min(files, key=lambda c: abs(math.log(c.bits / budget)))
+    return nearest.psnr(target) + 2.95 * math.log2(budget / nearest.bits), nearest
 
 
 def fit_count(target: Array, v: Variant, count: int) -> Fitted:

@@ -43,11 +43,11 @@ struct Kernel {
   }
   // Calls f(first pixel, count, u of the first, v of the first, step of v) for each row that it reaches.
   template <typename F>
-  void rows(const Scene& s, F f) const {
+  void rows(const Scene& s, F f, int every = 1) const {
     const int y0 = std::max(0, static_cast<int>(std::ceil(my - down - 0.5f)));
     const int y1 = std::min(s.height - 1, static_cast<int>(std::floor(my + down - 0.5f)));
     const float A = i1 * i1 + slope * slope * i3 * i3, B = slope * i3 * i3, C = i3 * i3;
-    for (int y = y0; y <= y1; ++y) {
+    for (int y = y0; y <= y1; y += every) {
       const float dy = y + 0.5f - my, left = reach * reach - dy * dy * (C - B * B / A);
       if (left <= 0) continue;
       const float middle = mx + B * dy / A, half = std::sqrt(left / A);
@@ -66,17 +66,21 @@ struct Picture {
   explicit Picture(const Scene& s) : n(s.width * s.height), den(n, s.mixture ? std::exp(s.log_e) : 1.0f) {
     for (int j = 0; j < 3; ++j) num[j].assign(n, s.b[j] * den[0]);
   }
-  void add(const Scene& s, const Kernel& k, float sign = 1) {
+  template <bool mixture>
+  void add_as(const Scene& s, const Kernel& k, float amplitude) {
     float *n0 = num[0].data(), *n1 = num[1].data(), *n2 = num[2].data(), *d = den.data();
-    const float amp = sign * k.a, weigh = s.mixture ? 1.0f : 0.0f;
     k.rows(s, [&](int at, int count, float u, float v, float dv) {
 #pragma omp simd
       for (int i = 0; i < count; ++i) {
         const float uu = u + i * k.i1, vv = v + i * dv;
-        const float w = amp * std::max(fast_exp(-0.5f * (uu * uu + vv * vv)) - k.cut, 0.0f);
-        n0[at + i] += w * k.c[0], n1[at + i] += w * k.c[1], n2[at + i] += w * k.c[2], d[at + i] += weigh * w;
+        const float w = amplitude * std::max(fast_exp(-0.5f * (uu * uu + vv * vv)) - k.cut, 0.0f);
+        n0[at + i] += w * k.c[0], n1[at + i] += w * k.c[1], n2[at + i] += w * k.c[2];
+        if (mixture) d[at + i] += w;
       }
     });
+  }
+  void add(const Scene& s, const Kernel& k, float sign = 1) {
+    s.mixture ? add_as<true>(s, k, sign * k.a) : add_as<false>(s, k, sign);
   }
   void draw(const Scene& s, const float* p) {
     for (int i = 0; i < s.count; ++i) add(s, Kernel(s, p + kValues * i));
@@ -172,15 +176,15 @@ inline float sign(float x) { return static_cast<float>((x > 0) - (x < 0)); }
 extern "C" {
 
 struct Fit {
-  float rate, price, quantum, beta1, beta2, newton, floor_bits, amplitude_rate, ground_rate;
-  int steps, amplitudes, t;
+  float rate, price, quantum, beta1, beta2, newton, amplitude_rate, ground_rate;
+  int steps, amplitudes;
 };
 
 void draw(const Scene* s, const float* p, float* out) {
   Picture pic(*s);
   pic.draw(*s, p);
   for (int i = 0; i < pic.n; ++i)
-    for (int j = 0; j < 3; ++j) out[j * pic.n + i] = pic.num[j][i] / pic.den[i];
+    for (int j = 0; j < 3; ++j) out[j * pic.n + i] = s->mixture ? pic.num[j][i] / pic.den[i] : pic.num[j][i];
 }
 
 double errors(const Scene* s, const float* p, const float* target, float* by, float* bend, float* ground) {
@@ -290,13 +294,30 @@ void losses(const Scene* s, const float* p, const float* target, float* out) {
 // The gain of one more round kernel at each place of a grid, with its best colour: exact for both models. For a mixture
 // each of `shares` is tried: the new one's part of the weight at its centre. out [columns * rows, 5]: gain, a, colour.
 void gains(const Scene* s, const float* p, const float* target, float scale, int stride, const float* shares, int tried,
-           float* out) {
+           float least, float* out) {
   Picture pic(*s);
   pic.draw(*s, p);
-  const int n = pic.n, columns = s->width / stride, rows = s->height / stride;
+  const int n = pic.n, columns = s->width / stride, rows = s->height / stride, every = std::max(1, static_cast<int>(scale / 1.6f));
+  const int wide = s->width + 1;
+  std::vector<double> sums(static_cast<size_t>(wide) * (s->height + 1));  // of errors, above and left
+  for (int y = 0; y < s->height; ++y)
+    for (int x = 0; x < s->width; ++x) {
+      const int q = y * s->width + x;
+      double r = 0;
+      for (int j = 0; j < 3; ++j) {
+        const float d = target[j * n + q] - pic.num[j][q] / pic.den[q];
+        r += d * d;
+      }
+      double* here = &sums[(y + 1) * wide + x + 1];
+      *here = r + here[-1] + here[-wide] - here[-wide - 1];
+    }
   for (int row = 0; row < rows; ++row)
     for (int column = 0; column < columns; ++column, out += 5) {
       out[0] = 0;
+      // No gain exceeds the error within reach.
+      const int far = static_cast<int>(std::ceil(scale * s->reach)), x = column * stride + stride / 2, y = row * stride + stride / 2;
+      const int x0 = std::max(0, x - far), x1 = std::min(s->width, x + far + 1), y0 = std::max(0, y - far), y1 = std::min(s->height, y + far + 1);
+      if (sums[y1 * wide + x1] - sums[y1 * wide + x0] - sums[y0 * wide + x1] + sums[y0 * wide + x0] < least) continue;
       float k9[9] = {column * stride + 0.5f * stride, row * stride + 0.5f * stride, scale, 0, scale, 0, 0, 0, 0};
       Kernel k(*s, k9);
       const int middle = static_cast<int>(k.my) * s->width + static_cast<int>(k.mx);
@@ -319,8 +340,8 @@ void gains(const Scene* s, const float* p, const float* target, float scale, int
             sg += g * g, s0 += g * r0, s1 += g * r1, s2 += g * r2;
           }
           P += sp, G += sg, Q0 += s0, Q1 += s1, Q2 += s2;
-        });
-        const double gain = P + (Q0 * Q0 + Q1 * Q1 + Q2 * Q2) / G;
+        }, every);
+        const double gain = every * (P + (Q0 * Q0 + Q1 * Q1 + Q2 * Q2) / G);
         if (gain > out[0]) {
           out[0] = static_cast<float>(gain), out[1] = a;
           out[2] = static_cast<float>(Q0 / G), out[3] = static_cast<float>(Q1 / G), out[4] = static_cast<float>(Q2 / G);
@@ -349,6 +370,7 @@ int apart(const float* places, int n, int most, int* chosen) {
 double refine(const Scene* s, float* p, const float* bend, const float* target, const Coding* q, const float* prior,
               int* count, int32_t* ints, float* counts, double* parts) {
   std::vector<Ints> all;
+  std::vector<float> colors;
   for (int i = 0; i < s->count; ++i, p += kValues, bend += 7) {
     Ints n{};
     const float size = 2 * std::log2(std::sqrt(p[2] * p[4])), fine = std::sqrt((bend[0] + bend[1]) / 2 / 3.14159f) * q->place_step / q->quantum;
@@ -359,15 +381,13 @@ double refine(const Scene* s, float* p, const float* bend, const float* target, 
     n.v = static_cast<int>(std::lround(0.5f * std::log(p[2] / p[4]) / step));
     n.r = static_cast<int>(std::lround(p[3] / p[4] / (2 * step)));
     n.A = q->amplitudes ? std::clamp(static_cast<int>(std::lround(p[5] / q->amplitude_step)), -9, 9) : 0;
-    for (int a = 0; a < 3; ++a)
-      n.c[a] = static_cast<int>(std::lround((kBasis[a][0] * p[6] + kBasis[a][1] * p[7] + kBasis[a][2] * p[8]) * std::exp2(0.5f * n.k) / q->quantum));
     float out[kValues];
     Places at;
-    snap(*s, *q, n, p[0], p[1]);
-    if (decode(*s, *q, n, out, at)) all.push_back(n);
+    snap(*q, n, p[0], p[1]);
+    if (decode(*q, n, out, at)) all.push_back(n), colors.insert(colors.end(), p + 6, p + 9);
   }
   p -= kValues * s->count;
-  Search search(*s, *q, prior, target, all);
+  Search search(*s, *q, prior, target, all, colors);
   const double bits = search.sweep_all();
   *count = static_cast<int>(search.all_.size());
   std::copy(search.p_.begin(), search.p_.end(), p);
