@@ -10,7 +10,7 @@ struct Ints {
   int32_t k, u, v, r, h, X, Y, A, c[3];
 };
 struct Coding {
-  float quantum, place_step, shape_step, amplitude_step, price, wider, color_step, color_power;
+  float quantum, place_step, shape_step, amplitude_step, price, color_step;
   int amplitudes, sweeps;
 };
 constexpr int kSymbols = 20, kContexts = 80, kFirstClass = -4, kClasses = 33, kMostFine = 10;
@@ -24,7 +24,7 @@ inline int rest(int x) { return x < 4 ? 0 : (31 - __builtin_clz(x)) - 1; }
 inline int bits_of_size(int h) { return std::max(h - 1, 0); }
 inline int cell_of(int k) { return std::max(0, (k + 1) >> 1); }
 
-inline float color_step(const Coding& q, int k) { return q.quantum * q.color_step * std::exp2(-0.5f * q.color_power * k); }
+inline float color_step(const Coding& q, int k) { return q.quantum * q.color_step * std::exp2(-0.5f * k); }
 
 struct Places { int g, px, py; };
 
@@ -136,7 +136,7 @@ class Search {
   }
   void predicted(int i, const float* place, float* axes) const {
     float rgb[3];
-    predict(s_, p_.data(), i, place, q_.wider, rgb);
+    predict(s_, p_.data(), i, place, rgb);
     for (int a = 0; a < 3; ++a) axes[a] = kBasis[a][0] * rgb[0] + kBasis[a][1] * rgb[1] + kBasis[a][2] * rgb[2];
   }
   // Bits of all, by models that adapt; sets counts and costs.

@@ -11,6 +11,7 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,7 +66,6 @@ class Variant:
     gamma: float = 0.0
     log_e: float = -5.0
     shares: tuple[float, ...] = (0.33, 0.67, 0.9)
-    wider: float = 1.0
     steps: int = 300
     rate_weight: float = 1.7
     rounds: int = 0
@@ -79,7 +79,6 @@ class Variant:
     amplitude_step: float = 0.7
     sweeps: int = 4
     color_step: float = 1.0
-    color_power: float = 1.0
 
 
 @dataclass
@@ -162,12 +161,16 @@ def grow(f: Fitted, target: Array, v: Variant, most: int, least_gain: float) -> 
     found = []
     shares = np.array(v.shares if v.amplitudes == "free" else (0.5,), np.float32)
     h, w = target.shape[1:]
+    missing = np.ascontiguousarray((target - drawn(f)).transpose(1, 2, 0))
     for scale in SCALES:
         if scale > max(h, w) / 4:
             continue
         stride = max(1, int(scale / 1.4))
         out = np.empty((h // stride, w // stride, 5), np.float32)
-        args = ctypes.c_float(scale), stride, at(shares), len(shares), ctypes.c_float(least_gain), at(out)
+        blurred = cv2.GaussianBlur(missing, (0, 0), scale)[stride // 2 :: stride, stride // 2 :: stride]
+        strength = np.square(blurred[: out.shape[0], : out.shape[1]]).sum(2)
+        places = (strength >= cv2.dilate(strength, np.ones((3, 3), np.uint8))).astype(np.uint8)
+        args = ctypes.c_float(scale), stride, at(shares), len(shares), at(places), at(out)
         library().gains(ctypes.byref(f.head), at(f.p), at(target), *args)
         y, x = np.nonzero(out[..., 0] > least_gain)
         place = np.stack([(x + 0.5) * stride, (y + 0.5) * stride, np.full(len(x), scale)], 1)
@@ -216,7 +219,7 @@ def run_steps(
             f = f.sorted()
         predicted = np.zeros((len(f.p), 3), np.float32)
         if v.mixture and price > 0:
-            library().predictions(ctypes.byref(f.head), at(f.p), ctypes.c_float(v.wider), at(predicted))
+            library().predictions(ctypes.byref(f.head), at(f.p), at(predicted))
         part = start + (end - start) * done / steps
         rate = v.rate * (0.75 + 0.25 * math.cos(math.pi * part))
         free = int(v.mixture and v.amplitudes == "free")
@@ -237,9 +240,7 @@ class Coding(ctypes.Structure):
             "shape_step",
             "amplitude_step",
             "price",
-            "wider",
             "color_step",
-            "color_power",
         )
     ]
     _fields_ += [(n, ctypes.c_int) for n in ("amplitudes", "sweeps")]
@@ -292,9 +293,7 @@ def code(f: Fitted, target: Array, v: Variant, quantum: float, sweeps: int, prio
     _, _, bend = gradient(g, g.p, target)
     free = int(v.mixture and v.amplitudes == "free")
     price = v.refine_weight * bit_price(quantum)
-    q = Coding(
-        quantum, v.place_step, v.shape_step, v.amplitude_step, price, v.wider, v.color_step, v.color_power, free, sweeps
-    )
+    q = Coding(quantum, v.place_step, v.shape_step, v.amplitude_step, price, v.color_step, free, sweeps)
     count, ints = ctypes.c_int(), np.empty((len(f.p), 11), np.int32)
     counts, parts = np.empty((CONTEXTS, SYMBOLS), np.float32), np.empty(5)
     args = at(target), ctypes.byref(q), at(prior), ctypes.byref(count), at(ints), at(counts), at(parts)
@@ -365,19 +364,3 @@ def at_budget(files: list[Coded], target: Array, budget: float) -> tuple[float, 
     """PSNR at exactly the budget, by the slope of 6.02 dB for each doubling over two bits of three at this point."""
     nearest = min(files, key=lambda c: abs(math.log(c.bits / budget)))
     return nearest.psnr(target) + 2.95 * math.log2(budget / nearest.bits), nearest
-
-
-def fit_count(target: Array, v: Variant, count: int) -> Fitted:
-    """Fit a number of kernels, without a price of bits: surplus until 0.88 of the run."""
-    f = empty(target, v)
-    for i, here in enumerate((*GROWTH_AT, 0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)):
-        times = (*GROWTH_AT, 0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99, 1.0)
-        left = 1 - min(max((here - 0.45) / 0.43, 0), 1)
-        most = round(count * (1 + v.excess * left))
-        f = strongest(f, target, most, 0)
-        if here in GROWTH_AT and len(f.p) < most:
-            f = grow(f, target, v, min(most - len(f.p), max(len(f.p), count // 8, 4)), 0)
-            solve_colours(f, target)
-        n = round(v.steps * times[i + 1]) - round(v.steps * here)
-        f = run_steps(f, target, v, n, here, times[i + 1], 0.0, 1.0)
-    return f

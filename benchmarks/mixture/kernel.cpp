@@ -14,7 +14,7 @@
 
 namespace {
 
-constexpr int kValues = 9, kBest = 4;
+constexpr int kValues = 9;
 constexpr float kFaint = 9e-4f, kNarrowest = 0.5f, kLn2 = 0.69314718f;
 
 struct Scene {
@@ -152,13 +152,13 @@ double gradient(const Scene& s, const float* p, const float* target, float* by, 
 constexpr float kBasis[3][3] = {{0.57735f, 0.57735f, 0.57735f}, {0.70711f, 0, -0.70711f}, {0.40825f, -0.81650f, 0.40825f}};
 
 // What earlier kernels, the larger ones, and the background show at a place: a prediction of the next colour.
-void predict(const Scene& s, const float* p, int earlier, const float* at, float wider, float* out) {
+void predict(const Scene& s, const float* p, int earlier, const float* at, float* out) {
   if (!s.mixture) { std::fill_n(out, 3, 0.0f); return; }
   float den = std::exp(s.log_e), num[3] = {den * s.b[0], den * s.b[1], den * s.b[2]};
   for (int i = 0; i < earlier; ++i) {
     const float* k = p + kValues * i;
     const float dx = at[0] - k[0], u = dx / k[2], v = (at[1] - k[1] - k[3] / k[2] * dx) / k[4];
-    const float q = 0.5f * (u * u + v * v) / (wider * wider);
+    const float q = 0.5f * (u * u + v * v);
     if (q > 0.5f * s.reach * s.reach) continue;
     const float w = std::exp(k[5] - s.gamma * 0.5f * std::log(k[2] * k[4])) * fast_exp(-q);
     den += w;
@@ -191,8 +191,8 @@ double errors(const Scene* s, const float* p, const float* target, float* by, fl
   return gradient(*s, p, target, by, bend, ground);
 }
 
-void predictions(const Scene* s, const float* p, float wider, float* out) {
-  for (int i = 0; i < s->count; ++i) predict(*s, p, i, p + kValues * i, wider, out + 3 * i);
+void predictions(const Scene* s, const float* p, float* out) {
+  for (int i = 0; i < s->count; ++i) predict(*s, p, i, p + kValues * i, out + 3 * i);
 }
 
 // Steps of Adam in each kernel's own frame, none longer than `newton` steps of Gauss-Newton along its axis, down the
@@ -291,33 +291,17 @@ void losses(const Scene* s, const float* p, const float* target, float* out) {
   }
 }
 
-// The gain of one more round kernel at each place of a grid, with its best colour: exact for both models. For a mixture
+// The gain of one more round kernel at places of a grid, with its best colour: exact for both models. For a mixture
 // each of `shares` is tried: the new one's part of the weight at its centre. out [columns * rows, 5]: gain, a, colour.
 void gains(const Scene* s, const float* p, const float* target, float scale, int stride, const float* shares, int tried,
-           float least, float* out) {
+           const uint8_t* places, float* out) {
   Picture pic(*s);
   pic.draw(*s, p);
   const int n = pic.n, columns = s->width / stride, rows = s->height / stride, every = std::max(1, static_cast<int>(scale / 1.6f));
-  const int wide = s->width + 1;
-  std::vector<double> sums(static_cast<size_t>(wide) * (s->height + 1));  // of errors, above and left
-  for (int y = 0; y < s->height; ++y)
-    for (int x = 0; x < s->width; ++x) {
-      const int q = y * s->width + x;
-      double r = 0;
-      for (int j = 0; j < 3; ++j) {
-        const float d = target[j * n + q] - pic.num[j][q] / pic.den[q];
-        r += d * d;
-      }
-      double* here = &sums[(y + 1) * wide + x + 1];
-      *here = r + here[-1] + here[-wide] - here[-wide - 1];
-    }
   for (int row = 0; row < rows; ++row)
     for (int column = 0; column < columns; ++column, out += 5) {
       out[0] = 0;
-      // No gain exceeds the error within reach.
-      const int far = static_cast<int>(std::ceil(scale * s->reach)), x = column * stride + stride / 2, y = row * stride + stride / 2;
-      const int x0 = std::max(0, x - far), x1 = std::min(s->width, x + far + 1), y0 = std::max(0, y - far), y1 = std::min(s->height, y + far + 1);
-      if (sums[y1 * wide + x1] - sums[y1 * wide + x0] - sums[y0 * wide + x1] + sums[y0 * wide + x0] < least) continue;
+      if (!places[row * columns + column]) continue;
       float k9[9] = {column * stride + 0.5f * stride, row * stride + 0.5f * stride, scale, 0, scale, 0, 0, 0, 0};
       Kernel k(*s, k9);
       const int middle = static_cast<int>(k.my) * s->width + static_cast<int>(k.mx);
