@@ -26,7 +26,7 @@ from benchmarks.pictures import Pixels, pictures_in
 SIDE = 192
 VARIANTS = {
     "sum": Variant(mixture=False, reach=3.0, rounds=1),
-    "mixture": Variant(amplitudes="none", rate_weight=0.3, color_step=0.5, rounds=1),
+    "mixture": Variant(reach=5.0, amplitudes="none", rate_weight=0.3, color_step=0.5, rounds=1),
 }
 
 

@@ -77,7 +77,7 @@ class Variant:
     place_step: float = 1.4
     shape_step: float = 1.0
     amplitude_step: float = 0.7
-    sweeps: int = 4
+    sweeps: int = 12
     color_step: float = 1.0
 
 
