@@ -9,6 +9,7 @@ python -m benchmarks.speed        time and memory by size, and of the kernels; g
 python -m benchmarks.gpu          drawing, fits, batches and encodes on a GPU, and errors of the kernels there
 python -m benchmarks.ablation     profile rd with one part left out at a time, and the paper's ablations
 python -m benchmarks.robustness   hard pictures (stiff), extreme Gaussians and bad starts (extremes), under rules
+python -m benchmarks.mixture      a trial: sums of Gaussians against normalised mixtures of them
 python -m benchmarks.service      the service under load, attacked, and killed at random (chaos)
 python -m benchmarks.report       docs/results, its plots and the README's tables from the JSON
 

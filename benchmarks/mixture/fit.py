@@ -136,7 +136,7 @@ def solve_colours(f: Fitted, target: Array, steps: int = 4) -> None:
     """Conjugate gradients on the colours, in which both models are linear."""
     p = f.p.copy()
     _, by, bend = gradient(f, p, target)
-    scale = 1 / (2 * bend[:, 6:] + 1e-2)
+    scale = 1 / (2 * bend[:, 6:] + np.float32(1e-2))
     residual = -by[:, 6:]
     direction = z = residual * scale
     rho = float((residual * z).sum())
@@ -145,14 +145,14 @@ def solve_colours(f: Fitted, target: Array, steps: int = 4) -> None:
         q = p.copy()
         q[:, 6:] = direction
         f.head.b[:] = [0.0] * 3
-        along = gradient(f, q, zero)[1][:, 6:] + 2e-3 * direction
+        along = gradient(f, q, zero)[1][:, 6:] + np.float32(2e-3) * direction
         f.head.b[:] = b
         step = rho / max(float((direction * along).sum()), 1e-12)
         p[:, 6:] += step * direction
-        residual = residual - step * along
+        residual -= np.float32(step) * along
         z = residual * scale
         rho, before = float((residual * z).sum()), rho
-        direction = z + rho / max(before, 1e-20) * direction
+        direction = z + np.float32(rho / max(before, 1e-20)) * direction
     f.p = p
 
 
@@ -262,20 +262,22 @@ class Coded:
         return np.clip(np.rint(drawn(fitted) * 255), 0, 255).astype(np.uint8)
 
     def psnr(self, target: Array) -> float:
-        return psnr(self.image().astype(np.float32) / 255, target)
+        return psnr(self.image().astype(np.float32) * np.float32(1 / 255), target)
 
 
-def flat_prior(shares: list[list[int]] | None = None) -> Array:
+def prior_of(shares: list[str] | None = None) -> Array:
     """What models of symbols start with: trained shares, or plain ones."""
     if shares is not None:
-        return np.ascontiguousarray(TRAINED * np.array(shares) / np.sum(shares, 1, keepdims=True), np.float32)
-    p = 0.7 ** np.arange(SYMBOLS)
-    return np.tile((PRIOR * p / p.sum()).astype(np.float32), (CONTEXTS, 1))
+        p = np.array([line.split() for line in shares], np.float64)
+        return np.ascontiguousarray(TRAINED * p / p.sum(1, keepdims=True), np.float32)
+    plain = 0.7 ** np.arange(SYMBOLS)
+    return np.tile((PRIOR * plain / plain.sum()).astype(np.float32), (CONTEXTS, 1))
 
 
-def symbol_shares(counts: Array) -> list[list[int]]:
+def symbol_shares(counts: Array) -> list[str]:
+    """Shares of symbols, a line for each context, from how often each came."""
     p = counts + 0.001 * counts.sum(1, keepdims=True) + 0.3 * 0.7 ** np.arange(SYMBOLS)
-    return np.asarray(np.maximum(np.rint(2000 * p / p.sum(1, keepdims=True)), 1), int).tolist()
+    return [" ".join(map(str, line)) for line in np.maximum(np.rint(2000 * p / p.sum(1, keepdims=True)), 1).astype(int)]
 
 
 def bit_price(quantum: float) -> float:
