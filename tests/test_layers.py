@@ -118,7 +118,6 @@ RULES = {
         rf"|{IMPORT}torch",
         "service/sandbox/tasks.py",
     ),
-    "the reference, which is slow, is for tests": ("sgmethod service", IMPORT + r"sgmethod\.backend\.reference", ""),
     "the encoder computes through its backend": (
         "sgmethod/rd sgmethod/fitting sgmethod/paper",
         IMPORT + r"sgmethod\.native",
@@ -137,7 +136,7 @@ RULES = {
     "only a test of measures imports a benchmark": (
         "tests",
         IMPORT + "benchmarks",
-        "tests/benchmarks/test_measures.py tests/benchmarks/test_statistics.py",
+        "tests/benchmarks/test_measures.py tests/benchmarks/test_perceptual.py tests/benchmarks/test_statistics.py",
     ),
     "the harness imports no test": ("tests/harness", IMPORT + r"tests\.(?!harness)", ""),
     "the report knows the commands, and they do not know it": (

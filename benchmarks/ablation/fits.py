@@ -65,7 +65,7 @@ def fitted(method: str, pixels: Pixels, gaussians: int, steps: int) -> Scene:
 
 def by_rd(pixels: Pixels, gaussians: int, steps: int) -> Scene:
     """Profile rd's fit of exactly so many."""
-    found = ExactFit(gaussians, steps).of(pixels, Kernels(), Clock(), lambda _: None)
+    found = ExactFit(gaussians, steps).fit(pixels, Kernels(), Clock(), lambda _: None)
     height, width = pixels.shape[:2]
     frame = Frame(width, height)
     return Scene(found.gaussians, width, height, found.background, frame.cutoff, frame.pyramid)

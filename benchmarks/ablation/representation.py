@@ -20,12 +20,12 @@ from benchmarks.ablation.fits import measured
 from benchmarks.ablation.report import FIGURES, REPRESENTATIONS, representations
 from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import add_options, named_in
 from benchmarks.speed.sizes import alone
 from benchmarks.tables import number, table
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.metrics.perceptual import Networks
 
 
 def measure(method: str, path: Path, gaussians: int, steps: int, seen: Networks | None) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from benchmarks.arguments import numbers
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.local import local_statistics
 from benchmarks.perceptual.means import KINDS, RIVALS, TITLES, lines
+from benchmarks.perceptual.networks import Networks
 from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
 from benchmarks.rd import rivals
@@ -26,7 +27,6 @@ from benchmarks.tables import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import Networks
 
 
 def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[str, int, float, Pixels]]:

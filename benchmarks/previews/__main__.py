@@ -20,13 +20,13 @@ import numpy as np
 
 from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.previews.codecs import CODECS, Made
 from benchmarks.rd.rivals import package
 from benchmarks.tables import number, table
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from sgmethod.metrics.perceptual import Networks
 from sgmethod.metrics.visual import ssimulacra2
 
 BYTES = [32, 64, 128, 256, 512, 1024, 2048, 4096]

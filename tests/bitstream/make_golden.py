@@ -122,7 +122,9 @@ def rd_texture(size: Size, n: int, *, grey: bool = False, is_short: bool = False
     if n == 0:
         codes[1:] = 0
     background = coded_background((120, 120, 120), is_short)
-    stream = StreamV2.of(ellipses(n, size, 6, (0.8, 40), 4), size, 0.02, background, grey, is_short=is_short)
+    stream = StreamV2.from_gaussians(
+        ellipses(n, size, 6, (0.8, 40), 4), size, 0.02, background, grey, is_short=is_short
+    )
     return serialise(replace(stream, texture=codes.astype(np.uint8)))
 
 
@@ -136,7 +138,7 @@ def rd_alpha(data: bytes, n: int) -> bytes:
     colors = np.repeat(rng.normal(0.5, 1, (n, 1)), 3, axis=1)
     gaussians = single(rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors)
     background = coded_background((100, 100, 100), picture.is_short)
-    alpha = StreamV2.of(gaussians, size, 0.04, background, grey=True, is_short=picture.is_short)
+    alpha = StreamV2.from_gaussians(gaussians, size, 0.04, background, grey=True, is_short=picture.is_short)
     return serialise(replace(picture, alpha=replace(alpha, upright=False)))
 
 
@@ -164,7 +166,7 @@ def slanted(minor: FloatArray, aspect: FloatArray, angle: FloatArray) -> FloatAr
 
 def rd_coded(gaussians: Gaussians, size: Size, quantum: float, *, is_short: bool = False) -> bytes:
     background = coded_background((120, 90, 60), is_short)
-    return serialise(StreamV2.of(gaussians, size, quantum, background, grey=False, is_short=is_short))
+    return serialise(StreamV2.from_gaussians(gaussians, size, quantum, background, grey=False, is_short=is_short))
 
 
 GOLDEN: dict[str, Callable[[], bytes]] = {

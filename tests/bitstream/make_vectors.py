@@ -107,7 +107,7 @@ def file_of(
 ) -> bytes:
     """The file of some Gaussians. more: changes the stream."""
     background = coded_background((120, 120, 120) if grey else (200, 120, 40), is_short)
-    stream = StreamV2.of(gaussians, size, quantum, background, grey, is_short=is_short)
+    stream = StreamV2.from_gaussians(gaussians, size, quantum, background, grey, is_short=is_short)
     return serialise(stream if more is None else more(stream))
 
 
@@ -124,7 +124,9 @@ def with_alpha(stream: StreamV2, quantum: float = 0.1) -> StreamV2:
     gaussians = some_gaussians(5, size, 8, grey=True)
     gaussians.colors[:] = np.abs(gaussians.colors) * 8
     level = coded_background((60, 60, 60), stream.is_short)
-    return replace(stream, alpha=StreamV2.of(gaussians, size, quantum, level, grey=True, is_short=stream.is_short))
+    return replace(
+        stream, alpha=StreamV2.from_gaussians(gaussians, size, quantum, level, grey=True, is_short=stream.is_short)
+    )
 
 
 def some_file(

@@ -145,7 +145,7 @@ def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
     for x in (MAX_COORDINATE // 2 - 10, 50_001):
         means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
         gaussians = single(means, factors, rng.normal(0, 0.1, (n, 3)))
-        data = container.serialise(StreamV2.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
+        data = container.serialise(StreamV2.from_gaussians(gaussians, size, 0.01, (120, 110, 100), grey=False))
         view = View(2.0, (x, 11, 20, 12))
         assert_same_pixels(plain_decoder_v2.view(data, view.scale, view.region), decode(data, view=view))
 
@@ -167,7 +167,7 @@ def some_codes(size: tuple[int, int], seed: int) -> Codes:
 def test_texture_survives_packing(size: tuple[int, int]) -> None:
     for codes in (some_codes(size, 1), 0 * some_codes(size, 1), 0 * some_codes(size, 1) + 15):
         data = container.serialise(
-            replace(StreamV2.of(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
+            replace(StreamV2.from_gaussians(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
         )
         stream = container.parse(data)
         assert isinstance(stream, StreamV2)
