@@ -137,7 +137,7 @@ RULES = {
     "only a test of measures imports a benchmark": (
         "tests",
         IMPORT + "benchmarks",
-        "tests/benchmarks/test_measures.py tests/benchmarks/test_statistics.py",
+        "tests/benchmarks/test_measures.py tests/benchmarks/test_scenes.py tests/benchmarks/test_statistics.py",
     ),
     "the harness imports no test": ("tests/harness", IMPORT + r"tests\.(?!harness)", ""),
     "the report knows the commands, and they do not know it": (
