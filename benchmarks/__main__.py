@@ -55,6 +55,7 @@ FULL = {
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
     "speed": f"speed {KODAK}",
+    "scenes": f"scenes {KODAK}",
     "gains": f"ablation gains {KODAK}",
     "representation": f"ablation representation {SEEN} --most 24 --gaussians 70000",  # as the paper's first table
     "parts": f"ablation {KODAK} --tables parts --most 6 --seeds 3",
@@ -65,7 +66,7 @@ FULL = {
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
+COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
 def run(result: str, line: str, folder: Path) -> float:
