@@ -19,7 +19,7 @@ from functools import cache, partial
 from benchmarks.flat import flat
 from benchmarks.machine import RESULTS
 from benchmarks.perceptual import local
-from benchmarks.report import previews, rate, seen, service, speed, stability
+from benchmarks.report import previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 from sgmethod.io.files import write_atomically
@@ -38,6 +38,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "seen": seen.means_table,
     "seen-local": partial(seen.means_table, local.FIGURES),
     "stability": stability.rules_table,
+    "scenes": scenes.needs_table,
+    "savings": scenes.savings_table,
     "service": service.situations,
 }
 # Title, second line and panels of each plot.
@@ -71,7 +73,7 @@ APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 @cache
 def figures() -> dict[str, float | None]:
     """Every figure that a sentence may have, by its mark."""
-    parts = (rate, speed, previews, seen, stability, service)
+    parts = (rate, speed, scenes, previews, seen, stability, service)
     return {mark: value for part in parts for mark, value in part.figures().items()}
 
 
