@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 
 TIMEOUT_S = 10.0
 BUFFER_BYTES = 1 << 24

@@ -19,6 +19,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.container import serialise
@@ -30,8 +32,6 @@ from sgmethod.io.png import encode_png
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.backend.cases import single
-from tests.harness.data import golden_path
-from tests.harness.pictures import photo
 
 FloatArray = NDArray[np.float64]
 Size = tuple[int, int]

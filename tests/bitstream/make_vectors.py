@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness.data import ROOT
 from sgmethod import View, decode
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.texture import cells
@@ -25,7 +26,6 @@ from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2 as plain
 from tests.bitstream.make_golden import Size, colors_of, slanted
 from tests.bitstream.make_refused import MANY, refused, refused_early
-from tests.harness.data import ROOT
 
 VECTORS = ROOT / "docs" / "format" / "vectors.json"
 ORDER = {

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.harness.data import JAVASCRIPT
 from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import make_vectors, plain_decoder_v2
-from tests.harness.data import JAVASCRIPT
 
 MOST_BYTES = 300_000
 TEXT = make_vectors.VECTORS.read_text()

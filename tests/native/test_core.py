@@ -6,10 +6,10 @@ import re
 import subprocess
 from pathlib import Path
 
+from benchmarks.harness.data import ROOT, golden_path
 from sgmethod import decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
-from tests.harness.data import ROOT, golden_path
 from tests.native.harness.build import build, tool
 
 

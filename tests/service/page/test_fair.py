@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from tests.harness.browser import Chromium, bytes_of
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import wait_until
-from tests.harness.service import Service
+from benchmarks.harness.browser import Chromium, bytes_of
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import Service
 from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.job_table import LONG_S, claimed, job_of, submitted
+from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
 from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JobTableError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
@@ -22,8 +24,6 @@ from service.worker import attempt as attempt_module
 from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.harness.job_table import LONG_S, claimed, job_of, submitted
-from tests.harness.processes import PATIENCE_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):

@@ -1,7 +1,7 @@
-"""A stand-in for the codec, which Python loads at its start where PYTHONPATH names this folder.
+"""A fake codec, which Python loads at its start where PYTHONPATH names this folder.
 
 The sandbox of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
-2.5 s of a core. The stand-in takes the time limit to the letter unless it is asked to end early, no core, and makes a
+2.5 s of a core. The fake takes the time limit to the letter unless it is asked to end early, no core, and makes a
 file of one Gaussian.
 """
 
