@@ -43,7 +43,7 @@ def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[f
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_pixels(name: str) -> None:
-    """Exact: make_golden.py wrote their pictures or hashes when the files were made."""
+    """Their pictures or hashes were written when the files were made."""
     pixels = decode(GOLDEN[name])
     assert pixels.dtype == np.uint8
     assert pixels.flags.c_contiguous
