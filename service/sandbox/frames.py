@@ -198,7 +198,7 @@ class EncodeFigures(Figures):
     effort: Count
     source_bytes: Count
     psnr_missed_db: Figure
-    looks_missed: Figure
+    quality_missed: Figure
     warnings: list[Sentence] = Field(max_length=20)
     advice: Sentence | None
     better: Literal["avif", "webp"] | None

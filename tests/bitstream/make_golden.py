@@ -174,7 +174,7 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v1-empty": empty,
     "v2-color": lambda: rd_photograph(Budget("bytes", 300)),
     "v2-grey": lambda: rd_photograph(Budget("bytes", 300), grey=True),
-    "v2-long": lambda: rd_photograph(Budget("quality", 40)),
+    "v2-long": lambda: rd_photograph(Budget("bytes", 2000)),
     "v2-every-class": lambda: rd_scattered((41, 27), 150),
     "v2-upright": lambda: rd_scattered((30, 44), 60, upright=True),
     "v2-levels": rd_levels,
