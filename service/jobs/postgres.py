@@ -15,9 +15,10 @@ from psycopg.conninfo import make_conninfo
 from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
+from service.errors import JobTableError
 from service.jobs.engine import ABANDONED, PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.job import JobRules, JobTableError
+from service.jobs.job import JobRules
 from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal
