@@ -55,17 +55,19 @@ FULL = {
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
     "speed": f"speed {KODAK}",
+    "scenes": f"scenes {KODAK}",
     "gains": f"ablation gains {KODAK}",
     "representation": f"ablation representation {SEEN} --most 24 --gaussians 70000",  # as the paper's first table
     "parts": f"ablation {KODAK} --tables parts --most 6 --seeds 3",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 6 --seeds 1",
+    "ranges": f"ablation {KODAK} --tables ranges --most 24 --seeds 1",
     "service/load": "service load",
     "service/attacks": "service attacks",
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
+COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
 def run(result: str, line: str, folder: Path) -> float:

@@ -134,11 +134,7 @@ RULES = {
         r"\btune\b",
         "sgmethod/codec.py sgmethod/fitting/objective.py",
     ),
-    "only a test of measures imports a benchmark": (
-        "tests",
-        IMPORT + "benchmarks",
-        "tests/benchmarks/test_measures.py tests/benchmarks/test_statistics.py",
-    ),
+    "only a test of a benchmark imports one": ("tests", IMPORT + "benchmarks", "tests/benchmarks/"),
     "the harness imports no test": ("tests/harness", IMPORT + r"tests\.(?!harness)", ""),
     "the report knows the commands, and they do not know it": (
         "benchmarks",

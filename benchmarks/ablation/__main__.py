@@ -1,13 +1,13 @@
 """What parts and numbers are worth: of profile rd one part at a time, of profile paper every table of its ablations.
 
-    python -m benchmarks.ablation --images FOLDER [--tables parts,quantisation,positions]
+    python -m benchmarks.ablation --images FOLDER [--tables parts,quantisation,positions,ranges]
                                   [--most 6] [--pictures kodim05] [--seeds 3] [--bpp 0.25] [--steps N]
                                   [--fit-steps 2000] [--tune-steps 1000]
     python -m benchmarks.ablation gains [--help]             the paper's start and regularisation, before coding
     python -m benchmarks.ablation representation [--help]    N Gaussians before any is coded, in time and memory
 
-parts: files of profile rd. quantisation, positions: files of profile paper from whole pictures, with 1,000, 3,000 and
-7,000 Gaussians. All of it takes hours on two cores; a run can be extended by tables, pictures and seeds.
+parts: files of profile rd. quantisation, positions, ranges: files of profile paper, with 1,000, 3,000 and 7,000
+Gaussians. All of it takes hours on two cores; a run can be extended by tables, pictures and seeds.
 """
 
 from __future__ import annotations

@@ -14,12 +14,13 @@ By = dict[str, dict[Case, list[Row]]]  # by setting of a table
 Figure = Callable[[list[Row]], float | None]  # of the rows of one picture and seed
 Worth = tuple[float | None, float | None]  # dB, and their standard error over pictures
 
-ANCHORS = {"parts": "nothing", "quantisation": "GSImage", "positions": "16"}
-CODED = ("quantisation", "positions")  # by BD-PSNR of files with several numbers of Gaussians
+ANCHORS = {"parts": "nothing", "quantisation": "GSImage", "positions": "16", "ranges": "minimum and maximum"}
+CODED = ("quantisation", "positions", "ranges")  # by BD-PSNR of files with several numbers of Gaussians
 TITLES = {
     "parts": "Profile `rd` without one part",
     "quantisation": "Profile `paper`: quantisation of the covariance, by BD-PSNR",
     "positions": "Profile `paper`: bits of a position, by BD-PSNR",
+    "ranges": "Profile `paper`: where the ranges of factors start, by BD-PSNR",
 }
 COLUMNS = {
     **{"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".4f")},
