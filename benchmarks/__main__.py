@@ -35,8 +35,7 @@ SMALL = {
     "stability": "robustness extremes --sets kernels,fits --seeds 3 --generations 4",
     "speed": f"speed {KODAK} --megapixels 0.1,0.4 --repeats 1 --steps 100 --rounds 10",
     "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
-    "representation": f"ablation representation {KODAK} --most 1 --gaussians 500 --steps 300",
-    "ablation": f"ablation {KODAK} {FEW} --seeds 1 --steps 100 --fit-steps 200 --tune-steps 100",
+    "ablation": f"ablation {KODAK} --most 1 --seeds 1 --fit-steps 200 --tune-steps 100",
     "service/load": "service load --seconds 5",
     "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
 }
@@ -47,7 +46,7 @@ FULL = {
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
-    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25 --kinds visual avif",
+    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
     "convergence/kodak": f"convergence {KODAK} --most 3 --megapixels 0.4 --few --paper-limits 3,10",
     "convergence/2-megapixels": f"convergence {KODAK} --most 2 --megapixels 2 --few --paper-limits 10",
     "convergence/12-megapixels": f"convergence {KODAK} --most 1 --megapixels 12 --few --limits 2,8 --paper-limits 30",
@@ -57,8 +56,6 @@ FULL = {
     "speed": f"speed {KODAK}",
     "scenes": f"scenes {KODAK}",
     "gains": f"ablation gains {KODAK}",
-    "representation": f"ablation representation {SEEN} --most 24 --gaussians 70000",  # as the paper's first table
-    "parts": f"ablation {KODAK} --tables parts --most 6 --seeds 3",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 6 --seeds 1",
     "ranges": f"ablation {KODAK} --tables ranges --most 24 --seeds 1",

@@ -29,10 +29,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import numbers, some_of
+from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.codecs import Sg
-from benchmarks.rd.report import Row, means, means_table
+from benchmarks.rd.report import Row
 from benchmarks.rd.rivals import RIVALS, USUAL, Rival, versions
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
@@ -133,20 +134,15 @@ def main() -> None:
     }
     networks = Networks(options.weights) if options.weights else None
     record = Record(options.out, "benchmarks.rd", settings)
-    kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
-    paths = named_in(options)
-    wanted = []
-    for path in paths:
+    kept = {row.key for row in (Row(**kept) for kept in record.rows)}
+    for path in named_in(options):
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
         for codec in codecs_of(options):
             for aim in options.quality or options.bpp:
-                key = codec.name, aim, path.name
-                if key not in kept:
+                if (codec.name, aim, path.name) not in kept:
                     is_seen = options.seen_bpp is None or aim in options.seen_bpp
-                    kept[key] = measure(codec, path.name, pixels, aim, networks if is_seen else None)
-                    record.add(asdict(kept[key]))
-                wanted.append(kept[key])
-    print(f"\n{means_table(means(wanted))}")
+                    record.add(asdict(measure(codec, path.name, pixels, aim, networks if is_seen else None)))
+    print(flat(record.rows))
 
 
 if __name__ == "__main__":

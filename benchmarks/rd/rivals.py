@@ -226,12 +226,6 @@ class AvifWithGrain(TunedAvif):
     name, advanced = "avif grain", {"tune": "iq", "denoise-noise-level": "25"}
 
 
-class AvifForSsimulacra(TunedAvif):
-    """AVIF for the highest SSIMULACRA 2."""
-
-    name, advanced = "avif tune=ssimulacra2", {"tune": "ssimulacra2"}
-
-
 class Heic(Rival):
     """libheif with x265, 4:2:0, tune=psnr, preset slow."""
 
@@ -272,7 +266,7 @@ class PatientAvif(AvifForPsnr):
 
 
 USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes)
-SELDOM = (PatientAvif, AvifWithGrain, AvifForSsimulacra)
+SELDOM = (PatientAvif, AvifWithGrain)
 RIVALS: dict[str, Callable[[], Rival]] = {rival.name: rival for rival in (*USUAL, *SELDOM)}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
 

@@ -108,7 +108,7 @@ def main() -> None:
     pages = {path: path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "results").glob("*.md")))}
     texts = {path: filled(text) for path, text in pages.items()}
     for text in pages.values():
-        for name in (name for table, _, names in TABLE.findall(text) if table == "sources" for name in names.split()):
+        for name in (name for _, table, names in TABLE.findall(text) if table == "sources" for name in names.split()):
             texts[RESULTS / "csv" / f"{name}.csv"] = flat(rows(name), APART.get(name, ""))
     errors = [f"{path.relative_to(ROOT)}: {line}" for path, text in pages.items() for line in stale(text)]
     changed = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]

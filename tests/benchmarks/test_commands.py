@@ -30,11 +30,10 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "max_bytes",
         [250, 120],
     ),
-    "ablation": ("--images {small} --tables parts --seeds 1 --bpp 2", "table", ["parts"]),
-    "ablation representation": (
-        "--images {small} --gaussians 60 --steps 60 --methods paper",
-        "method",
-        ["paper"],
+    "ablation": (
+        "--images {small} --tables positions --seeds 1 --fit-steps 60 --tune-steps 20",
+        "setting",
+        ["16", "14", "12", "10"],
     ),
     "ablation gains": (
         "--images {small} --tables optimiser,numbers --numbers 10000,30000 --steps 20",
