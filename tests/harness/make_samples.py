@@ -9,7 +9,7 @@ from __future__ import annotations
 from PIL import Image
 
 import sgmethod
-from service.sandbox.pictures import as_large
+from service.pictures import as_large
 from tests.harness.data import STATIC
 from tests.harness.pictures import saved
 
@@ -24,9 +24,9 @@ def make(name: str, bpp: float) -> None:
         picture = file.convert("RGB")
     encoded = sgmethod.encode(picture, bpp=bpp)
     encoded.save(FOLDER / f"{name}.sg")
-    rival = as_large(lambda quality: saved(picture, "AVIF", quality=quality, speed=AVIF_SPEED), encoded.stats.bytes)
-    (FOLDER / f"{name}.avif").write_bytes(rival)
-    print(f"{name}: {encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB; AVIF {len(rival):,} bytes")
+    avif = as_large(lambda quality: saved(picture, "AVIF", quality=quality, speed=AVIF_SPEED), encoded.stats.bytes)
+    (FOLDER / f"{name}.avif").write_bytes(avif)
+    print(f"{name}: {encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB; AVIF {len(avif):,} bytes")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from service.jobs.job import JobTableError, job_of
+from service.errors import JobTableError
+from service.jobs.job import job_of
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal

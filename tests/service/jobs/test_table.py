@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
-from service.jobs.job import Claim, EncodeResult, LimitError
+from service.jobs.job import Claim, EncodeResult
 from service.jobs.table import JobTable
 from service.storage.files import source_key
 from tests.harness.job_table import (

@@ -13,7 +13,7 @@ import sgmethod
 from service.api.cache import PictureCache
 from service.api.pictures import PictureQuery
 from service.api.problems import ProblemError
-from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
+from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from tests.harness.data import PICTURE
 from tests.harness.pictures import pixels_of

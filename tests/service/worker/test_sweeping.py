@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.job import EncodeResult, JobTableError, new_job_id
+from service.errors import JobTableError
+from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
