@@ -105,9 +105,14 @@ def main() -> None:
     is_check = parser.parse_args().check
     pages = {path: path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "results").glob("*.md")))}
     texts = {path: filled(text) for path, text in pages.items()}
-    for text in pages.values():
-        for name in (name for table, _, names in TABLE.findall(text) if table == "sources" for name in names.split()):
-            texts[RESULTS / "csv" / f"{name}.csv"] = flat(rows(name), APART.get(name, ""))
+    sourced = {
+        name
+        for text in pages.values()
+        for _, table, names in TABLE.findall(text)
+        if table == "sources"
+        for name in names.split()
+    }
+    texts |= {RESULTS / "csv" / f"{name}.csv": flat(rows(name), APART.get(name, "")) for name in sourced}
     errors = [f"{path.relative_to(ROOT)}: {line}" for path, text in pages.items() for line in stale(text)]
     changed = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
     if is_check:
