@@ -19,7 +19,7 @@ from functools import cache, partial
 from benchmarks.flat import flat
 from benchmarks.machine import RESULTS
 from benchmarks.perceptual import local
-from benchmarks.report import previews, rate, seen, service, speed, stability
+from benchmarks.report import previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 from sgmethod.io.files import write_atomically
@@ -38,6 +38,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "seen": seen.means_table,
     "seen-local": partial(seen.means_table, local.FIGURES),
     "stability": stability.rules_table,
+    "scenes": scenes.needs_table,
+    "savings": scenes.savings_table,
     "service": service.situations,
 }
 # Title, second line and panels of each plot.
@@ -71,7 +73,7 @@ APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 @cache
 def figures() -> dict[str, float | None]:
     """Every figure that a sentence may have, by its mark."""
-    parts = (rate, speed, previews, seen, stability, service)
+    parts = (rate, speed, scenes, previews, seen, stability, service)
     return {mark: value for part in parts for mark, value in part.figures().items()}
 
 
@@ -105,14 +107,9 @@ def main() -> None:
     is_check = parser.parse_args().check
     pages = {path: path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "results").glob("*.md")))}
     texts = {path: filled(text) for path, text in pages.items()}
-    sourced = {
-        name
-        for text in pages.values()
-        for _, table, names in TABLE.findall(text)
-        if table == "sources"
-        for name in names.split()
-    }
-    texts |= {RESULTS / "csv" / f"{name}.csv": flat(rows(name), APART.get(name, "")) for name in sourced}
+    for text in pages.values():
+        for name in (name for _, table, names in TABLE.findall(text) if table == "sources" for name in names.split()):
+            texts[RESULTS / "csv" / f"{name}.csv"] = flat(rows(name), APART.get(name, ""))
     errors = [f"{path.relative_to(ROOT)}: {line}" for path, text in pages.items() for line in stale(text)]
     changed = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
     if is_check:

@@ -1,7 +1,7 @@
 """Test vectors for decoders in other languages: python -m tests.bitstream.make_vectors
 
-Writes docs/format/vectors.json: small files of version 2 and what each stage of the plain decoder makes of them, parts
-of payloads, and files to refuse. The order of a stage's numbers stands at the head of the file.
+Writes docs/format/vectors.json: small files of version 2, what the plain decoder makes of them, what is drawn, parts of
+payloads, and files to refuse. The order of a stage's numbers stands at the head of the file.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sgmethod import View, decode
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
+from sgmethod.native.reference import level_of
 from sgmethod.scene import Gaussians
 from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2 as plain
@@ -168,7 +171,7 @@ FILES: dict[str, tuple[str, bytes]] = {
     ),
 }
 UNDRAWN = {"limits", "far"}
-VIEWS: dict[str, list[tuple[float, plain.Region]]] = {
+VIEWS: dict[str, list[tuple[float, tuple[int, int, int, int]]]] = {
     "long": [(0.5, (0, 0, 32, 24)), (1.7, (5, 3, 11, 9)), (0.5, (3, 2, 9, 7))],
     "texture": [(0.4, (0, 0, 72, 20)), (2.0, (30, 1, 9, 7))],
 }
@@ -185,22 +188,23 @@ def vector(name: str) -> dict[str, Any]:
     if file.alpha is not None:
         found["alpha"] = {**fields(file.alpha[0]), **layer(*file.alpha, file.alpha_integers())}
     if name not in UNDRAWN:
-        found["pixels"] = picture(plain.decode(data))
+        found["pixels"] = picture(decode(data))
     if name in VIEWS:
         found["views"] = [view(data, scale, region) for scale, region in VIEWS[name]]
     return found
 
 
-def view(data: bytes, scale: float, region: plain.Region) -> dict[str, Any]:
+def view(data: bytes, scale: float, region: tuple[int, int, int, int]) -> dict[str, Any]:
     """A view, its Gaussians and its pixels."""
-    shown = plain.view_gaussians(plain.read(data).gaussians(), region, scale)
-    drawn = picture(plain.view(data, scale, region))
-    return {"scale": scale, "region": region, "gaussians": numbers(shown), "pixels": drawn}
+    shown = View(scale, region)
+    arrays = shown.apply(parse(data).scene()).gaussians.arrays
+    gaussians = numbers(np.concatenate(arrays, axis=1).tolist())
+    return {"scale": scale, "region": region, "gaussians": gaussians, "pixels": picture(decode(data, view=shown))}
 
 
-def numbers(gaussians: list[plain.Gaussian]) -> list[list[float]]:
+def numbers(gaussians: list[list[float]]) -> list[list[float]]:
     """Gaussians in the order of the file's head."""
-    return [[*g[:5], *g[5], plain.level_of(*g[2:5])] for g in gaussians]
+    return [[*gaussian, level_of(*gaussian[2:5])] for gaussian in gaussians]
 
 
 def header_of(file: plain.File) -> dict[str, Any]:
@@ -223,15 +227,13 @@ def layer(header: plain.Header, payload: bytes, integers: list[plain.Integers]) 
             [one.of_class.k, *plain.deinterleave(one.cell), *one.colour, *one.shape, *one.parts, *one.place]
             for one in integers
         ],
-        "gaussians": numbers([plain.gaussian_of(header, one) for one in integers]),
+        "gaussians": numbers([[*g[:5], *g[5]] for g in (plain.gaussian_of(header, one) for one in integers)]),
     }
 
 
-def picture(drawn: tuple[int, int, bytes]) -> list[str]:
+def picture(pixels: NDArray[np.uint8]) -> list[str]:
     """The rows of a picture."""
-    _, height, samples = drawn
-    row = len(samples) // height
-    return [samples[at : at + row].hex() for at in range(0, len(samples), row)]
+    return [row.tobytes().hex() for row in pixels]
 
 
 def parts_of(data: bytes) -> dict[str, Any]:

@@ -17,11 +17,10 @@ from service.__main__ import main
 from service.jobs.table import JobTable
 from tests.harness import browser as browser_module
 from tests.harness import nginx, postgres_server
-from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
+from tests.harness.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
 from tests.harness.data import PICTURE
 from tests.harness.job_table import LONG_S, OpenTable, open_table
 from tests.harness.nginx import Nginx
-from tests.harness.page import Page
 from tests.harness.postgres_server import PostgresServer, find_binaries
 from tests.harness.processes import Outcome
 from tests.harness.s3_server import S3Server
@@ -54,7 +53,9 @@ def s3() -> Iterator[S3Server]:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Chromium]:
     """A browser for all tests that need one."""
-    browser = Chromium(find_driver() or _missing(browser_module.REQUIRED, browser_module.HINT))
+    if not (CHROMIUM and CHROMEDRIVER):
+        _missing(browser_module.REQUIRED, browser_module.HINT)
+    browser = Chromium()
     yield browser
     browser.close()
 
@@ -62,7 +63,9 @@ def browser() -> Iterator[Chromium]:
 @pytest.fixture(scope="session")
 def firefox() -> Iterator[Firefox]:
     """The other browser."""
-    browser = Firefox(find_firefox() or _missing(browser_module.REQUIRED, browser_module.FIREFOX_HINT))
+    if not FIREFOX:
+        _missing(browser_module.REQUIRED, browser_module.FIREFOX_HINT)
+    browser = Firefox()
     yield browser
     browser.close()
 

@@ -11,9 +11,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from tests.harness.browser import Chromium
+from tests.harness.browser import Chromium, bytes_of
 from tests.harness.data import golden
-from tests.harness.page import bytes_of
 from tests.harness.pictures import SMALL, saved
 from tests.harness.processes import wait_until
 from tests.harness.service import Service

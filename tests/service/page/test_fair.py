@@ -7,8 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.harness.browser import Chromium
-from tests.harness.page import bytes_of
+from tests.harness.browser import Chromium, bytes_of
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service

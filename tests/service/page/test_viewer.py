@@ -9,9 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from tests.harness.browser import Chromium
+from tests.harness.browser import Chromium, bytes_of
 from tests.harness.data import golden
-from tests.harness.page import bytes_of
 from tests.harness.pictures import page_of_text
 from tests.harness.processes import wait_until
 from tests.harness.service import Service

@@ -11,9 +11,8 @@ import pytest
 
 import sgmethod
 from sgmethod.bitstream.text import from_text, to_text
-from tests.harness.browser import Chromium
+from tests.harness.browser import Chromium, Page
 from tests.harness.data import JAVASCRIPT, STATIC, golden
-from tests.harness.page import Page
 from tests.harness.processes import run, wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import assert_as_python, assert_open_to_all

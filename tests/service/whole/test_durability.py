@@ -253,7 +253,7 @@ def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     encoder = running_encoder(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
     assert service.stop() == 0
-    assert not ours & set(processes())
+    wait_until(lambda: not ours & set(processes()))  # a killed process is gone a moment later
     service.start()
     assert service.wait(job_id, "running", "failed")["state"] == "running"
     assert service.job(job_id)["attempt"] == 2

@@ -1,4 +1,4 @@
-"""Whether an installed sgmethod works: python tests/wheels/smoke.py, by the Python that it is installed for.
+"""Whether an installed sgmethod works: python tests/smoke.py, by the Python that it is installed for.
 
 Every golden file, and one by the command line, must come out with its pixels, and a picture is encoded, without any
 extra.
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT))  # behind all else, so that sgmethod is the installed one
 
 import sgmethod  # noqa: E402
