@@ -23,7 +23,7 @@ from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.previews.codecs import CODECS, Made
-from benchmarks.rd.rivals import package
+from benchmarks.rd.baselines import package
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import Networks
