@@ -11,7 +11,7 @@ from PIL import Image
 import sgmethod
 from benchmarks.harness.data import STATIC
 from benchmarks.harness.pictures import saved
-from service.sandbox.pictures import as_large
+from service.pictures import as_large
 
 FOLDER = STATIC / "samples"
 BPP = {"astronaut": 0.3, "cat": 0.35, "coffee": 0.3}
@@ -24,9 +24,9 @@ def make(name: str, bpp: float) -> None:
         picture = file.convert("RGB")
     encoded = sgmethod.encode(picture, bpp=bpp)
     encoded.save(FOLDER / f"{name}.sg")
-    rival = as_large(lambda quality: saved(picture, "AVIF", quality=quality, speed=AVIF_SPEED), encoded.stats.bytes)
-    (FOLDER / f"{name}.avif").write_bytes(rival)
-    print(f"{name}: {encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB; AVIF {len(rival):,} bytes")
+    avif = as_large(lambda quality: saved(picture, "AVIF", quality=quality, speed=AVIF_SPEED), encoded.stats.bytes)
+    (FOLDER / f"{name}.avif").write_bytes(avif)
+    print(f"{name}: {encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB; AVIF {len(avif):,} bytes")
 
 
 if __name__ == "__main__":

@@ -249,7 +249,7 @@ def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_rais
     set_threads(2)
     pixels = EXTREMES[picture].astype(np.uint8)
     with np.errstate(all="raise"):
-        for budget in ({"bpp": 3}, {"psnr": 60}, {"looks": 99}):
+        for budget in ({"bpp": 3}, {"psnr": 60}, {"quality": 99}):
             file = sgmethod.open(sgmethod.encode(pixels, tune="psnr", measure=True, **budget).data)
             assert file.pixels(scale=1 / 48).shape == (2, 2, 3)
             tiny = sgmethod.Gaussians(*(values * np.float32(1e-30) for values in file.gaussians().arrays))

@@ -287,7 +287,7 @@ def test_files_are_compared_without_their_texture() -> None:
     stream, smooth = container.parse(data), decode(data, texture=False)
     assert isinstance(stream, StreamV2)
     assert psnr(decode(data), smooth) < EXACT_DB
-    request = requested(smooth, Budget("quality", 50), "visual")
+    request = requested(smooth, Budget("bytes", 500), "visual")
     assert Coded(stream, request.objective).psnr == EXACT_DB
 
 

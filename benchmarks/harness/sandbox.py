@@ -25,7 +25,7 @@ import ctypes, json, mmap, os, resource, signal, socket, sys, time  # which a pr
 from service.sandbox import confinement, frames, server, tasks
 
 def run(task, file, answer):
-    exec(file.decode(), {"task": task, "answer": answer})
+    exec(file.decode(), {"task": task, "answer": answer, "frames": frames})
 
 tasks.PERFORM[frames.Encode] = run
 

@@ -1,11 +1,12 @@
-"""What other clients notice while some mean harm, and what memory the web process takes.
+"""Latency of other clients, and memory of the web process, during attacks.
 
     python -m benchmarks.service attacks [--seconds 60] [--only tiff,decode] [--out FILE]
 
-Each attack meets a fresh `python -m service web` with default settings but a long queue, in which others' jobs may
-wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) ask as fast as
-they are answered, each from an address of its own or together from one; somebody else, from another address, asks for
-seven things at fixed moments. Ten times as many at once as tests/service/limits has, or as large as an upload may be.
+Each attack meets a fresh `python -m service web` with default settings but a long queue, in which jobs of other
+clients may wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) send
+requests as fast as they are answered, from one address or several. A client at another address sends seven kinds of
+requests at fixed moments. Attacks have ten times as many clients as tests/service/limits, or files of the
+largest size allowed.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from benchmarks.service.measured import made_picture
 VICTIM = "127.0.0.2"
 AT_MOST = {"p99_ms": 1000, "web_mb": 400}
 FILE = ROOT / "service" / "page" / "samples" / "cat.sg"
-# No worker runs: others' jobs may wait, and that they do is no trouble.
+# No worker runs, so jobs of the other client wait.
 SETTINGS: dict[str, Any] = {
     "queue_length": 1_000_000,
     "source_retention_s": 3600,
@@ -40,7 +41,7 @@ WARM_S, LONGER_S = 3.0, 3.0
 
 
 def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
-    """What somebody else asks for, by its name in the results: a request of benchmarks.service.generator."""
+    """The requests of the other client, by name in the results, as benchmarks.service.generator takes them."""
     image = folder / "image.png"
     image.write_bytes(made_picture(256, 192))
     return {

@@ -18,7 +18,7 @@ from benchmarks.arguments import numbers, run_part, some_of
 from benchmarks.harness.data import PHOTOGRAPHS
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
-from benchmarks.rd.rivals import versions
+from benchmarks.rd.baselines import versions
 from benchmarks.speed import growth, kernels, sizes
 
 PARTS = ("sizes", "kernels")

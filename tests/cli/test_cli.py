@@ -213,7 +213,7 @@ def test_version(module: bool) -> None:
     [
         ("", "COMMAND"),
         ("compress photo.png out.sg", "'compress'"),
-        (ENCODE + "--looks best", "looks are a number, or one of preview, web, archive"),
+        (ENCODE + "--quality best", "quality is a number, or one of preview, web, archive"),
         ("encode", "IN [OUT.sg]"),
         ("decode picture.sg", "OUT"),
         ("encode ''", "a file name must not be empty"),

@@ -47,7 +47,7 @@ def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:
     """At a coarse quantum rounding costs decibels, which the unrounded Gaussians do not show."""
-    request = requested(CROP, Budget("quality", 50))
+    request = requested(CROP, Budget("psnr", 30))
     plan, state = begun(request)
     for at in RD.effort.times.growth_at[:3]:
         state = densify(plan, state, stage_of(plan, 100, at))

@@ -15,7 +15,8 @@ import pytest
 from benchmarks.harness.job_table import RULES, claimed, submitted
 from benchmarks.harness.postgres_server import PostgresServer
 from benchmarks.harness.processes import PATIENCE_S, failing
-from service.jobs.job import JobTableError, job_of
+from service.errors import JobTableError
+from service.jobs.job import job_of
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal

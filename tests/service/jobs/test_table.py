@@ -27,9 +27,10 @@ from benchmarks.harness.job_table import (
     submitted,
     what_all_say,
 )
+from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
-from service.jobs.job import Claim, EncodeResult, LimitError
+from service.jobs.job import Claim, EncodeResult
 from service.jobs.table import JobTable
 from service.storage.files import source_key
 

@@ -28,7 +28,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.says("my disc.png is done", "#said")
     page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
-    wait_until(lambda: "WebP" in page.text("#rivals"))
+    wait_until(lambda: "WebP" in page.text("#others"))
     (job,) = service.client.get("/jobs").json()["jobs"]
     page.says(f"all {job['result']['gaussians']} Gaussians", "#prefix-words")
     assert (job["tune"], job["effort"]) == ("visual", 1)

@@ -34,7 +34,7 @@ for attempt in {attempts!r}:
         outcomes.append("it went through")
     except (OSError, ImportError, ValueError) as error:
         outcomes.append(f"refused: {{error}}")
-answer.send(b"P", json.dumps(outcomes).encode())
+answer.send(frames.Preview(file=json.dumps(outcomes).encode()))
 """
 ATTEMPTS = (
     *("open(secret).read()", "os.listdir(os.path.dirname(secret))", "os.stat(secret)", "open(secret, 'w')"),
@@ -80,7 +80,7 @@ def outcomes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     assert secret.read_text() == SECRET
     assert (secret.stat().st_mode, secret.stat().st_mtime) == (before.st_mode, before.st_mtime)
     assert not Path("/tmp/way-out").exists()
-    return dict(zip(ATTEMPTS, json.loads(report.bitstream), strict=True))
+    return dict(zip(ATTEMPTS, json.loads(report.file), strict=True))
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)
@@ -121,7 +121,7 @@ try:
         kept.append(bytes(PART))
 except MemoryError:
     pass
-answer.send(b"P", b"holds it")
+answer.send(frames.Preview(file=b"holds it"))
 time.sleep(1000)
 """
 
@@ -154,7 +154,7 @@ try:
         started += 1
 except RuntimeError:
     pass
-answer.send(b"P", str(started).encode())
+answer.send(frames.Preview(file=str(started).encode()))
 time.sleep(1000)
 """
     with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], FAKE_CODEC) as (tasks, _), ExitStack() as held:
@@ -164,7 +164,7 @@ time.sleep(1000)
             running = held.enter_context(tasks.start(what, file))
             report = wait_until(lambda running=running: [m for m in running.read(0.1) if isinstance(m, Preview)])
             # Threads of others come and go as they are counted.
-            assert what.most_threads - 2 <= int(report[0].bitstream) <= what.most_threads + confinement.THREADS_STEP
+            assert what.max_threads - 2 <= int(report[0].file) <= what.max_threads + confinement.THREADS_STEP
 
 
 def test_a_task_that_is_not_confined_is_not_run() -> None:
@@ -186,7 +186,7 @@ def test_time_is_limited() -> None:
 
 def test_tasks_see_nothing_of_each_other() -> None:
     """Neither their descriptors, nor what another has left in memory."""
-    look = b"import sys; answer.send(b'P', repr(hasattr(sys, 'left_behind')).encode())"
+    look = b"import sys; answer.send(frames.Preview(file=repr(hasattr(sys, 'left_behind')).encode()))"
     sleeper = task()
     with (
         sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _),
@@ -195,7 +195,7 @@ def test_tasks_see_nothing_of_each_other() -> None:
     ):
         wait_until(lambda: running.read(0.1) or running.begun)
         (report,) = (m for m in messages_of(tasks, task(), look) if isinstance(m, Preview))
-        assert report.bitstream == b"False"
+        assert report.file == b"False"
         descriptors = Path(f"/proc/{running_encoder(sleeper.job_id)}/fd")
         opened = [str(entry.readlink()).partition(":")[0] for entry in descriptors.iterdir()]
         assert sorted(opened) == ["/dev/null"] * 3 + ["socket"] * 2  # to its client, and to the sandbox

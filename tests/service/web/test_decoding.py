@@ -15,7 +15,7 @@ from benchmarks.harness.pictures import pixels_of
 from service.api.cache import PictureCache
 from service.api.pictures import PictureQuery
 from service.api.problems import ProblemError
-from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
+from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 
 INFO = sgmethod.info(PICTURE)

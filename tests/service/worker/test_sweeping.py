@@ -11,7 +11,8 @@ import pytest
 from benchmarks.harness import job_table
 from benchmarks.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
 from benchmarks.harness.processes import failing, wait_until
-from service.jobs.job import EncodeResult, JobTableError, new_job_id
+from service.errors import JobTableError
+from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
