@@ -9,7 +9,7 @@ export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 # Each worker of pytest has a core of its own, and threads that share one wait for each other.
 PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
-.PHONY: help serve test thorough coverage sanitize versions fuzz cross wheel npm lock bench
+.PHONY: help serve test thorough coverage sanitize versions fuzz wheel npm lock bench
 
 help:
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -42,11 +42,15 @@ fuzz: $(VENV)/.test ## look for bytes that break the decoder, MINUTES=n for each
 	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install 'atheris>=3'
 	$(BIN)/python -m tests.native.fuzz --minutes $(MINUTES)
 
-cross: $(VENV)/.test ## compile the kernels for other machines, and run what can be run here
-	$(BIN)/python -m tests.native.cross
-
-wheel: $(VENV)/.test ## build the source archive and wheels in dist, and decode with each where it is installed alone
-	$(BIN)/python -m tests.wheels
+wheel: $(VENV)/.test ## build the source archive and a wheel in dist, check both, and decode with the wheel installed alone
+	$(BIN)/python -m pip install --quiet build twine check-wheel-contents
+	rm -rf dist build/wheel
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+	$(BIN)/python -m venv build/wheel
+	build/wheel/bin/python -m pip install --quiet --no-compile dist/*.whl
+	build/wheel/bin/python tests/smoke.py
 
 npm: ## build the package for browsers in dist; needs npm
 	mkdir -p build/npm dist

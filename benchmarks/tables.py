@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from typing import Any
 
 MISSING = "-"
 
@@ -34,12 +33,3 @@ def number(value: float | None, form: str) -> str:
         return MISSING
     rounded = format(value, form)
     return rounded if set(rounded) - set("+-0.,") else format(abs(value), form)
-
-
-def in_all(rows: Sequence[dict[str, Any]], by: str) -> list[dict[str, Any]]:
-    """The rows of those pictures that have a row of every value of a field."""
-    images: dict[Any, set[str]] = {}
-    for row in rows:
-        images.setdefault(row[by], set()).add(row["image"])
-    common = set.intersection(*images.values()) if images else set()
-    return [row for row in rows if row["image"] in common]

@@ -21,11 +21,11 @@ from PIL import Image
 
 import sgmethod
 import sgmethod.torch
+from benchmarks.harness.data import ROOT
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
 from sgmethod.threads import in_parallel
-from tests.harness.data import ROOT
 from tests.rd.short import shortened
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
@@ -175,7 +175,7 @@ ENDS = """
 import sys, threading
 import sgmethod
 from sgmethod.threads import in_parallel
-from tests.harness.data import golden_path
+from benchmarks.harness.data import golden_path
 data = golden_path("v1-paper.sg").read_bytes()
 works = {
     "decode": lambda: sgmethod.decode(data),

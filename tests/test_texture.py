@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import sgmethod
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
@@ -25,8 +27,6 @@ from sgmethod.rd.rate_control import EXACT_DB, Coded
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
 from tests.backend.cases import single
-from tests.harness.data import golden_path
-from tests.harness.pictures import photo
 from tests.rd.short import requested
 
 Pixels = NDArray[np.uint8]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
-from benchmarks.tables import mean, number, table
+from benchmarks.tables import mean
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,8 @@ class Row:
 Point = tuple[float, float]  # bits per pixel, PSNR or another figure
 Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
-FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
-COSTS = {"gaussians": ".0f", "encode_s": ".3f", "decode_ms": ".2f"}
+FIGURES = ("bytes", "bpp", "psnr", "ms_ssim", *SEEN, "gaussians", "encode_s", "decode_ms")
 TITLES = {
     "images": "pictures",
     "psnr": "PSNR",
@@ -107,10 +106,9 @@ def means(rows: Sequence[Row]) -> Means:
     groups = defaultdict(list)
     for row in rows:
         groups[row.codec, row.aim].append(row)
-    figures = [name for name in (*FORMATS, *SEEN, *COSTS) if name != "images"]
     result: Means = {}
     for key, group in groups.items():
-        result[key] = {name: mean([getattr(row, name) for row in group]) for name in figures}
+        result[key] = {name: mean([getattr(row, name) for row in group]) for name in FIGURES}
         result[key]["images"] = len(group)
         result[key]["above"] = sum(row.max_bpp is not None and row.bpp > row.max_bpp for row in group)
     return result
@@ -154,15 +152,3 @@ def against_quoted(average: Means, codec: str, other: str) -> float | None:
     if ("one rate" in quoted["averaged"]) is (ONE_QUALITY in codec):
         return None
     return bd_rate([(p["bpp"], p["psnr"]) for p in quoted["points"]], curve(average, codec))
-
-
-def means_table(average: Means) -> str:
-    """A line for each codec and rate; figures that nothing has are left out."""
-    columns = {name: form for name, form in (FORMATS | SEEN | COSTS).items() if any(m[name] for m in average.values())}
-    qualities = any(ONE_QUALITY in codec for codec, _ in average)
-    titles = ["codec", "quality" if qualities else "bpp at most", *(TITLES.get(name, name) for name in columns)]
-    lines = [
-        [codec, f"{aim:g}", *(number(m[name], form) for name, form in columns.items())]
-        for (codec, aim), m in sorted(average.items(), key=lambda item: item[0][1])
-    ]
-    return table(" | ".join(titles), lines)

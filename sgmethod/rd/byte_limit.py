@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.bitstream.texture import Codes, pack
@@ -102,14 +102,16 @@ class ByteBudget(ByteLimit):
         ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
+    def first_quantum(
+        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
+    ) -> float:
         """Bisect for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some."""
         low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
         while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)
         while payload(math.exp(low)) < limit and low > math.log(MIN_QUANTUM):
             low, high = low - math.log(2), low
-        for _ in range(8):
+        for _ in halvings:
             middle = (low + high) / 2
             low, high = (low, middle) if payload(math.exp(middle)) <= limit else (middle, high)
         return math.exp(high)

@@ -153,8 +153,13 @@ class RateControl:
         """Whether the file may hold a texture."""
         return True
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
-        """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload."""
+    def first_quantum(
+        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
+    ) -> float:
+        """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload.
+
+        halvings: as many as there is time for.
+        """
         return self.quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
@@ -22,7 +23,6 @@ from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short
 
 Pixels = NDArray[np.uint8]

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import golden_path
 from sgmethod import Budget, BudgetError, ImageError, SgError, View, ViewError
 from sgmethod.io.inputs import read_input
 from sgmethod.profiles import PROFILES
-from tests.harness.data import golden_path
 from tests.rd.short import shortened
 
 GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40

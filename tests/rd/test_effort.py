@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.rd.densify import densify, prune
@@ -19,7 +20,6 @@ from sgmethod.rd.search import relaxed, search
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import DEFAULT_EFFORT
 from sgmethod.settings.shared import Tune
-from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, begun, requested
 
 CROP = np.ascontiguousarray(photo()[24:64, 40:88])  # a parrot's eye, 48 x 40

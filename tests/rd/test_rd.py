@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
+from benchmarks.harness.pictures import ODD, grey, noise, photo
 from sgmethod import Budget, Encoded, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import SMALLEST_FILE, StreamV2
 from sgmethod.native import native
 from sgmethod.settings.rd import RD, RdSettings
-from tests.harness.pictures import ODD, grey, noise, photo
 from tests.rd.short import short
 
 FloatArray = NDArray[np.float32]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
@@ -16,7 +17,6 @@ from sgmethod.rd.densify import densify, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
-from tests.harness.pictures import photo
 from tests.rd.short import begun, requested, short, stage_of
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])

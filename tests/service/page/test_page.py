@@ -10,13 +10,12 @@ import time
 import numpy as np
 import pytest
 
+from benchmarks.harness.browser import Chromium, Page
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import encoder_of, wait_until
+from benchmarks.harness.service import Service, StartService
 from service.keys import digest
-from tests.harness.browser import Chromium
-from tests.harness.data import golden_path
-from tests.harness.page import Page
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import encoder_of, wait_until
-from tests.harness.service import Service, StartService
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 
@@ -29,7 +28,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.says("my disc.png is done", "#said")
     page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
-    wait_until(lambda: "WebP" in page.text("#rivals"))
+    wait_until(lambda: "WebP" in page.text("#others"))
     (job,) = service.client.get("/jobs").json()["jobs"]
     page.says(f"all {job['result']['gaussians']} Gaussians", "#prefix-words")
     assert (job["tune"], job["effort"]) == ("visual", 1)
@@ -177,33 +176,33 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
     web.clear()  # of what other tests left
     page.open_page(web)
     page.queued(SMALL, "one.png")
-    first, address = page.tab(), page.run("return location.href")
-    second = page.new_tab()
-    page.switch_to(second)
+    address, switch_to = page.run("return location.href"), page.driver.switch_to
+    switch_to.new_window("tab")
+    first, second = page.driver.window_handles
     try:
         page.open_page(web)
         page.choose("tune", "psnr")
         page.give("drop", SMALL, "two.png")
         page.says(" before it")
         assert page.run("return location.href") != address
-        page.switch_to(first)
+        switch_to.window(first)
         assert page.run("return [location.href, document.getElementById('tune').value]") == [address, "visual"]
         assert [job["tune"] for job in web.client.get("/jobs").json()["jobs"]] == ["psnr", "visual"]
-        page.switch_to(second)
+        switch_to.window(second)
         page.open("about:blank")
         page.open(address)  # the same job in both
         page.says("in the queue")
         page.says("Original", "#left-label")
         page.cancel()
-        page.switch_to(first)
+        switch_to.window(first)
         page.says("has deleted it")
         assert len(web.client.get("/jobs").json()["jobs"]) == 1
         assert web.client.get(f"/jobs/{address.rpartition('#')[2]}").status_code == 404
     finally:
-        page.switch_to(second)
+        switch_to.window(second)
         page.run("localStorage.clear()")
-        page.close_tab()
-        page.switch_to(first)
+        page.driver.close()
+        switch_to.window(first)
 
 
 @pytest.mark.thorough
