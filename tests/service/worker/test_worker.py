@@ -12,7 +12,7 @@ import pytest
 
 from service import logs
 from service.errors import JobTableError
-from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JsonObject
+from service.jobs.job import Claim, EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
@@ -23,7 +23,7 @@ from service.worker import attempt as attempt_module
 from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.harness.job_table import LONG_S, claimed, job_of, submitted
+from tests.harness.job_table import LONG_S, claimed, job_of, settings, submitted
 from tests.harness.processes import PATIENCE_S, failing, wait_until
 
 
@@ -50,7 +50,7 @@ class Unsteady(SqliteJobTable):
 
 @pytest.fixture
 def table(tmp_path: Path) -> Iterator[Unsteady]:
-    table = Unsteady(tmp_path / "jobs.sqlite3", JobRules(LONG_S, 4))
+    table = Unsteady(tmp_path / "jobs.sqlite3", settings())
     yield table
     table.close()
 
