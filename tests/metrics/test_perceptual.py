@@ -12,7 +12,7 @@ import torch
 
 from sgmethod.metrics.perceptual import Networks
 from tests.cli.test_cli import Run, in_folder, run
-from tests.test_metrics import disturbed, picture
+from tests.metrics.test_metrics import disturbed, picture
 
 __all__ = ["in_folder", "run"]  # fixtures
 
