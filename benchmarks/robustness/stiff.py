@@ -47,7 +47,7 @@ class Row:
     seed: int
     kind: str
     value: float
-    max_bytes: int = 0
+    max_bytes: int | None = None
     bytes: int | None = None
     psnr: float | None = None
     gaussians: int | None = None
@@ -72,14 +72,14 @@ class Row:
 def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
     """Encode a picture [H, W, 3] once. An encode that fails is a row too, and the next one follows."""
     height, width = pixels.shape[:2]
-    max_bytes = budget.max_bytes(width, height) or 0
+    max_bytes = budget.max_bytes(width, height)
     asked = Row(picture, seed, budget.kind, budget.value, max_bytes)
     clipped_before = native.rd_clipped_values()
     try:
         encoded = encode(pixels, budget, tune="psnr", seed=seed)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
-        too_small = isinstance(error, BudgetError) and max_bytes > 0
+        too_small = isinstance(error, BudgetError) and max_bytes is not None
         return replace(asked, refused=why) if too_small else replace(asked, error=why)
     stats = encoded.stats
     known = [point for point in encoded.trace if 0 < point.bytes <= stats.bytes]
@@ -110,7 +110,7 @@ def fails(rows: Sequence[Row]) -> Found:
     """An encode ends with a file, or correctly reports that the budget is too small for one."""
     smallest = min((row.size for row in with_file(rows)), default=math.inf)
     for row in rows:
-        yield row, float(row.error is not None or (row.refused is not None and smallest <= row.max_bytes))
+        yield row, float(row.error is not None or (row.refused is not None and smallest <= (row.max_bytes or 0)))
 
 
 def falls(rows: Sequence[Row]) -> Found:
@@ -123,7 +123,7 @@ def falls(rows: Sequence[Row]) -> Found:
 def exceeds(rows: Sequence[Row]) -> Found:
     """A file does not exceed its budget."""
     for row in with_file(rows, "bpp"):
-        yield row, float(row.size - row.max_bytes)
+        yield row, float(row.size - (row.max_bytes or 0))
 
 
 def misses(rows: Sequence[Row]) -> Found:
