@@ -15,9 +15,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.data import ROOT
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
-from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"  # what the documents show

@@ -15,9 +15,9 @@ from contextlib import AbstractContextManager
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from service.jobs.job import JobTableError
+from service.errors import JobTableError, MissingPackagesError
 from service.logs import set_up_logging
-from service.opening import MissingPackagesError, open_job_table, open_storage
+from service.opening import open_job_table, open_storage
 from service.process.loops import StopSignal
 from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox

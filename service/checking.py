@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from service.jobs.job import JobTableError
-from service.opening import MissingPackagesError, open_job_table, open_storage
+from service.errors import JobTableError, MissingPackagesError
+from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, check_layers
 from service.settings import UPLOADS_OF_ROOM, Settings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from service.errors import MissingPackagesError
 from service.jobs.job import JobRules
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
@@ -9,10 +10,6 @@ from service.settings import Settings
 from service.storage.files import DiskStorage, Storage
 
 MAX_ATTEMPTS = 4  # crashes until a job fails
-
-
-class MissingPackagesError(Exception):
-    """The settings need packages that are not installed; one sentence with the command that installs them."""
 
 
 def open_job_table(settings: Settings) -> JobTable:

@@ -25,11 +25,11 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.arguments import some_of
+from benchmarks.harness.data import ROOT
 from benchmarks.pictures import Pixels
 from benchmarks.rd.baselines import Avif, Baseline, Jpeg, JpegXl
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
-from tests.harness.data import ROOT
 
 # Of Kodak, by where they begin, x and y: roofs, hair, bark and foliage, cloth, wood, rigging, stone, grass, feathers.
 PARTS = (

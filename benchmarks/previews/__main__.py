@@ -26,8 +26,8 @@ from benchmarks.previews.codecs import CODECS, Made
 from benchmarks.rd.baselines import package
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from sgmethod.metrics.looks import ssimulacra2
 from sgmethod.metrics.perceptual import Networks
+from sgmethod.metrics.visual import ssimulacra2
 
 BYTES = [32, 64, 128, 256, 512, 1024, 2048, 4096]
 SEEN = [512]

@@ -10,7 +10,7 @@ an interrupted run resumes where it stopped. Each file is the best within a rate
 small, the smallest that its codec makes. Profile rd comes twice, tuned for PSNR and for the eye. --baselines adds other
 codecs, set as baselines.py says.
 
---quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
+--quality: profile rd at one quantum for all pictures, as published means over pictures mostly are; they may only be
 compared with such. --weights: a folder as benchmarks.perceptual takes it, for LPIPS and DISTS too, which take longer
 than all else.
 """
@@ -118,7 +118,7 @@ def main() -> None:
         help=f"of {', '.join(PROFILE_NAMES)}; may be empty",
     )
     parser.add_argument("--bpp", type=numbers, default=[0.15, 0.25, 0.4], help="each an upper limit for every file")
-    parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
+    parser.add_argument("--quality", type=numbers, help="in place of --bpp: quanta, halved by each 16 points")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
     parser.add_argument("--tune", nargs="+", choices=TUNES, default=TUNES, help="of profile rd; all if none is named")
     parser.add_argument(

@@ -20,8 +20,8 @@ from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 
-from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from tests.harness.pictures import SMALL
+from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from benchmarks.harness.pictures import SMALL
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"

@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import some_of
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.nginx import Nginx, make_certificate
+from benchmarks.harness.service import Service
 from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import Request, send_all
 from benchmarks.service.measured import made_picture
-from tests.harness.data import ROOT
-from tests.harness.nginx import Nginx, make_certificate
-from tests.harness.service import Service
 
 VICTIM = "127.0.0.2"
 AT_MOST = {"p99_ms": 1000, "web_mb": 400}

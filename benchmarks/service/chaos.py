@@ -4,7 +4,7 @@
 
 Prints a ledger, and exits with 1 unless it balances: every accepted job is done, failed or cancelled; each result was
 published once and can be fetched; after a sweep nothing else is left. With the bare word "postgresql" it starts a
-server of its own, and restarts that now and then too. Pictures are tiny, so most of the time goes to processes that start.
+server of its own, and restarts that now and then too. Pictures are tiny: most time goes to processes that start.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.postgres_server import HINT, PostgresServer, find_binaries
 from benchmarks.machine import RUNS, command, origin, write_json
 from benchmarks.service.killed import ChaosService
 from benchmarks.service.measured import made_picture
-from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
 STUCK_AFTER_S = 180.0  # without any job that ends

@@ -29,7 +29,8 @@ from service.api.requests import (
     wanted_wait_s,
     wants_picture,
 )
-from service.jobs.job import Job, JobTableError, KeyReusedError, LimitError, NewJob, SourceImage, new_job_id
+from service.errors import JobTableError, KeyReusedError, LimitError
+from service.jobs.job import Job, NewJob, SourceImage, new_job_id
 from service.storage.files import source_key
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}

@@ -14,7 +14,8 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from service.api import models
 from service.api.context import Context, UseContext
 from service.api.problems import ProblemError
-from service.jobs.job import Census, JobTableError
+from service.errors import JobTableError
+from service.jobs.job import Census
 
 log = logging.getLogger(__name__)
 

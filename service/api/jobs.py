@@ -17,7 +17,8 @@ from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters, while_client_waits
-from service.jobs.job import FINAL_STATES, Job, JobState, JobTableError
+from service.errors import JobTableError
+from service.jobs.job import FINAL_STATES, Job, JobState
 from service.keys import Link
 from service.storage.files import source_key
 

@@ -66,7 +66,7 @@ class AcceptedView(BaseModel):
 class BudgetView(BaseModel):
     """The budget of an encode."""
 
-    kind: str = Field(description='"bpp", "bytes", "looks", "psnr", "quality" or "gaussians"')
+    kind: str = Field(description='"bpp", "bytes", "quality", "psnr" or "gaussians"')
     value: float
 
 

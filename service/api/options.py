@@ -29,8 +29,8 @@ from pydantic.json_schema import SkipJsonSchema
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, Priority, SourceImage
 from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
-from sgmethod.metrics.looks import SMALLEST_SIDE
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, default_budget
+from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.profiles import (
     DEFAULT_EFFORT,
     DEFAULT_PROFILE,
@@ -55,8 +55,8 @@ def _number(text: str, info: ValidationInfo) -> float:
     return float(text)
 
 
-def _looks(text: str, info: ValidationInfo) -> float:
-    return LOOKS[text] if text in LOOKS else _number(text, info)
+def _quality(text: str, info: ValidationInfo) -> float:
+    return QUALITIES[text] if text in QUALITIES else _number(text, info)
 
 
 def _effort(text: str, info: ValidationInfo) -> int:
@@ -69,8 +69,8 @@ def _given(description: str, example: float, **extra: Any) -> Any:
 
 
 _positive = partial(_given, exclusiveMinimum=0)
-LOOKS_SCHEMA = {
-    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*LOOKS]}]
+QUALITY_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*QUALITIES]}]
 }
 Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
@@ -85,11 +85,10 @@ class EncodeOptions(BaseModel):
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
     bytes: Number = _positive("budget: maximum bytes", 20_000)
-    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks), WithJsonSchema(LOOKS_SCHEMA)] = _given(
-        "budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60
+    quality: Annotated[float | SkipJsonSchema[None], BeforeValidator(_quality), WithJsonSchema(QUALITY_SCHEMA)] = (
+        _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
     )
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
-    quality: Number = _positive("budget: quantisation quality, above 0 and up to 100; profile rd only", 50)
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
     profile: Annotated[str, AfterValidator(checked_profile)] = Field(
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
@@ -141,11 +140,11 @@ class EncodeOptions(BaseModel):
         budget = self.budget
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
-        if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
-            detail = f"profile {self.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
+        if budget.kind == "quality" and not isinstance(settings, RdSettings):
+            detail = f"profile {self.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians"
             raise ProblemError(422, detail)
-        if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
-            raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
+        if budget.kind == "quality" and min(image.width, image.height) < SMALLEST_SIDE:
+            raise ProblemError(422, f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
         if budget.kind == "gaussians":
             budget.max_gaussians(image.width, image.height)  # raises BudgetError
         allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)

@@ -34,18 +34,17 @@ from service.api.requests import (
     while_client_waits,
 )
 from service.jobs.job import EncodeResult, Job
-from service.sandbox.client import RefusedError
-from service.sandbox.frames import PreviewFigures
-from service.sandbox.pictures import (
+from service.pictures import (
     MAX_SIDES,
     MEDIA_TYPES,
+    ComparisonFormat,
     Drawing,
     PictureFormat,
     PictureOptions,
-    Rival,
-    RivalFormat,
     matching,
 )
+from service.sandbox.client import RefusedError
+from service.sandbox.frames import PreviewFigures
 from service.storage.files import preview_key, source_key
 from sgmethod.errors import BitstreamError
 
@@ -196,7 +195,7 @@ async def preview(
         return await while_client_waits(request, context.tasks.preview(caller.client, image, query.bytes))
 
 
-async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: Request) -> Response:
+async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext, request: Request) -> Response:
     """The job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller. If no quality
     setting gives such a file, the next larger one. Of a screenshot or a drawing, WebP is lossless where that is no
     larger, and AVIF in 4:4:4. 410 once the image has been deleted.
@@ -205,12 +204,12 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
     check_image_kept(job, context)  # what was made of it goes with it, from memory too
-    headers = {"ETag": f'"{job.id}-rival.{kind}"', **_kept(request, job, context, _image_until(job, context))}
+    headers = {"ETag": f'"{job.id}-comparison.{kind}"', **_kept(request, job, context, _image_until(job, context))}
 
     async def made() -> bytes:
         with await context.store(open_image, context, job) as image:
             pixels = job.image.width * job.image.height
-            return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size), pixels)
+            return await context.tasks.compare(request.state.caller.client, image, kind, size, pixels)
 
     return await _remembered(request, context, headers, kind, made)
 

@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from service.jobs.job import JobTableError, KeyReusedError, LimitError
+from service.errors import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
 from service.sandbox.client import SandboxGoneError, TaskError
 from sgmethod.errors import BudgetError, ViewError

@@ -15,7 +15,7 @@ from starlette.datastructures import Headers, UploadFile
 from starlette.requests import ClientDisconnect
 
 from service.api.problems import ProblemError
-from service.sandbox.pictures import MEDIA_TYPES, PictureFormat
+from service.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE = "multipart/form-data"

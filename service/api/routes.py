@@ -14,7 +14,7 @@ from service.api.callers import OPEN_PATHS
 from service.api.models import EXAMPLE_ID, AcceptedView
 from service.api.problems import ProblemError, problems
 from service.api.requests import BITSTREAM_TYPE, Parameters, no_body
-from service.sandbox.pictures import MEDIA_TYPES, RIVALS
+from service.pictures import COMPARISONS, MEDIA_TYPES
 
 HOST = "http://127.0.0.1:8000"  # in commands
 PICTURES = tuple(MEDIA_TYPES.values())
@@ -166,12 +166,12 @@ ROUTES = [
         {**NOT_MODIFIED, 204: {"description": "no preview yet"}},
     ),
     Route(
-        "GET /jobs/{job_id}/rival.{kind}",
-        pictures.rival,
+        "GET /jobs/{job_id}/comparison.{kind}",
+        pictures.comparison,
         "The same image in another codec, at the same size",
-        "HOST/jobs/ID/rival.avif -o rival.avif",
+        "HOST/jobs/ID/comparison.avif -o comparison.avif",
         (409, 410, 429),
-        [MEDIA_TYPES[kind] for kind in RIVALS],
+        [MEDIA_TYPES[kind] for kind in COMPARISONS],
         NOT_MODIFIED,
     ),
     Route(

@@ -14,19 +14,19 @@ from starlette.datastructures import UploadFile
 from service.api.metrics import Metrics
 from service.api.problems import RETRY_AFTER, ProblemError
 from service.jobs.job import SourceImage
+from service.pictures import ComparisonFormat, PictureFormat, PictureOptions
 from service.sandbox.client import RefusedError, Sandbox, TaskError
 from service.sandbox.frames import (
     FORMAT_BYTES,
+    Compare,
     Draw,
     HeaderFigures,
     MakePreview,
-    MakeRival,
     PreviewFigures,
     ReadHeader,
     Result,
     Task,
 )
-from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
 from service.settings import Settings
 from sgmethod.io.formats import is_read
 
@@ -196,14 +196,14 @@ class ClientTasks:
         self._metrics.decode_seconds.observe(time.perf_counter() - began)  # a refusal took no time
         return made
 
-    async def make_rival(self, client: str, file: BinaryIO, rival: Rival, pixels: int) -> bytes:
-        """The rival that is made of an image of so many pixels."""
-        task = MakeRival(**{**self._limits, "max_pixels": pixels}, rival=rival)
+    async def compare(self, client: str, file: BinaryIO, kind: ComparisonFormat, size: int, pixels: int) -> bytes:
+        """Encode an image of so many pixels by another codec, to about `size` bytes."""
+        task = Compare(**{**self._limits, "max_pixels": pixels}, file_kind=kind, size=size)
         return (await self._ask(self._drawings, client, file, task)).file
 
-    async def preview(self, client: str, image: UploadFile, most_bytes: int) -> PreviewFigures:
+    async def preview(self, client: str, image: UploadFile, max_bytes: int) -> PreviewFigures:
         """The preview of an image."""
-        task = MakePreview(**self._limits, most_bytes=most_bytes)
+        task = MakePreview(**self._limits, max_bytes=max_bytes)
         made: PreviewFigures = await self._figures(self._drawings, client, image, task)
         return made
 
@@ -236,7 +236,7 @@ class ClientTasks:
     def _worked(self) -> None:
         self._trouble, self._next_trial = "", time.monotonic() + KNOWN_GOOD_S
 
-    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result:
+    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result[Any]:
         async with turns.turn(client):
             result = await self._sandbox.ask(task, file)
         self._worked()

@@ -16,9 +16,13 @@ from typing import Any
 import psycopg
 from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
 from procrastinate.exceptions import ProcrastinateException
+from procrastinate.jobs import Status
 from procrastinate.schema import SchemaManager
+from psycopg_pool import ConnectionPool
 
 from service.process.loops import Rounds, StopSignal
+
+Pool = ConnectionPool[psycopg.Connection[psycopg.rows.DictRow]]
 
 log = logging.getLogger(__name__)
 
@@ -31,28 +35,30 @@ INSIST_S = 2.0
 PAUSE_AFTER_TROUBLE_S = 1.0
 PATIENCE_S = 5.0  # for a database that is being restarted
 
-ABANDONED = "DELETE FROM procrastinate_jobs WHERE status = 'doing' AND worker_id IS NULL"
-TOKENS_WAITING = "SELECT count(*) AS tokens FROM procrastinate_jobs WHERE status = 'todo'"
 SCHEMA: str = SchemaManager.get_schema()
 
 
 class Engine:
     """The engine's two sides: tokens are deferred, and workers are woken by them.
 
-    conninfo: how to reach the database; lease_s: seconds until a silent worker counts as gone; session: statements
-    for every new connection, which put the engine's tables on its search path.
+    pool: connections to count tokens on; conninfo: how to reach the database; lease_s: seconds until a silent worker
+    counts as lost; session: statements for each new connection, which put the engine's tables on its search path.
     """
 
-    def __init__(self, conninfo: str, lease_s: float, session: bytes) -> None:
+    def __init__(self, pool: Pool, conninfo: str, lease_s: float, session: bytes) -> None:
         self._conninfo = conninfo
         self._lease_s = lease_s
         self._session = session
         logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # it logs tracebacks of what is one line here
-        self._deferrer = App(connector=SyncPsycopgConnector())  # works only on connections that it is lent
+        self._deferrer = App(connector=SyncPsycopgConnector()).open(pool)
 
     def defer(self, connection: psycopg.Connection[psycopg.rows.DictRow]) -> None:
         """Add a token within the connection's transaction."""
         self._deferrer.configure_task(TASK, queue=QUEUE, connection=connection).defer()
+
+    def waiting(self) -> int:
+        """Return the number of tokens that no worker holds."""
+        return sum(queue["todo"] for queue in self._deferrer.job_manager.list_queues(QUEUE))
 
     def deliver(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
         """Call run_next for each token, and top_up every second, until stopping is requested."""
@@ -85,6 +91,9 @@ class Engine:
         asyncio.get_running_loop().set_exception_handler(_log)
         _cancel_on(stop)
         async with app.open_async():
+            # Tokens that lost workers held. Their jobs have new ones by now.
+            for token in await app.job_manager.get_stalled_jobs(queue=QUEUE, seconds_since_heartbeat=self._lease_s):
+                await app.job_manager.finish_job(token, Status.FAILED, delete_job=True)
             await app.run_worker_async(
                 queues=[QUEUE],
                 install_signal_handlers=False,

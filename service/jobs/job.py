@@ -20,7 +20,6 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
-from service.process.loops import TryLaterError
 from sgmethod.budget import BudgetKind
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
@@ -142,22 +141,6 @@ def job_of(row: Any) -> Job:
 def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
     """A part of a job as its row has it."""
     return json.dumps(asdict(value))
-
-
-class JobTableError(TryLaterError):
-    """The job table cannot be read or written just now."""
-
-
-class LimitError(Exception):
-    """A new job would exceed a limit; one sentence. reason: "queue", "own_queue", "quota" or "own_quota"."""
-
-    def __init__(self, reason: str, detail: str) -> None:
-        super().__init__(detail)
-        self.reason = reason
-
-
-class KeyReusedError(Exception):
-    """An idempotency key came again with another request; one sentence."""
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from psycopg.conninfo import make_conninfo
 from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
-from service.jobs.engine import ABANDONED, PATIENCE_S, TOKENS_WAITING, Engine, in_words
+from service.errors import JobTableError
+from service.jobs.engine import PATIENCE_S, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.job import JobRules, JobTableError
+from service.jobs.job import JobRules
 from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal
@@ -89,7 +90,6 @@ class PostgresJobTable(JobTable):
         except JobTableError as error:
             variables = ["SG_DATABASE_URL", *sorted(name for name in os.environ if name.startswith("PG"))]
             raise JobTableError(f"{', '.join(variables)}: {error}") from error
-        self._engine = Engine(conninfo, rules.lease_s, SESSION)
         logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # each try to reconnect is a warning
         # Each connection is checked when it is taken, so one that a restart has broken is not used.
         self._pool = ConnectionPool(
@@ -104,6 +104,7 @@ class PostgresJobTable(JobTable):
             open=True,
             connection_class=psycopg.Connection[DictRow],
         )
+        self._engine = Engine(self._pool, conninfo, rules.lease_s, SESSION)
 
     @staticmethod
     def _set_up(conninfo: str) -> None:
@@ -163,10 +164,8 @@ class PostgresJobTable(JobTable):
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
                 return  # another worker is at it
-            db.execute(ABANDONED)
             rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
-            tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
-            for _ in range(rows - tokens):
+            for _ in range(rows - self._engine.waiting()):
                 self._wake(db)
 
     def check_writable(self) -> None:

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from service.jobs.job import JobRules, JobTableError
+from service.errors import JobTableError
+from service.jobs.job import JobRules
 from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
+from service.errors import KeyReusedError, LimitError
 from service.jobs import endings
 from service.jobs import statements as sql
 from service.jobs.endings import Notice
@@ -28,8 +29,6 @@ from service.jobs.job import (
     JobRules,
     JobState,
     JsonObject,
-    KeyReusedError,
-    LimitError,
     NewJob,
     SourceImage,
     as_json,

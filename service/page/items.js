@@ -80,7 +80,7 @@ export class Item {
       decoded = await createImageBitmap(await drawn(sg, "png"));
     }
     const size = [decoded.width, decoded.height];
-    this.tell({ sg, file, decoded, size, note, measured: null, rivals: {}, smooth: null, soFar: null, state: "done", words: "" });
+    this.tell({ sg, file, decoded, size, note, measured: null, others: {}, smooth: null, soFar: null, state: "done", words: "" });
   }
 
   /** Open an .sg file that was given, and keep it for a reload. */
@@ -236,7 +236,7 @@ export class Item {
   close() {
     if (this.file) decoder.ask("close", { key: this.file.key });
     const shown = [this.original, this.decoded, this.smooth, this.soFar?.image];
-    for (const image of [...shown, ...Object.values(this.rivals ?? {}).map((rival) => rival.image)]) image?.close();
+    for (const image of [...shown, ...Object.values(this.others ?? {}).map((other) => other.image)]) image?.close();
     this.original = this.decoded = null;
   }
 }

@@ -2,7 +2,7 @@
 
 import { fillContents } from "./viewer/contents.js";
 import { openGpu } from "./viewer/gpu.js";
-import { fillTable, measure } from "./viewer/rivals.js";
+import { fillTable, measure } from "./viewer/comparisons.js";
 import { Tools } from "./viewer/tools.js";
 import { Viewer } from "./viewer/viewer.js";
 import { budget, listen, rememberBudget, sayRate } from "./giving.js";
@@ -45,7 +45,7 @@ function refresh(item) {
   const isNew = isNewlyDecoded || item.drawn?.original !== original;
   const isSmooth = Boolean(file?.texture) && !tools.textured;
   enter(item);
-  viewer.left = (onLeft === "Original" ? original : item.rivals?.[onLeft]?.image) ?? null;
+  viewer.left = (onLeft === "Original" ? original : item.others?.[onLeft]?.image) ?? null;
   viewer.right = isSmooth ? smoothOf(item) : (decoded ?? soFar?.image ?? null);
   if (isNew) {
     item.drawn = { decoded, original, isFitted: false };

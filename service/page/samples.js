@@ -11,7 +11,7 @@ const at = (name, suffix) => `static/samples/${name}.${suffix}`;
 /** Fill an item with a sample: first the .sg file, which is the smallest. */
 export async function openSample(item, sample) {
   const bytes = await bytesOf(at(sample, "sg"));
-  Object.assign(item, { sample, url: at(sample, "sg"), rivalUrls: { avif: at(sample, "avif") } });
+  Object.assign(item, { sample, url: at(sample, "sg"), otherUrls: { avif: at(sample, "avif") } });
   await item.setFile(bytes);
   await item.setOriginal(await (await ask(at(sample, "webp"))).blob());
 }

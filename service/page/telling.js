@@ -25,8 +25,8 @@ function label(id, seen, name, ...words) {
 /** The labels on the picture; leftName: what is on the left; part: bytes of the file that are drawn, 0 for all; smooth:
  * whether its texture is left out. */
 export function showLabels(item, leftName, isLeft, part, smooth) {
-  const rival = item.rivals?.[leftName];
-  if (rival && isLeft) label("left-label", true, leftName, size(rival.bytes));
+  const other = item.others?.[leftName];
+  if (other && isLeft) label("left-label", true, leftName, size(other.bytes));
   else label("left-label", isLeft, "Original", size(item.originalBytes ?? 0));
   const bytes = item.sg && size(item.sg.length);
   if (item.soFar) label("right-label", true, "So far", size(item.soFar.bytes));

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from service.errors import JobTableError
 from service.logs import log_seldom
 
 log = logging.getLogger(__name__)
@@ -49,10 +50,6 @@ class StopSignal:
             signal.signal(number, lambda _number, _frame: self.request())
 
 
-class TryLaterError(Exception):
-    """What was to be done cannot be done just now; trying again later may succeed."""
-
-
 @contextmanager
 def survived(what: str) -> Iterator[None]:
     """Log an exception, so that the thread or task goes on with its next round; one that nobody foresaw is counted.
@@ -61,7 +58,7 @@ def survived(what: str) -> Iterator[None]:
     """
     try:
         yield
-    except (TryLaterError, OSError) as error:
+    except (JobTableError, OSError) as error:
         log_seldom(log, f"{what} has to wait: %s", error)
     except Exception:
         failures[what] += 1

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from service.process.loops import Rounds, StopSignal
 from service.process.supervisor import WATCH_S, Supervised
@@ -81,7 +81,7 @@ class Sandbox:
                 raise SandboxGoneError(f"the sandbox takes no task: {error}") from error
         return RunningTask(task, ours)
 
-    async def ask(self, task: Task, file: BinaryIO) -> Result:
+    async def ask(self, task: Task, file: BinaryIO) -> Result[Any]:
         """The result of a task, which ends when the caller is cancelled.
 
         Raises RefusedError, TaskError, SandboxGoneError.

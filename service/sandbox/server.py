@@ -21,7 +21,7 @@ from typing import NoReturn
 from pydantic import TypeAdapter
 
 from service.sandbox.confinement import SandboxError, absent_layers, confine, end_with, set_name
-from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_json
+from service.sandbox.frames import END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
 WAITING_FORKS = 2
@@ -96,7 +96,7 @@ class Server:
 
     def _take(self) -> bool:
         """Give a task to a fork, and drop nonsense. False once all clients are gone."""
-        line, descriptors, _, _ = socket.recv_fds(self._requests, TASK_BYTES, 2)
+        line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
         if not line and _hung_up(self._requests):
             return False
         try:
@@ -152,7 +152,7 @@ class Server:
     def _tell_end(self, fork: Fork, answer: socket.socket) -> None:
         assert fork.status is not None
         try:
-            answer.send(packed_json(Ended(status=fork.status)), socket.MSG_DONTWAIT)
+            answer.send(packed(Ended(status=fork.status)), socket.MSG_DONTWAIT)
         except BlockingIOError:
             self._selector.modify(answer, selectors.EVENT_WRITE, fork)
             return
@@ -183,7 +183,7 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
         os.nice(PICTURE_NICENESS)
         warm_fork()
         held = socket.socket(fileno=control)  # until this process ends, which the sandbox learns by it
-        line, descriptors, _, _ = socket.recv_fds(held, TASK_BYTES, 2)
+        line, descriptors, _, _ = socket.recv_fds(held, MAX_TASK_BYTES, 2)
         if line:
             answer, file = descriptors
             status = _run_task(line, answer, file, parent, absent)
@@ -200,21 +200,21 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
     signal.signal(END_EARLY, end_early)
     try:
         task = _tasks.validate_json(line)
-        to_client.say(Begun())
+        to_client.send(Begun())
         if isinstance(task, Encode):
             os.nice(ENCODE_NICENESS)
         set_name(task.job_id if isinstance(task, Encode) else task.kind)
         data = _whole(file)
         os.close(file)
         prepare(task)
-        missing = set(confine(task.memory_bytes, task.cpu_s, task.most_threads, parent)).difference(absent)
+        missing = set(confine(task.memory_bytes, task.cpu_s, task.max_threads, parent)).difference(absent)
         if missing:  # for this task alone, as where memory is short
             raise SandboxError(f"it was not confined by {' and '.join(sorted(missing))}")
         set_threads(task.threads)
         perform(task, data, to_client)
     except Exception as error:
         last = traceback.format_exception_only(error)[-1].strip()
-        to_client.say(Crashed(detail=last[:ERROR_LENGTH]))
+        to_client.send(Crashed(detail=last[:ERROR_LENGTH]))
         return 1
     return 0
 

@@ -1,4 +1,4 @@
-"""What the tasks do, in a process of their own that is confined: a file comes in, frames go out."""
+"""What the tasks do, in a process of their own that is confined: a file comes in, messages go out."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import cv2
 from PIL import Image
 
 import sgmethod
+from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, comparison_file, encode_picture
 from service.sandbox import frames
-from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
@@ -69,24 +69,21 @@ class Answer:
         self._shown = time.monotonic()
         self.end_early = False
 
-    def send(self, letter: bytes, payload: bytes) -> None:
-        """Write one frame."""
-        self._write(frames.packed(letter, payload))
-
-    def say(self, frame: frames.Frame) -> None:
-        """Write one frame of JSON."""
-        self._write(frames.packed_json(frame))
-
-    def show(self, file: bytes) -> None:
-        """Write a preview, unless the last one is not long ago."""
-        if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
-            self._shown = time.monotonic()
-            self.send(frames.PREVIEW, file)
-
-    def _write(self, frame: bytes) -> None:
-        left = memoryview(frame)
+    def send(self, message: frames.Message) -> None:
+        """Send one message."""
+        left = memoryview(frames.packed(message))
         while left:
             left = left[os.write(self._descriptor, left) :]
+
+    def send_result(self, figures: frames.Model | None, file: bytes = b"") -> None:
+        """Send the result of the task."""
+        self.send(frames.Result(figures=figures, file=file))
+
+    def send_preview(self, file: bytes) -> None:
+        """Send a preview, unless the last one was sent within PREVIEW_EVERY_S."""
+        if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
+            self._shown = time.monotonic()
+            self.send(frames.Preview(file=file))
 
 
 def set_threads(count: int) -> None:
@@ -159,9 +156,9 @@ def perform(task: frames.Task, file: bytes, answer: Answer) -> None:
             warnings.simplefilter("ignore")
             PERFORM[type(task)](task, file, answer)
     except SgError as error:
-        answer.say(frames.Refused(error=_name_of(error), detail=str(error)[: frames.SENTENCE_LENGTH]))
+        answer.send(frames.Refused(error=_name_of(error), detail=str(error)[: frames.MAX_SENTENCE_LENGTH]))
     except MemoryError:  # another attempt would have no more of it
-        answer.say(frames.Refused(error="MemoryError", detail="it exceeds the memory limit"))
+        answer.send(frames.Refused(error="MemoryError", detail="it exceeds the memory limit"))
 
 
 def _name_of(error: SgError) -> Any:
@@ -171,7 +168,7 @@ def _name_of(error: SgError) -> Any:
 
 def _read_header(task: frames.ReadHeader, file: bytes, answer: Answer) -> None:
     header = _header_of_still(file, task)
-    answer.say(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
+    answer.send_result(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
 
 
 def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
@@ -184,27 +181,26 @@ def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
     info = sgmethod.info(file, task.max_gaussians)  # equal ones take an eighth of a byte each
     drawing = Drawing.of(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
-    answer.send(frames.FILE, drawing.draw(file))
+    answer.send_result(None, drawing.draw(file))
 
 
-def _make_rival(task: frames.MakeRival, file: bytes, answer: Answer) -> None:
+def _compare(task: frames.Compare, file: bytes, answer: Answer) -> None:
     from sgmethod.advice import better_file, is_drawn
 
-    rival = task.rival
     pixels = read_image_8_bit(file, ImageLimits(task.max_pixels), keep_alpha=True)
-    if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):
-        answer.send(frames.FILE, lossless.data)
+    if task.file_kind == "webp" and (lossless := better_file(pixels, task.size, 0.0, ("webp",))):
+        answer.send_result(None, lossless.data)
         return
     opaque = pixels if pixels.shape[2] == 3 else composited(pixels, WHITE)
-    answer.send(frames.FILE, rival.made_of(opaque, drawn=is_drawn(pixels)))
+    answer.send_result(None, comparison_file(opaque, task.file_kind, task.size, drawn=is_drawn(pixels)))
 
 
 def _make_preview(task: frames.MakePreview, file: bytes, answer: Answer) -> None:
     from sgmethod.previews.preview import preview
 
     _header_of_still(file, task)
-    made = preview(file, task.most_bytes, limits=ImageLimits(task.max_pixels))
-    answer.say(frames.PreviewFigures.model_validate(made.to_dict()))
+    made = preview(file, task.max_bytes, limits=ImageLimits(task.max_pixels))
+    answer.send_result(frames.PreviewFigures.model_validate(made.to_dict()))
 
 
 def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
@@ -221,22 +217,21 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
             tune=request.tune,
             effort=request.effort,
             time_limit_s=request.time_limit_s,
-            on_progress=lambda point: answer.say(frames.TracePoint.model_validate(frames.finite(point.to_dict()))),
+            on_progress=lambda point: answer.send(frames.TracePoint(**frames.finite(point.to_dict()))),
             stop=lambda: answer.end_early,
-            on_preview=answer.show,
+            on_preview=answer.send_preview,
             measure=True,
         )
         size, db = len(encoded.data), encoded.stats.psnr
         figures = {**encoded.stats.to_dict(), **advice(better_file(pixels, size, db), size, db)}
-    figures |= {"source_bytes": len(file), **({"notes": notes} if notes else {})}
-    answer.say(frames.EncodeFigures.model_validate(frames.finite(figures)))
-    answer.send(frames.FILE, encoded.data)
+    figures |= {"source_bytes": len(file), "notes": notes}
+    answer.send_result(frames.EncodeFigures(**frames.finite(figures)), encoded.data)
 
 
 PERFORM: dict[type[frames.Task], Callable[[Any, bytes, Answer], None]] = {
     frames.ReadHeader: _read_header,
     frames.Draw: _draw,
-    frames.MakeRival: _make_rival,
+    frames.Compare: _compare,
     frames.MakePreview: _make_preview,
     frames.Encode: _encode,
 }

@@ -14,7 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
-from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JobTableError, JsonObject
+from service.errors import JobTableError
+from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JsonObject
 from service.jobs.table import JobTable
 from service.logs import log_seldom
 from service.process.loops import StopSignal

@@ -157,9 +157,9 @@ class Worker:
         while not self._stop.requested:
             for message in running.read(FOLLOW_S):
                 if isinstance(message, frames.TracePoint):
-                    attempt.add(message.model_dump())
+                    attempt.add(message.model_dump(exclude={"kind"}))
                 elif isinstance(message, frames.Preview):
-                    attempt.show(message.bitstream)
+                    attempt.show(message.file)
                 else:
                     attempt.beat(now=True)
                     return _outcome(message)
@@ -178,7 +178,7 @@ class Worker:
 def _outcome(message: frames.Message) -> Encoded | JobError:
     match message:
         case frames.Result(figures=figures, file=file):
-            return Encoded(figures.model_dump(exclude_unset=True), file)
+            return Encoded(figures.model_dump(), file)
         case frames.Refused(error="MemoryError"):
             return JobError("refused", "the encode exceeds the memory limit")
         case frames.Refused(detail=detail):

@@ -19,7 +19,7 @@ export function showAdvice({ id, name, job }) {
 
 async function take(id, name, kind) {
   try {
-    save(await (await ask(`${jobPath(id)}/rival.${kind}`)).blob(), name);
+    save(await (await ask(`${jobPath(id)}/comparison.${kind}`)).blob(), name);
   } catch (error) {
     trouble(error.message);
   }

@@ -12,13 +12,14 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from service.jobs.job import JobTableError, job_of
+from benchmarks.harness.job_table import RULES, claimed, submitted
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.processes import PATIENCE_S, failing
+from service.errors import JobTableError
+from service.jobs.job import job_of
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal
-from tests.harness.job_table import RULES, claimed, submitted
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, failing
 
 PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
 

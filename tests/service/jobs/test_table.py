@@ -9,12 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import table as table_module
-from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
-from service.jobs.job import Claim, EncodeResult, LimitError
-from service.jobs.table import JobTable
-from service.storage.files import source_key
-from tests.harness.job_table import (
+from benchmarks.harness.job_table import (
     CRASH,
     IMAGE,
     LONG_S,
@@ -32,6 +27,12 @@ from tests.harness.job_table import (
     submitted,
     what_all_say,
 )
+from service.errors import LimitError
+from service.jobs import table as table_module
+from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
+from service.jobs.job import Claim, EncodeResult
+from service.jobs.table import JobTable
+from service.storage.files import source_key
 
 
 def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:

@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from tests.harness.browser import Chromium, bytes_of
-from tests.harness.data import golden
-from tests.harness.pictures import SMALL, saved
-from tests.harness.processes import wait_until
-from tests.harness.service import Service
+from benchmarks.harness.browser import Chromium, bytes_of
+from benchmarks.harness.data import golden
+from benchmarks.harness.pictures import SMALL, saved
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import Service
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 pytestmark = pytest.mark.thorough

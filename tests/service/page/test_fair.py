@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from tests.harness.browser import Chromium, bytes_of
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import wait_until
-from tests.harness.service import Service
+from benchmarks.harness.browser import Chromium, bytes_of
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import Service
 from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
@@ -20,7 +20,7 @@ JOB = {"state": "running", "progress": 0.2, "trace": [POINT]}
 
 
 @pytest.mark.parametrize(("codec", "nearest"), [("image/webp", 1.03), ("image/jpeg", 1.2)])
-def test_a_rival_has_the_bytes_or_the_next_larger_size(
+def test_another_codec_has_the_bytes_or_the_next_larger_size(
     page: Chromium, web: Service, codec: str, nearest: float
 ) -> None:
     """The steps of JPEG's quality are large in small files, those of WebP from 0 to 1 even more."""
@@ -29,7 +29,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
     sizes = page.run(f"""
         return (async () => {{
             const {{ Remote }} = await import("/static/parts.js");
-            const worker = new Remote("/static/viewer/rivals_worker.js");
+            const worker = new Remote("/static/viewer/comparisons_worker.js");
             await worker.ask("original", {{ image: await createImageBitmap(new Blob([{bytes_of(PHOTOGRAPH)}])) }});
             const sizes = [];
             for (const bytes of {wanted}) {{
@@ -56,11 +56,11 @@ def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service
         (5200, 30.0, 0.9): "A, with 5.2 times the bytes (5.2 kB), is as close to the original.",
     }
     for (size, psnr, ssim), sentence in verdicts.items():
-        rivals = json.dumps({"A": {"bytes": size, "psnr": psnr, "ssim": ssim}})
-        said = page.imported("viewer/rivals.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {rivals})")
+        comparisons = json.dumps({"A": {"bytes": size, "psnr": psnr, "ssim": ssim}})
+        said = page.imported("viewer/comparisons.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {comparisons})")
         assert said == sentence
     exact = "it.verdict(1000, { psnr: 30, ssim: 0.9 }, { A: { bytes: 1000, psnr: Infinity, ssim: 1 } })"
-    assert page.imported("viewer/rivals.js", exact) == "A matches the original exactly."
+    assert page.imported("viewer/comparisons.js", exact) == "A matches the original exactly."
 
 
 def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
 from service.keys import digest
-from service.sandbox.pictures import MEDIA_TYPES
-from tests.harness.data import PICTURE
-from tests.harness.pictures import SMALL
-from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService, assert_problem, bearer, keys_of
+from service.pictures import MEDIA_TYPES
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_unknown_parameters(web: Service, done: str, path: str) -> None:
 
 def test_head_of_everything(web: Service, done: str) -> None:
     paths = web.client.get("/openapi.json").json()["paths"]
-    files = [path for path in paths if "get" in paths[path] and not path.endswith(("events", "rival.{kind}"))]
+    files = [path for path in paths if "get" in paths[path] and not path.endswith(("events", "comparison.{kind}"))]
     assert len(files) >= 8
     for path in (*files, "/", "/docs", "/openapi.json", "/static/main.js"):
         url = path.format(job_id=done, kind="png")

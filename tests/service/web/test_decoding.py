@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import pixels_of
 from service.api.cache import PictureCache
 from service.api.pictures import PictureQuery
 from service.api.problems import ProblemError
-from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
+from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
-from tests.harness.data import PICTURE
-from tests.harness.pictures import pixels_of
 
 INFO = sgmethod.info(PICTURE)
 SIZE = (INFO.width, INFO.height)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness import pictures
+from benchmarks.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
+from benchmarks.harness.job_table import change
+from benchmarks.harness.pictures import SMALL, page_of_text, saved
+from benchmarks.harness.service import Service, StartService, assert_problem, max_age
 from service.api.requests import LONGEST_CACHED_S
-from service.sandbox.pictures import Rival, as_large
+from service.pictures import as_large, comparison_file
 from sgmethod.view import View
-from tests.harness import pictures
-from tests.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
-from tests.harness.job_table import change
-from tests.harness.pictures import SMALL, page_of_text, saved
-from tests.harness.service import Service, StartService, assert_problem, max_age
 
 TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
@@ -84,13 +84,14 @@ def test_texture_can_be_left_out(web: Service) -> None:
 
 
 @pytest.mark.thorough
-def test_rivals_are_as_large(keeping: Service) -> None:
+def test_other_codecs_make_files_as_large(keeping: Service) -> None:
     coffee, image = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
     job, waiting = keeping.accepted(image), keeping.accepted(image)
     keeping.publish(job, coffee)
     original = pictures.pixels_of(image).astype(float)
     for kind, name in (("jpg", "JPEG"), ("webp", "WEBP"), ("avif", "AVIF")):
-        answer = keeping.client.get(f"/jobs/{job}/rival.{kind}")
+        path = f"/jobs/{job}/comparison.{kind}"
+        answer = keeping.client.get(path)
         assert Image.open(io.BytesIO(answer.content)).format == name
         assert pixels_of(answer).shape == original.shape
         assert 0.97 < len(answer.content) / len(coffee) < 1.1
@@ -98,29 +99,31 @@ def test_rivals_are_as_large(keeping: Service) -> None:
         goes = parsedate_to_datetime(answer.headers["expires"]).isoformat()
         assert goes[:19] == keeping.job(job)["image_expires_at"][:19]
         assert max_age(answer) <= 1000  # keeping's images
-        again = keeping.client.get(f"/jobs/{job}/rival.{kind}", headers={"If-None-Match": answer.headers["etag"]})
+        again = keeping.client.get(f"/jobs/{job}/comparison.{kind}", headers={"If-None-Match": answer.headers["etag"]})
         assert again.status_code == 304
-        assert keeping.client.head(f"/jobs/{job}/rival.{kind}").headers["content-length"] == str(len(answer.content))
+        assert keeping.client.head(f"/jobs/{job}/comparison.{kind}").headers["content-length"] == str(
+            len(answer.content)
+        )
     assert max_age(keeping.client.get(f"/decode/{job}.png")) == LONGEST_CACHED_S
     with keeping.table() as table:
         change(table, "UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", job)
-    assert_problem(keeping.client.get(f"/jobs/{job}/rival.avif"), 410, "has been deleted")  # from memory too
-    assert_problem(keeping.client.get(f"/jobs/{waiting}/rival.avif"), 409, "queued")
-    assert keeping.client.get(f"/jobs/{job}/rival.png").status_code == 404
+    assert_problem(keeping.client.get(f"/jobs/{job}/comparison.avif"), 410, "has been deleted")  # from memory too
+    assert_problem(keeping.client.get(f"/jobs/{waiting}/comparison.avif"), 409, "queued")
+    assert keeping.client.get(f"/jobs/{job}/comparison.png").status_code == 404
     assert_problem(keeping.client.post(f"/jobs/{waiting}/stop"), 409, "no result to keep")
 
 
 @pytest.mark.thorough
-def test_rivals_of_a_page_of_text_keep_it_sharp(keeping: Service) -> None:
+def test_other_codecs_on_a_page_of_text_keep_it_sharp(keeping: Service) -> None:
     """Lossless WebP where it is no larger, with its transparency; AVIF whose colours are as sharp as the rest."""
     clear = np.dstack([pixels := pictures.pixels_of(page_of_text()), 255 - pixels[..., 0] // 2])
     job = keeping.accepted(saved(Image.fromarray(clear)))
     keeping.publish(job, PICTURE, bytes=20_000)
-    np.testing.assert_array_equal(pixels_of(keeping.client.get(f"/jobs/{job}/rival.webp")), clear)
-    assert pixels_of(keeping.client.get(f"/jobs/{job}/rival.avif")).shape == pixels.shape
+    np.testing.assert_array_equal(pixels_of(keeping.client.get(f"/jobs/{job}/comparison.webp")), clear)
+    assert pixels_of(keeping.client.get(f"/jobs/{job}/comparison.avif")).shape == pixels.shape
 
 
-def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
+def test_another_codec_has_the_bytes_or_the_next_larger_size() -> None:
     def size(wanted: int) -> int:
         return len(as_large(lambda quality: bytes(100 * quality), wanted))
 
@@ -128,7 +131,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
     assert [size(wanted) for wanted in (199, 1099)] == [200, 1100]  # the one below is not near
     pixels = pictures.pixels_of(PHOTOGRAPH)
     for wanted in range(2000, 6000, 250):
-        assert len(Rival("jpg", wanted).made_of(pixels)) >= 0.97 * wanted
+        assert len(comparison_file(pixels, "jpg", wanted)) >= 0.97 * wanted
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.harness.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import FAKE_CODEC, StartService
 from service.jobs import endings
 from service.jobs.endings import Notice
 from service.jobs.job import JobError
@@ -21,9 +24,6 @@ from service.jobs.table import JobTable
 from service.process.loops import Rounds, StopSignal
 from service.worker import notifying
 from service.worker.notifying import headers, send_next
-from tests.harness.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import STAND_IN, StartService
 
 KEY = bytes(range(24))
 SECRET = f"whsec_{base64.b64encode(KEY).decode()}"
@@ -185,7 +185,7 @@ def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch
 
 @pytest.mark.thorough
 def test_a_service_tells_of_its_jobs(start_service: StartService, receiver: Receiver) -> None:
-    service = start_service(webhook_urls=receiver.url, webhook_secret=SECRET, extra=STAND_IN)
+    service = start_service(webhook_urls=receiver.url, webhook_secret=SECRET, extra=FAKE_CODEC)
     job_id = service.accepted()
     wait_until(lambda: receiver.taken)
     (body,) = receiver.taken

@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.job import EncodeResult, JobTableError, new_job_id
+from benchmarks.harness import job_table
+from benchmarks.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
+from benchmarks.harness.processes import failing, wait_until
+from service.errors import JobTableError
+from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
@@ -16,9 +20,6 @@ from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, preview_key, source_key
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
-from tests.harness import job_table
-from tests.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
-from tests.harness.processes import failing, wait_until
 
 AT_ONCE_S = -5.0
 

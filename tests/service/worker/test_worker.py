@@ -10,20 +10,21 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.job_table import LONG_S, claimed, job_of, submitted
+from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
-from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JobTableError, JsonObject
+from service.errors import JobTableError
+from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
-from service.sandbox.frames import TASK_BYTES
+from service.sandbox.frames import MAX_TASK_BYTES
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from service.worker import attempt as attempt_module
 from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.harness.job_table import LONG_S, claimed, job_of, submitted
-from tests.harness.processes import PATIENCE_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):
@@ -300,7 +301,7 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
 
     def answer() -> None:
         for _ in range(4):
-            _, (number, file), _, _ = socket.recv_fds(sandbox, TASK_BYTES, 2)
+            _, (number, file), _, _ = socket.recv_fds(sandbox, MAX_TASK_BYTES, 2)
             os.close(file)
             with socket.socket(fileno=number) as told:
                 told.sendall(b"nonsense")

@@ -1,4 +1,4 @@
-"""Picture files of the formats that browsers show, made fast: of pixels, and which one is to be made of a bitstream."""
+"""Picture files: the query parameters of a picture, the part of a bitstream they select, and fast encoders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sgmethod.io import pictures
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View, fitted_scale
 
 PictureFormat = Literal["png", "jpg", "webp", "avif"]
-RivalFormat = Literal["jpg", "webp", "avif"]
+ComparisonFormat = Literal["jpg", "webp", "avif"]
 MEDIA_TYPES: dict[PictureFormat, str] = {
     "png": "image/png",
     "jpg": "image/jpeg",
@@ -30,8 +30,8 @@ MEDIA_TYPES: dict[PictureFormat, str] = {
 MAX_SIDES: dict[PictureFormat, int] = {"png": 2**31 - 1, "jpg": 65_500, "webp": 16_383, "avif": 16_384}
 DEFAULT_QUALITY: dict[PictureFormat, int] = {"jpg": 90, "webp": 85, "avif": 75}
 OPTIONS: dict[PictureFormat, dict[str, Any]] = {"webp": {"method": 0}, "avif": {"speed": 9, "max_threads": 1}}
-# Of rivals: without a profile, which would be a tenth of a small file.
-RIVALS: dict[RivalFormat, tuple[str, dict[str, Any]]] = {
+# Without a colour profile, which would be a tenth of a small file.
+COMPARISONS: dict[ComparisonFormat, tuple[str, dict[str, Any]]] = {
     "jpg": ("JPEG", {"optimize": True}),
     "webp": ("WEBP", {"method": 4}),
     "avif": ("AVIF", {"max_threads": 1}),
@@ -74,29 +74,25 @@ def as_large(encoded: Callable[[int], bytes], size: int) -> bytes:
     return over
 
 
-@dataclass(frozen=True)
-class Rival:
-    """The picture file that a bitstream of `size` bytes is compared with."""
+def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn: bool = False) -> bytes:
+    """Encode pixels, uint8 [H, W, 3], by another codec to about `size` bytes; drawn: as AVIF without chroma
+    subsampling, since drawings have sharp colour edges.
+    """
+    from PIL import Image  # the web process, which imports this module, never encodes
 
-    kind: RivalFormat
-    size: int
+    name, options = COMPARISONS[kind]
+    if kind == "avif":
+        height, width = pixels.shape[:2]
+        speeds = (speed for max_pixels, speed in AVIF_SPEEDS if width * height <= max_pixels)
+        sampling = "4:4:4" if drawn else "4:2:0"
+        options = {**options, "speed": next(speeds, FASTEST_AVIF), "subsampling": sampling}
 
-    def made_of(self, pixels: Pixels, *, drawn: bool = False) -> bytes:
-        """The file of pixels, uint8 [H, W, 3]. drawn: they are no photograph, and AVIF keeps their colours sharp."""
-        return as_large(lambda quality: self._encoded(pixels, quality, drawn), self.size)
-
-    def _encoded(self, pixels: Pixels, quality: int, drawn: bool) -> bytes:
-        from PIL import Image  # not before a rival is asked for
-
-        name, options = RIVALS[self.kind]
-        if self.kind == "avif":
-            height, width = pixels.shape[:2]
-            speeds = (speed for most, speed in AVIF_SPEEDS if width * height <= most)
-            sampling = "4:4:4" if drawn else "4:2:0"
-            options = {**options, "speed": next(speeds, FASTEST_AVIF), "subsampling": sampling}
+    def encoded(quality: int) -> bytes:
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, name, quality=quality, **options)
         return file.getvalue()
+
+    return as_large(encoded, size)
 
 
 def matching(pattern: str, detail: str) -> AfterValidator:

@@ -13,10 +13,10 @@ const NEAR = 0.03; // sizes that differ by no more than this share count as equa
 const EQUAL_DB = 0.1;
 const BETTER_SSIM = 0.002;
 
-const worker = new Remote("static/viewer/rivals_worker.js");
+const worker = new Remote("static/viewer/comparisons_worker.js");
 let last = Promise.resolve();
 
-/** Measures a picture's file and makes its rivals; `told` is called after each. One picture at a time. */
+/** Measures a picture's file and encodes it with other codecs; `told` is called after each. One picture at a time. */
 export function measure(item, told) {
   last = last.then(() => measureNow(item, told)).catch((error) => console.warn(error.message));
   return last;
@@ -34,11 +34,11 @@ async function measureNow(item, told) {
   ]);
   told();
   for (const [name, type, suffix] of CODECS) {
-    const rival = await worker
+    const other = await worker
       .ask("encode", { type, bytes, least: (1 - NEAR) * bytes })
       .then((made) => made ?? fetched(item, suffix))
       .catch((error) => ({ lacking: error.message }));
-    item.rivals = { ...item.rivals, [name]: rival };
+    item.others = { ...item.others, [name]: other };
     told();
   }
 }
@@ -46,7 +46,7 @@ async function measureNow(item, told) {
 /** What this browser cannot write: a sample has it beside it, and the service makes it of the picture of a job. */
 async function fetched(item, suffix) {
   const isKept = item.job && Date.now() < Date.parse(item.job.image_expires_at);
-  const url = item.rivalUrls?.[suffix] ?? (isKept && `${jobPath(item.id)}/rival.${suffix}`);
+  const url = item.otherUrls?.[suffix] ?? (isKept && `${jobPath(item.id)}/comparison.${suffix}`);
   if (!url) return { lacking: item.id ? "the service no longer has the picture" : "this browser cannot write it" };
   const blob = await (await ask(url)).blob();
   const image = await createImageBitmap(blob, { premultiplyAlpha: "none" });
@@ -76,20 +76,20 @@ export function fillTable(item, chosen, choose) {
     rows.push(element("tr", { className: "ours" }, name, ...figures(item.sg.length, item.measured)));
   }
   for (const [name] of item.measured ? CODECS : []) {
-    const rival = item.rivals?.[name];
-    if (rival?.image) rows.push(element("tr", {}, pick(name), ...figures(rival.bytes, rival)));
+    const other = item.others?.[name];
+    if (other?.image) rows.push(element("tr", {}, pick(name), ...figures(other.bytes, other)));
     else {
-      const words = element("td", { colSpan: 3, className: "quiet" }, rival?.lacking ?? "being made");
+      const words = element("td", { colSpan: 3, className: "quiet" }, other?.lacking ?? "being made");
       rows.push(element("tr", {}, element("th", { scope: "row" }, name), words));
     }
   }
-  refill($("rivals").querySelector("tbody"), rows);
-  const made = Object.entries(item.rivals ?? {}).filter(([, rival]) => rival.image);
+  refill($("others").querySelector("tbody"), rows);
+  const made = Object.entries(item.others ?? {}).filter(([, other]) => other.image);
   $("verdict").textContent = item.measured ? verdict(item.sg.length, item.measured, Object.fromEntries(made)) : "";
-  $("rivals-card").hidden = !item.measured;
+  $("others-card").hidden = !item.measured;
 }
 
-/** How the bytes of a rival differ from ours; empty where they hardly do. */
+/** How the bytes of a comparison differ from ours; empty where they hardly do. */
 function differing(bytes, ours) {
   const ratio = bytes / ours;
   if (Math.abs(ratio - 1) <= NEAR) return "";
@@ -103,13 +103,13 @@ function distance(ahead) {
   return `is ${Math.abs(ahead).toFixed(1)} dB ${ahead > 0 ? "further from" : "closer to"} the original`;
 }
 
-/** A sentence for each rival, with its bytes where they are not ours. */
-export function verdict(bytes, measured, rivals) {
-  const sentences = Object.entries(rivals).map(([name, rival]) => {
-    const ahead = rival.psnr === measured.psnr ? 0 : measured.psnr - rival.psnr;
+/** A sentence for each other codec, with its bytes where they are not ours. */
+export function verdict(bytes, measured, others) {
+  const sentences = Object.entries(others).map(([name, other]) => {
+    const ahead = other.psnr === measured.psnr ? 0 : measured.psnr - other.psnr;
     const isEqual = Math.abs(ahead) < EQUAL_DB;
-    const but = ahead >= EQUAL_DB && rival.ssim > measured.ssim + BETTER_SSIM ? ", but closer by SSIM" : "";
-    return `${name}${differing(rival.bytes, bytes)} ${isEqual ? "is as close to the original" : distance(ahead)}${but}.`;
+    const but = ahead >= EQUAL_DB && other.ssim > measured.ssim + BETTER_SSIM ? ", but closer by SSIM" : "";
+    return `${name}${differing(other.bytes, bytes)} ${isEqual ? "is as close to the original" : distance(ahead)}${but}.`;
   });
   return sentences.join(" ");
 }

@@ -1,6 +1,6 @@
-"""Makes the page's wall of previews again from its photographs: python -m tests.harness.make_wall
+"""Makes the page's wall of previews again from its photographs: python -m benchmarks.page_wall
 
-Needs Node and npm. Each photograph gets previews of a few sizes, and rivals of at most as many characters: WebP,
+Needs Node and npm. Each photograph gets previews of a few sizes, and placeholders of at most as many characters: WebP,
 reduced first to the size that is best for its PSNR; ThumbHash; BlurHash with as many components as fit. The last two
 are drawn by their own decoders.
 """
@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from benchmarks.harness.data import STATIC
+from benchmarks.harness.pictures import pixels_of, saved
 from sgmethod.previews.preview import preview
-from tests.harness.data import STATIC
-from tests.harness.pictures import pixels_of, saved
 
 PHOTOGRAPHS = {
     "samples/astronaut.webp": "An astronaut",
@@ -104,9 +104,9 @@ def main() -> None:
             with Image.open(STATIC / path) as file:
                 picture = file.convert("RGB")
             texts = [preview(picture, most).text for most in BYTES]
-            rivals = hashes(picture, [len(text) for text in texts], Path(name))
+            placeholders = hashes(picture, [len(text) for text in texts], Path(name))
             files = [webp(picture, most) for most in BYTES]
-            wall.append({"src": path, "alt": alt, "previews": texts, "webp": files, **rivals})
+            wall.append({"src": path, "alt": alt, "previews": texts, "webp": files, **placeholders})
     (STATIC / "wall" / "wall.json").write_text(json.dumps({"bytes": BYTES, "pictures": wall}, separators=(",", ":")))
 
 
