@@ -19,10 +19,11 @@ from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw, draw_whole
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import scattered
+from tests.definitions import drawing
 from tests.native.harness.golden import GOLDEN, is_golden
 
 VERSION_1 = sorted(golden(1))
@@ -71,7 +72,7 @@ def defined(scene: Scene) -> NDArray[np.int64]:
     size = scene.origin[0] + scene.width, scene.origin[1] + scene.height
     drawn = scene.gaussians.rows((scene.gaussians.factors[:, ::2] > 0).all(1))
     values = [torch.from_numpy(array).double() for array in drawn.arrays]
-    draw_exactly = reference.render_pyramid if scene.pyramid else reference.render
+    draw_exactly = drawing.render_pyramid if scene.pyramid else drawing.render
     picture = draw_exactly(values[0], values[1], values[2], size, scene.cutoff).numpy().transpose(1, 2, 0)
     shown = picture[scene.origin[1] :, scene.origin[0] :] + np.array(scene.background) / 255
     levels = np.floor(255 * shown.clip(0, 1) + 0.5).astype(int)
