@@ -12,5 +12,6 @@ python -m benchmarks.robustness   hard pictures (stiff), extreme Gaussians and b
 python -m benchmarks.service      the service under load, attacked, and killed at random (chaos)
 python -m benchmarks.report       docs/results, its plots and the README's tables from the JSON
 
-The report imports commands, and no command imports the report.
+benchmarks.page_samples and .page_wall make the pictures of the service's page again. benchmarks.harness is what tests
+start, too. The report imports commands, and no command imports the report.
 """

@@ -18,19 +18,19 @@ import time
 from pathlib import Path
 
 from benchmarks.arguments import some_of
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT
 from benchmarks.machine import RESULTS, RUNS
-from benchmarks.rd.rivals import versions
-from tests.harness.data import PHOTOGRAPHS, ROOT
+from benchmarks.rd.baselines import versions
 
 KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
-FEW = "--bpp 0.5 --most 1"
-NO_RIVALS = "--methods 'rd,rd visual,paper'"
+NO_BASELINES = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command.
 SMALL = {
     "rd/kodak": f"rd {KODAK} --bpp 0.5",
-    "convergence/kodak": f"convergence {KODAK} {FEW} --megapixels 0.1 --seconds 6 --limits 0.5 --paper-limits 2 --few",
+    "convergence/kodak": f"convergence {KODAK} --bpp 0.5 --most 1 --megapixels 0.1 --seconds 6 --limits 0.5 "
+    "--paper-limits 2 --few",
     "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
     "stability": "robustness extremes --sets kernels,fits --seeds 3 --generations 4",
     "speed": f"speed {KODAK} --megapixels 0.1,0.4 --repeats 1 --steps 100 --rounds 10",
@@ -40,9 +40,9 @@ SMALL = {
     "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
 }
 FULL = {
-    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --rivals",
+    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --baselines",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
-    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --rivals 'avif tune=psnr speed 0' 'avif grain'",
+    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --baselines 'avif tune=psnr speed 0' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
@@ -88,8 +88,8 @@ def main() -> None:
     options = parser.parse_args()
     lines = dict(FULL if options.full else SMALL)
     if not options.full:
-        lines["rd/kodak"] += " --rivals" if versions() else ""
-        lines["convergence/kodak"] += "" if versions() else f" {NO_RIVALS}"
+        lines["rd/kodak"] += " --baselines" if versions() else ""
+        lines["convergence/kodak"] += "" if versions() else f" {NO_BASELINES}"
     wanted = {name: line for name, line in lines.items() if line.split()[0] in options.only}
     if not wanted:
         parser.error("these are measured with --full alone")

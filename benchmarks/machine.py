@@ -15,13 +15,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.data import ROOT
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
-from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
-RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes that is told nothing else
+RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes without --out
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
 # What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
@@ -97,7 +97,7 @@ def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any]
 
 class Record:
     """The JSON of one run, written after every row. What is there already of the same code, machine and settings is
-    kept, so that an interrupted run goes on where it stopped. Where the JSON lies is said at the beginning.
+    kept, so that an interrupted run goes on where it stopped. Prints the path of the JSON first.
 
     settings: what changes the meaning of the rows.
     """

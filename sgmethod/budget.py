@@ -17,7 +17,7 @@ from sgmethod.errors import BudgetError, SgError
 
 AnyInt = SupportsIndex  # int, and NumPy's
 AnyFloat = SupportsFloat  # numbers of any kind
-BudgetKind = Literal["bpp", "bytes", "looks", "psnr", "quality", "gaussians"]
+BudgetKind = Literal["bpp", "bytes", "quality", "psnr", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
 MAX_PSNR_DB = 60.0  # 8-bit rounding alone limits the PSNR to 58.9 dB
@@ -26,18 +26,18 @@ MAX_QUALITY = 100.0
 
 MOST_GAUSSIANS = 1 << 24  # in a file
 
-Looks = Literal["preview", "web", "archive"]
-LOOKS: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
+QualityName = Literal["preview", "web", "archive"]
+QUALITIES: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
 
 SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
 UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
 
-def looks_value(name: str) -> float:
-    """Return the value of a name in LOOKS. Raises BudgetError for another."""
-    if name not in LOOKS:
-        raise BudgetError(f"looks must be a number or one of {', '.join(LOOKS)}, got {name!r}")
-    return LOOKS[name]
+def quality_value(name: str) -> float:
+    """Return the value of a name in QUALITIES. Raises BudgetError for another."""
+    if name not in QUALITIES:
+        raise BudgetError(f"quality must be a number or one of {', '.join(QUALITIES)}, got {name!r}")
+    return QUALITIES[name]
 
 
 def bytes_value(text: str) -> float:
@@ -72,11 +72,10 @@ def checked_integer(value: object, name: str, least: int, most: int, error: type
 class Budget:
     """The target of an encode.
 
-    kind: "bpp" (bits per pixel) and "bytes" are limits on the file size, never exceeded; "psnr" is the quality to reach
-    (dB, whole picture, 8-bit RGB), in as few bytes as the profile manages; "looks" the same as SSIMULACRA 2 (above 0
-    and up to 100, profile rd only), or "preview" for 40, "web" for 60 and "archive" for 80; "quality" (above 0 and up
-    to 100, profile rd only) sets how finely everything is quantised, and so what a Gaussian must gain to be kept;
-    "gaussians" is the number of Gaussians, for profile rd a maximum.
+    kind: "bpp" (bits per pixel) and "bytes" are limits on the file size, never exceeded; "quality" is a SSIMULACRA 2 to
+    reach (above 0 and up to 100, profile rd only), or "preview" for 40, "web" for 60 and "archive" for 80, in as few
+    bytes as the profile manages; "psnr" the same in dB (whole picture, 8-bit RGB); "gaussians" is the number of
+    Gaussians, for profile rd a maximum.
     value: a number; for bytes also a text, such as "20k" or "1.5MB" (thousands) or "20KiB" (1,024).
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
@@ -88,7 +87,7 @@ class Budget:
     def __init__(self, kind: BudgetKind, value: AnyFloat | str) -> None:
         if kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        named = {"looks": looks_value, "bytes": bytes_value}.get(kind)
+        named = {"quality": quality_value, "bytes": bytes_value}.get(kind)
         number = finite_number(named(value) if named is not None and isinstance(value, str) else value)
         if number is None or number <= 0:
             raise BudgetError(f"{kind} must be a positive number, got {value!r}")
@@ -100,8 +99,8 @@ class Budget:
         value = self.value
         if self.kind in ("bytes", "gaussians") and value != int(value):
             raise BudgetError(f"{self.kind} must be a whole number, got {value}")
-        if self.kind in ("looks", "quality") and value > MAX_QUALITY:
-            raise BudgetError(f"{self.kind} must be at most {MAX_QUALITY:g}, got {value}")
+        if self.kind == "quality" and value > MAX_QUALITY:
+            raise BudgetError(f"quality must be at most {MAX_QUALITY:g}, got {value}")
         if self.kind == "psnr" and value > MAX_PSNR_DB:
             raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {value}")
 

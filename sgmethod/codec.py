@@ -26,7 +26,7 @@ from sgmethod.budget import (
     AnyInt,
     Budget,
     BudgetKind,
-    Looks,
+    QualityName,
     checked_integer,
     default_budget,
     finite_number,
@@ -58,7 +58,7 @@ from sgmethod.trace import Preview, Progress, Stop, TracePoint
 Measure = Callable[[Pixels, Pixels], float | None]  # (picture, source) -> figure
 
 REPORTED_MISS_DB = 0.005  # a smaller miss rounds to 0.00 dB
-REPORTED_MISS_LOOKS = 1.0  # points of SSIMULACRA 2; a smaller miss counts as met
+REPORTED_MISS_QUALITY = 1.0  # points of SSIMULACRA 2; a smaller miss counts as met
 
 MAX_SEED = 2**63 - 1  # a seed of torch is below 2^64, and each stage of a codebook adds to it
 
@@ -68,10 +68,10 @@ class Stats:
     """The figures of an encode.
 
     psnr (dB), ms_ssim and ssimulacra2 (up to 100) describe the decoded file. ms_ssim and ssimulacra2 are None unless
-    encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a budget
-    of looks. With alpha, all three compare the picture over black and over white. effort: None if encode() was given
-    settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, looks_missed: how far the file is
-    below the requested PSNR or SSIMULACRA 2, None if none was requested.
+    encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a
+    quality to reach. With alpha, all three compare the picture over black and over white. effort: None if encode() was
+    given settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed: how far the
+    file is below the requested PSNR or SSIMULACRA 2, None if none was requested.
     """
 
     bytes: int
@@ -89,7 +89,7 @@ class Stats:
     effort: int | None
     source_bytes: int | None = None
     psnr_missed_db: float | None = None
-    looks_missed: float | None = None
+    quality_missed: float | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -98,10 +98,10 @@ class Stats:
         if self.psnr_missed_db is not None and self.psnr_missed_db >= REPORTED_MISS_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
             found.append(f"the requested PSNR is missed by {missed}")
-        if self.looks_missed is not None and self.looks_missed >= REPORTED_MISS_LOOKS:
-            missed = f"{self.looks_missed:.1f}: the file has {self.ssimulacra2:.1f}"
-            found.append(f"the requested looks are missed by {missed}")
-        has_aim = self.psnr_missed_db is not None or self.looks_missed is not None
+        if self.quality_missed is not None and self.quality_missed >= REPORTED_MISS_QUALITY:
+            missed = f"{self.quality_missed:.1f}: the file has {self.ssimulacra2:.1f}"
+            found.append(f"the requested quality is missed by {missed}")
+        has_aim = self.psnr_missed_db is not None or self.quality_missed is not None
         if not has_aim and self.gaussians == 0 and math.isfinite(self.psnr):
             found.append("the file contains only a background and no Gaussians: try a larger budget")
         if self.source_bytes is not None and self.bytes > self.source_bytes:
@@ -141,9 +141,8 @@ def encode(
     *,
     bpp: AnyFloat | None = None,
     bytes: AnyInt | str | None = None,
+    quality: AnyFloat | QualityName | None = None,
     psnr: AnyFloat | None = None,
-    looks: AnyFloat | Looks | None = None,
-    quality: AnyFloat | None = None,
     gaussians: AnyInt | None = None,
     tune: Tune | None = None,
     effort: AnyInt = DEFAULT_EFFORT,
@@ -169,7 +168,7 @@ def encode(
     4] in uint8, uint16 or floating point in [0, 1]. sgmethod/io/image.py has the rules for files. Input is rounded to 8
     bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
     warning.
-    bpp, bytes, looks, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is
+    bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp.
     profile: "rd" or "paper".
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
@@ -192,7 +191,7 @@ def encode(
     """
     clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
     seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
-    kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "looks": looks}
+    kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     kinds["gaussians"] = gaussians
     budget = _only_budget(budget, kinds)
     profile = checked_profile(profile) if settings is None else profile_of(settings)
@@ -214,13 +213,13 @@ def encode(
 
         request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
-    measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "looks" else []
+    measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "quality" else []
     encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, named_effort), measures)
     stats = replace(encoded.stats, source_bytes=source_bytes)
     if budget.kind == "psnr":
         stats = replace(stats, psnr_missed_db=max(budget.value - stats.psnr, 0.0))
-    if budget.kind == "looks" and stats.ssimulacra2 is not None:
-        stats = replace(stats, looks_missed=max(budget.value - stats.ssimulacra2, 0.0))
+    if budget.kind == "quality" and stats.ssimulacra2 is not None:
+        stats = replace(stats, quality_missed=max(budget.value - stats.ssimulacra2, 0.0))
     return replace(encoded, stats=stats)
 
 

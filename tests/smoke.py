@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT))  # behind all else, so that sgmethod is the installed one
 
 import sgmethod  # noqa: E402
-from tests.harness.data import golden_path  # noqa: E402
+from benchmarks.harness.data import golden_path  # noqa: E402
 from tests.native.harness.golden import GOLDEN, is_golden  # noqa: E402
 
 

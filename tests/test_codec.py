@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.pictures import ODD, noise, photo
 from sgmethod import Budget, BudgetError, Encoded, ImageError, Stats, TracePoint, codec, decode, info
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_TUNE, PROFILES, TUNES, tuning
 from sgmethod.trace import Stop
-from tests.harness.pictures import ODD, noise, photo
 from tests.rd.short import SlowClock, shortened
 
 FloatArray = NDArray[np.float32]
@@ -204,8 +204,8 @@ def test_few_steps_still_give_a_picture(profile: str) -> None:
         ({"source_bytes": 999}, ["the file is larger than its source: 1,000 bytes, source 999"]),
         ({"psnr_missed_db": 0.004}, []),
         ({"psnr_missed_db": 18.77}, ["the requested PSNR is missed by 18.77 dB: the file has 31.23 dB"]),
-        ({"looks_missed": 0.9}, []),
-        ({"looks_missed": 18.74}, ["the requested looks are missed by 18.7: the file has 51.3"]),
+        ({"quality_missed": 0.9}, []),
+        ({"quality_missed": 18.74}, ["the requested quality is missed by 18.7: the file has 51.3"]),
         ({"gaussians": 0}, ["the file contains only a background and no Gaussians: try a larger budget"]),
         ({"gaussians": 0, "psnr_missed_db": 0.0}, []),  # which is what was asked for
         ({"gaussians": 0, "psnr": math.inf}, []),  # a picture of one colour

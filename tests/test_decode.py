@@ -13,6 +13,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.harness.data import golden
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
@@ -22,7 +23,6 @@ from sgmethod.native import native, reference
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import scattered
-from tests.harness.data import golden
 from tests.native.harness.golden import GOLDEN, is_golden
 
 VERSION_1 = sorted(golden(1))
@@ -43,7 +43,7 @@ def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[f
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_pixels(name: str) -> None:
-    """Exact: make_golden.py wrote their pictures or hashes when the files were made."""
+    """Their pictures or hashes were written when the files were made."""
     pixels = decode(GOLDEN[name])
     assert pixels.dtype == np.uint8
     assert pixels.flags.c_contiguous

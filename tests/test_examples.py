@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from tests.harness.data import PHOTOGRAPHS, ROOT
-from tests.harness.service import Service
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT
+from benchmarks.harness.service import Service
 
 NAMES = sorted(path.stem for path in PHOTOGRAPHS.iterdir())
 

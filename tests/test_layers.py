@@ -15,7 +15,7 @@ import pytest
 
 import service
 import sgmethod
-from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
 
@@ -134,8 +134,12 @@ RULES = {
         r"\btune\b",
         "sgmethod/codec.py sgmethod/fitting/objective.py",
     ),
-    "only a test of a benchmark imports one": ("tests", IMPORT + "benchmarks", "tests/benchmarks/"),
-    "the harness imports no test": ("tests/harness", IMPORT + r"tests\.(?!harness)", ""),
+    "only a test of a benchmark imports one": ("tests", IMPORT + r"benchmarks\.(?!harness)", "tests/benchmarks/"),
+    "the harness imports neither tests nor commands": (
+        "benchmarks/harness",
+        IMPORT + r"(?:tests|benchmarks\.(?!harness))",
+        "",
+    ),
     "the report knows the commands, and they do not know it": (
         "benchmarks",
         IMPORT + r"benchmarks\.report",

@@ -8,7 +8,7 @@ import tomllib
 import pytest
 from packaging.requirements import Requirement
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 
 pytestmark = pytest.mark.thorough
 

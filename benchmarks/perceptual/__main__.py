@@ -19,7 +19,7 @@ from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.local import local_statistics
 from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
-from benchmarks.rd.rivals import Avif
+from benchmarks.rd.baselines import Avif
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2

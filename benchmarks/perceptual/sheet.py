@@ -26,11 +26,11 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.arguments import some_of
+from benchmarks.harness.data import ROOT
 from benchmarks.pictures import Pixels
-from benchmarks.rd.rivals import Avif, Jpeg, JpegXl, Rival
+from benchmarks.rd.baselines import Avif, Baseline, Jpeg, JpegXl
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
-from tests.harness.data import ROOT
 
 # Of Kodak, by where they begin, x and y: roofs, hair, bark and foliage, cloth, wood, rigging, stone, grass, feathers.
 PARTS = (
@@ -46,8 +46,8 @@ GRAINY = (
 )
 OF, BLIND = "source,visual,avif,jpegxl", "visual,avif"
 LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
-RIVALS = {rival.name: rival for rival in (Avif, JpegXl, Jpeg)}
-COLUMNS = ("source", "visual", *RIVALS)
+BASELINES = {baseline.name: baseline for baseline in (Avif, JpegXl, Jpeg)}
+COLUMNS = ("source", "visual", *BASELINES)
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 22  # pixels of the sheet, for words
 SHOWN = 512, 384  # most pixels of the picture on a blind sheet, from a part's corner on
@@ -71,17 +71,17 @@ def made_by(wanted: list[str], path: Path, bpp: float) -> Iterator[Column]:
         elif name == "avif":
             data, pixels = avif.data, avif.decode(avif.data)
         else:
-            rival = RIVALS[name]()
-            data = no_fewer(rival, source, len(ours))
-            pixels = rival.decode(data)
+            baseline = BASELINES[name]()
+            data = no_fewer(baseline, source, len(ours))
+            pixels = baseline.decode(data)
         yield name, f"{LABELS[name]}, {len(data):,} bytes", pixels
 
 
-def no_fewer(rival: Rival, source: Pixels, least: int) -> bytes:
+def no_fewer(baseline: Baseline, source: Pixels, least: int) -> bytes:
     """The smallest file of at least that many bytes, or the largest there is."""
-    qualities = rival.qualities
-    first = bisect_left(range(len(qualities) - 1), least, key=lambda k: len(rival.encode(source, qualities[k])))
-    return rival.encode(source, qualities[first])
+    qualities = baseline.qualities
+    first = bisect_left(range(len(qualities) - 1), least, key=lambda k: len(baseline.encode(source, qualities[k])))
+    return baseline.encode(source, qualities[first])
 
 
 def hidden(columns: list[Column], order: random.Random) -> list[Column]:

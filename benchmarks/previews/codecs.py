@@ -19,12 +19,12 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.pictures import Pixels
-from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, package
+from benchmarks.rd.baselines import AvifForPsnr, Baseline, Jpeg, JpegXl, WebP, package
 from sgmethod.metrics import psnr
 
 FACTORS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 BPP = 0.1, 4.0  # of a reduced picture: beyond these, another factor is better
-MOST_COMPONENTS = 9  # of BlurHash, along each side
+MAX_COMPONENTS = 9  # of BlurHash, along each side
 HASHED_SIDE, BLURRED_SIDE = 100, 64  # pixels to which pictures are reduced: the most that ThumbHash takes; plenty
 
 
@@ -70,7 +70,7 @@ def sg(pixels: Pixels, most: int) -> Made:
 def blurhash(pixels: Pixels, most: int) -> Made | None:
     """BlurHash, of a colour to begin with and two characters for each component."""
     height, width = pixels.shape[:2]
-    sides = range(1, MOST_COMPONENTS + 1)
+    sides = range(1, MAX_COMPONENTS + 1)
     grids = [(x, y) for x in sides for y in sides if 4 + 2 * x * y <= most * 4 // 3]
     if not grids:
         return None
@@ -106,8 +106,8 @@ def thumbhash(pixels: Pixels, most: int) -> Made | None:
     return Made(len(data), len(base64.b64encode(data)), took_s, decode)
 
 
-def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
-    """A maker of the rival's best file over all factors; None where none is so small."""
+def of_baseline(baseline: Baseline) -> Callable[[Pixels, int], Made | None]:
+    """A maker of the baseline's best file over all factors; None where none is so small."""
 
     def make(pixels: Pixels, most: int) -> Made | None:
         height, width = pixels.shape[:2]
@@ -119,18 +119,18 @@ def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
             bpp = 8 * most / (small.shape[0] * small.shape[1])
             if not BPP[0] <= bpp <= BPP[1]:
                 continue
-            file = rival.best(small, bpp)
+            file = baseline.best(small, bpp)
             if len(file.data) > most:
                 continue
 
             def decode(data: bytes = file.data) -> Pixels:
-                decoded = rival.decode(data)
+                decoded = baseline.decode(data)
                 return decoded if decoded.shape == pixels.shape else resized(decoded, width, height)
 
             db = psnr(decode(), pixels)
             if db > best_db:
                 began = time.process_time()
-                rival.encode(small, file.quality)
+                baseline.encode(small, file.quality)
                 took_s += time.process_time() - began
                 best, best_db = Made(len(file.data), len(base64.b64encode(file.data)), took_s, decode), db
         return best
@@ -142,8 +142,8 @@ CODECS: dict[str, Callable[[Pixels, int], Made | None]] = {
     "sgmethod": sg,
     "BlurHash": blurhash,
     "ThumbHash": thumbhash,
-    "WebP": of_rival(WebP()),
-    "AVIF": of_rival(AvifForPsnr(speed=6)),
-    "JPEG XL": of_rival(JpegXl()),
-    "JPEG": of_rival(Jpeg()),
+    "WebP": of_baseline(WebP()),
+    "AVIF": of_baseline(AvifForPsnr(speed=6)),
+    "JPEG XL": of_baseline(JpegXl()),
+    "JPEG": of_baseline(Jpeg()),
 }

@@ -17,13 +17,13 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 
 from benchmarks.flat import flat
+from benchmarks.harness.data import ROOT
 from benchmarks.machine import RESULTS
 from benchmarks.perceptual import local
 from benchmarks.report import previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 from sgmethod.io.files import write_atomically
-from tests.harness.data import ROOT
 
 TABLE = re.compile(r"( *)<!-- table ([\w-]+)((?: \S+)*) -->\n.*?<!-- end -->", re.DOTALL)
 FIGURE = re.compile(r"(\S*)<!-- ([\w-]+\.[\w.-]+) -->")

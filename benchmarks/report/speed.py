@@ -68,7 +68,7 @@ def figures() -> dict[str, float]:
     for row in (row for row in sizes if row["megapixels"] in (0.4, 24)):
         end = f"{row['megapixels']:g}mp"
         found[f"speed.decode-{end}"] = row["decode_ms"]
-        for name, ms in row["rivals_decode_ms"].items():
+        for name, ms in row["baselines_decode_ms"].items():
             found[f"speed.{name}-decode-{end}"] = ms
             found[f"speed.times-{name}-decode-{end}"] = row["decode_ms"] / ms
     found["speed.memory-24mp"] = sizes[-1]["encode_mib"]

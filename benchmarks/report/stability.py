@@ -20,7 +20,7 @@ RULES = {
     GRADIENT: "A gradient, against float64, up to a ratio of axes of 1,000",
     "dB that the file is worse": "A fit from a bad start ends no worse than it began, nor than a single colour",
     "bytes above the budget": "A budget of very few or very many bytes is kept, or refused with an error",
-    "encodes that np.errstate": "No encode is ended where warnings and NumPy's underflow are errors",
+    "encodes that np.errstate": "No encode fails when warnings and NumPy's underflow are errors",
     "dB between the best": "Ten seeds of one encode give the same quality",
     "dB lost from the first": "Ten generations, each encoded from the one before, keep their PSNR",
 }

@@ -19,11 +19,11 @@ BPP = (0.3, 1.0, 3.0)
 def cases() -> Cases:
     """Every hard picture."""
     for name in PICTURES:
-        yield Case(name, RULE, 0, partial(ended, name))
+        yield Case(name, RULE, 0, partial(failures, name))
 
 
-def ended(name: str) -> Found:
-    """How many encodes of a picture are ended, and by what first."""
+def failures(name: str) -> Found:
+    """Count the encodes of a picture that fail, and give the first error."""
     pixels, errors = PICTURES[name](), []
     with np.errstate(all="raise"), warnings.catch_warnings():
         warnings.simplefilter("error")

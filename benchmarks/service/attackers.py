@@ -1,8 +1,8 @@
-"""Clients that mean harm, in a process of its own: attackers.py NAME HOST:PORT SECONDS JOB
+"""Attackers, in a process of their own: attackers.py NAME HOST:PORT SECONDS JOB
 
-They come from addresses of their own, ask again as soon as they are answered, and keep no rule. JOB: one whose picture
-may be had. "ready" is printed when their files are made; what they were answered with, as JSON, at the end. They are
-nice: an attack comes from other machines, whose cores it takes.
+They come from addresses of their own, and send the next request as soon as they have an answer. JOB: a job whose
+picture they may fetch. Prints "ready" once their files are made, and the statuses of all answers as JSON at the end.
+The process runs at a low priority, because real attackers would use the cores of other machines.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 
-from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from tests.harness.pictures import SMALL
+from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from benchmarks.harness.pictures import SMALL
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"
@@ -153,8 +153,8 @@ def idle() -> Request:
 
     async def connect(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, _):
-            said = await reader.readline()
-            return said.split()[1].decode() if said else "closed"
+            answer = await reader.readline()
+            return answer.split()[1].decode() if answer else "closed"
 
     return connect
 
@@ -206,7 +206,7 @@ def untaken() -> Request:
 
 TIFF, PNG, JPEG = 7_990_000, 5_590_000, 3_725_000  # as many as an upload may hold
 ATTACKS = {
-    "none": Attack("nobody", 0, idle),
+    "none": Attack("no attack", 0, idle),
     "tiff": Attack("TIFF of 8 million strips, 64 MB", 10, posting("/encode?bpp=1", lambda: tiff_of_many_strips(TIFF))),
     "png": Attack("PNG of 5.6 million chunks, 67 MB", 10, posting("/encode?bpp=1", lambda: png_of_many_chunks(PNG))),
     "jpeg": Attack(
@@ -219,7 +219,7 @@ ATTACKS = {
     "idle-many": Attack("idle connections of 101 addresses", 10_100, idle, 101),
     "slow": Attack("uploads at 2 kB a second", 1000, slow_uploads),
     "streams": Attack("streams of events", 1000, streams),
-    "untaken": Attack("large pictures that nobody takes", 1000, untaken),
+    "untaken": Attack("large pictures that are not read", 1000, untaken),
 }
 
 

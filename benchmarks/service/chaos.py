@@ -23,10 +23,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.postgres_server import HINT, PostgresServer, find_binaries
 from benchmarks.machine import RUNS, command, origin, write_json
 from benchmarks.service.killed import ChaosService
 from benchmarks.service.measured import made_picture
-from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
 STUCK_AFTER_S = 180.0  # without any job that ends

@@ -16,9 +16,9 @@ from typing import Any
 
 import httpx
 
-from tests.harness.data import ROOT
-from tests.harness.processes import PATIENCE_S, Kind, Process, processes
-from tests.harness.service import ServiceProcess
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.processes import PATIENCE_S, Kind, Process, processes
+from benchmarks.harness.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
     **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},

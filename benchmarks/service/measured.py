@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from tests.harness.pictures import saved
-from tests.harness.service import ServiceProcess
+from benchmarks.harness.pictures import saved
+from benchmarks.harness.service import ServiceProcess
 
 PATIENCE_S = 300.0
 

@@ -24,13 +24,13 @@ import numpy as np
 from benchmarks.arguments import integers, numbers
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
-from benchmarks.rd.rivals import AvifForPsnr, ReducedAvif, Rival, versions
+from benchmarks.rd.baselines import AvifForPsnr, Baseline, ReducedAvif, versions
 from benchmarks.tables import MISSING, mean, number, table
 from sgmethod import encode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 
-RIVALS: dict[str, Callable[[int], Rival]] = {"avif": AvifForPsnr, "avif reduced": ReducedAvif}
+BASELINES: dict[str, Callable[[int], Baseline]] = {"avif": AvifForPsnr, "avif reduced": ReducedAvif}
 SPEEDS = (10, 6, 4)  # the quickest first: its quality is where the search of the next one begins
 TUNES = {"rd": "psnr", "rd visual": "visual"}
 AXES = {"megapixels": "max_bytes", "max_bytes": "megapixels"}  # what grows, and what is fixed meanwhile
@@ -64,15 +64,15 @@ def measure(record: Record, picture: str, source: Pixels, size: tuple[float, int
         if not record.has(**key, method=method):
             record.add({**key, "method": method, "setting": "", **ours(pixels, size[1], tune, repeats)})
     bpp = 8 * size[1] / (pixels.shape[0] * pixels.shape[1])
-    for method, make in RIVALS.items() if versions() else ():
+    for method, make in BASELINES.items() if versions() else ():
         near = None
         for speed in SPEEDS:
             if record.has(**key, method=method, setting=str(speed)):
                 continue
-            rival = make(speed)
-            file = rival.best(pixels, bpp, near)
+            baseline = make(speed)
+            file = baseline.best(pixels, bpp, near)
             near = file.quality
-            row = {"bytes": len(file.data), "psnr": psnr(rival.decode(file.data), pixels), "seconds": file.encode_s}
+            row = {"bytes": len(file.data), "psnr": psnr(baseline.decode(file.data), pixels), "seconds": file.encode_s}
             record.add({**key, "method": method, "setting": str(speed), **row})
 
 

@@ -19,8 +19,8 @@ export async function snippetOf(item) {
   const [width, height] = item.size;
   const id = `sg-${Math.random().toString(36).slice(2)}`; // one page may hold several
   const name = withoutSuffix(item.name).replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
-  const looks = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
-  return `<canvas id="${id}" ${looks} role="img" aria-label="${name}"></canvas>
+  const size = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
+  return `<canvas id="${id}" ${size} role="img" aria-label="${name}"></canvas>
 <script type="module">
 ${decoder}
 const file = Uint8Array.from(atob("${btoa(binary)}"), (letter) => letter.charCodeAt(0));

@@ -79,10 +79,10 @@ Measured = float | str  # a figure, or the reason why there is none
 
 
 def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[str, Measured]:
-    from sgmethod.metrics import MS_SSIM_SIDE, looks, ms_ssim
+    from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, visual
 
-    found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
-    smallest = {"ms_ssim": MS_SSIM_SIDE, "ssimulacra2": looks.SMALLEST_SIDE}
+    found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": visual.ssimulacra2(picture, source)}
+    smallest = {"ms_ssim": MS_SSIM_SIDE, "ssimulacra2": visual.SMALLEST_SIDE}
     return {key: SMALL.format(smallest[key]) if one is None else one for key, one in found.items()}
 
 

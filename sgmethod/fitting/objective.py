@@ -92,7 +92,7 @@ class Objective:
             drawn = np.where(self.shown.values[..., None] > 0, drawn, self.pixels)
         return texture.estimate(self.pixels, drawn, self.settings.texture)
 
-    def looks(self, decoded: Pixels) -> float:
+    def ssimulacra2(self, decoded: Pixels) -> float:
         """SSIMULACRA 2 of a decoded picture [H, W, 3], composited over grey; sides are at least 8 pixels."""
         pixels = self.pixels
         if self.shown is not None:

@@ -60,10 +60,8 @@ def encode(request: Request) -> tuple[bytes, int]:
             stream, steps = reach_psnr(request, budget.value)
         elif budget.kind == "gaussians":
             stream, steps = run(request, budget.max_gaussians(*request.size), None)
-        elif budget.kind in ("looks", "quality"):
-            raise BudgetError(
-                f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
-            )
+        elif budget.kind == "quality":
+            raise BudgetError(f"profile {request.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians")
         else:
             stream, steps = within_bytes(request, budget.max_bytes(*request.size) or 0)
     return container.serialise(stream), steps

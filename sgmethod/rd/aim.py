@@ -1,4 +1,4 @@
-"""Rate control for a quality to reach in as few bytes as possible: a PSNR, or looks."""
+"""Rate control for a quality to reach in as few bytes as possible: a SSIMULACRA 2, or a PSNR."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, quantum_code
 from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.errors import BudgetError
-from sgmethod.metrics.looks import SMALLEST_SIDE
-from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, looks_db
+from sgmethod.metrics.visual import SMALLEST_SIDE
+from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, ssimulacra2_db
 from sgmethod.settings.rd import RdSettings, Times
 
 
@@ -149,47 +149,47 @@ class PsnrAim(Aim):
 
 
 @dataclass(frozen=True)
-class LooksAim(Aim):
-    """Rate control for a SSIMULACRA 2 to reach, as looks_db() counts it."""
+class QualityAim(Aim):
+    """Rate control for a SSIMULACRA 2 to reach, as ssimulacra2_db() counts it."""
 
     @classmethod
-    def of(cls, looks: float, size: tuple[int, int], settings: RdSettings) -> LooksAim:
+    def of(cls, score: float, size: tuple[int, int], settings: RdSettings) -> QualityAim:
         """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
 
         Raises BudgetError for sides that are too small for SSIMULACRA 2.
         """
         if min(size) < SMALLEST_SIDE:
-            raise BudgetError(f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
-        s, aim = settings.rate, looks_db(looks)
-        known, quantum = s.looks_quantum
-        quantum *= 2 ** ((looks_db(known) - aim) / s.db_per_doubling)
-        if min(size) < s.looks_small[0]:
-            quantum *= s.looks_small[1]
+            raise BudgetError(f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
+        s, aim = settings.rate, ssimulacra2_db(score)
+        known, quantum = s.quality_quantum
+        quantum *= 2 ** ((ssimulacra2_db(known) - aim) / s.db_per_doubling)
+        if min(size) < s.quality_small[0]:
+            quantum *= s.quality_small[1]
         return cls(
             settings,
             size[0] * size[1],
             min(quantum, s.coarsest_of_aim),
-            further_rounds=settings.schedule.rounds_for_looks,
+            further_rounds=settings.schedule.rounds_for_quality,
             aim_db=aim,
-            tries=s.looks_tries,
-            steering_limit=s.looks_limit,
-            refined_db=s.looks_refined_db if settings.effort.refine_sweeps else 0.0,
+            tries=s.quality_tries,
+            steering_limit=s.quality_limit,
+            refined_db=s.quality_refined_db if settings.effort.refine_sweeps else 0.0,
             round_slack_db=s.slack_db,
         )
 
     def reached(self, picture: Measured) -> float:
-        """SSIMULACRA 2, as looks_db() counts it."""
-        return picture.looks_db
+        """SSIMULACRA 2, as ssimulacra2_db() counts it."""
+        return picture.ssimulacra2_db
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
-        """Steer seldom: measuring looks takes as long as steps."""
-        return super().steered(quantum, times, at, fitted) if at in times.looks_at else quantum
+        """Steer seldom: measuring takes as long as steps."""
+        return super().steered(quantum, times, at, fitted) if at in times.quality_at else quantum
 
     def affords(self, texture: Codes) -> bool:
         """Never: SSIMULACRA 2 counts texture as an error."""
         return False
 
     def finer(self, quantum: float, files: Iterable[Coded]) -> float:
-        """Return the quantum for a further round, given the files that missed the looks."""
+        """Return the quantum for a further round, given the files that missed the quality."""
         s, reached = self.settings.rate, max(map(self.reached, files))
-        return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.looks_limit))
+        return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.quality_limit))

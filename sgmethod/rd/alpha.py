@@ -24,9 +24,9 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.opencv import cv2
 from sgmethod.rd import encode as pipeline
-from sgmethod.rd.aim import Aim, LooksAim, PsnrAim
+from sgmethod.rd.aim import Aim, PsnrAim, QualityAim
 from sgmethod.rd.byte_limit import ByteBudget, ByteLimit
-from sgmethod.rd.rate_control import GaussianCount, RateControl, looks_db
+from sgmethod.rd.rate_control import GaussianCount, RateControl, ssimulacra2_db
 from sgmethod.rd.request import Request
 from sgmethod.scene import Pixels
 from sgmethod.trace import Preview
@@ -108,10 +108,10 @@ def _allows(rate: RateControl, error: float) -> bool:
 
 def _reached(aim: Aim, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
     """Quality of decoded pixels [H, W, 4] in dB, as the aim counts it."""
-    if not isinstance(aim, LooksAim):
+    if not isinstance(aim, QualityAim):
         return -10 * math.log10(max(_error(decoded, pixels, alpha), 1e-12))
     found = map(ssimulacra2, on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha])))
-    return looks_db(statistics.fmean(one for one in found if one is not None))
+    return ssimulacra2_db(statistics.fmean(one for one in found if one is not None))
 
 
 def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:

@@ -22,7 +22,7 @@ from sgmethod.numerics import quiet
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
-from sgmethod.rd.rate_control import GaussianCount, quality_quantum, surplus
+from sgmethod.rd.rate_control import GaussianCount, surplus
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.exact import EXACT, exact_schedule
@@ -77,7 +77,7 @@ class ExactFit:
         """Return the quantum that prices bits while Gaussians come and go: it decides well which of them stay."""
         rate = plan.settings.rate
         dense = EXACT.price * rate.gaussians_per_pixel * plan.request.samples / 3 / self.gaussians
-        chosen = min(dense, quality_quantum(rate.gaussians_quality))
+        chosen = min(dense, rate.gaussians_quantum)
         return max(chosen / float(times.finer_early ** surplus(times, at)), self.quantum)
 
     def _plan(self, pixels: Pixels, backend: Backend, clock: Clock) -> Plan:

@@ -1,8 +1,8 @@
 """Rate control: a budget becomes a quantum and a number of Gaussians, which the fit steers and the search refines.
 
 One number, the quantum, sets all quantiser steps and the price of a bit. Each kind of budget is a class that answers
-the same questions: RateControl here for a quantum that stays as asked, and GaussianCount; byte_limit.py for bytes,
-aim.py for a PSNR and for looks, which both steer the quantum while the Gaussians are fitted.
+the same questions: RateControl here for a fixed quantum, and GaussianCount; byte_limit.py for bytes, aim.py for a
+SSIMULACRA 2 and for a PSNR, which both steer the quantum while the Gaussians are fitted.
 
 Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth finds local maxima of a
 gain, and those that are best early are not best late. The surplus is given up step by step.
@@ -27,20 +27,12 @@ from sgmethod.settings.rd import RdSettings, Times
 EXACT_DB = 99.0  # PSNR of a picture without any error
 
 
-def quality_quantum(quality: float) -> float:
-    """Return the quantum of a quality in 0 .. 100: 16 points halve it, 0 is 3.2.
-
-    On photographs of 0.4 megapixels 25 comes to about 0.05 bpp, 50 to 0.2, 75 to 0.8, 100 to 2.3.
-    """
-    return 3.2 * 2 ** (-quality / 16)
-
-
-def looks_db(looks: float) -> float:
+def ssimulacra2_db(score: float) -> float:
     """Convert SSIMULACRA 2 to decibels: 0 dB for 0, 5.2 for 70, 10 for 90.
 
     Like PSNR, it then gains about 2.5 dB when the quantum is halved, on photographs from 30 to 90.
     """
-    return -10 * math.log10(max(100 - looks, 1e-6) / 100)
+    return -10 * math.log10(max(100 - score, 1e-6) / 100)
 
 
 def error_per_bit(quantum: float) -> float:
@@ -62,12 +54,12 @@ def excess(times: Times, at: float) -> float:
 
 
 class Measured(Protocol):
-    """A coded picture, or a fit that could be coded: its PSNR, and its SSIMULACRA 2 as looks_db() counts it."""
+    """A coded picture, or a fit that could be coded: its PSNR, and its SSIMULACRA 2 as ssimulacra2_db() counts it."""
 
     @property
     def psnr(self) -> float: ...
     @property
-    def looks_db(self) -> float: ...
+    def ssimulacra2_db(self) -> float: ...
 
 
 class Fitted(Measured, Protocol):
@@ -102,14 +94,14 @@ class Coded:
         return min(-10 * math.log10(max(self.error, 1e-12) / self.objective.pixels.size), EXACT_DB)
 
     @cached_property
-    def looks_db(self) -> float:
+    def ssimulacra2_db(self) -> float:
         """SSIMULACRA 2 of the whole file, on the scale of the function of this name."""
-        return looks_db(self.objective.looks(draw_whole(self.stream)))
+        return ssimulacra2_db(self.objective.ssimulacra2(draw_whole(self.stream)))
 
 
 @dataclass(frozen=True)
 class RateControl:
-    """Rate control for a quality: the quantum stays as asked. Other kinds override what they answer differently.
+    """Rate control at a fixed quantum. The kinds of budget override what they answer differently.
 
     pixels: size of the picture; quantum: the first one; is_short: the file is to be a short one; further_rounds: beyond
     those of the effort, while the budget is missed. Times (`at`) are parts of a run of the schedule, 0 to 1.
@@ -207,14 +199,14 @@ class RateControl:
 
 @dataclass(frozen=True)
 class GaussianCount(RateControl):
-    """Rate control for a number of Gaussians, which is never exceeded, at a fixed quality."""
+    """Rate control for a number of Gaussians, which is never exceeded, at a fixed quantum."""
 
     max_gaussians: int = 1
 
     @classmethod
     def of(cls, max_gaussians: int, pixels: int, settings: RdSettings) -> GaussianCount:
         """Create the limit for a picture of `pixels` pixels."""
-        quantum = quality_quantum(settings.rate.gaussians_quality)
+        quantum = settings.rate.gaussians_quantum
         return cls(settings, pixels, quantum, max_gaussians=max_gaussians)
 
     def expected_gaussians(self) -> int:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.data import ROOT
 from benchmarks.report.__main__ import filled, stale
-from tests.harness.data import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
 JSONS = sorted(RESULTS.rglob("*.json"))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.harness.data import ROOT, golden, with_checksum
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.stream import SIGNATURE, VERSION_ZERO
@@ -17,7 +18,6 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.bitstream import plain_decoder_v1
 from tests.bitstream.plain_decoder_v2 import Gaussian, RefusedError
-from tests.harness.data import ROOT, golden, with_checksum
 
 TEXT = (ROOT / "docs" / "format.md").read_text()
 GOLDEN = golden(1)

@@ -22,6 +22,8 @@ import torch
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import ROOT, golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod import codec, decode, info
 from sgmethod.budget import Budget
 from sgmethod.cli import arguments, decoding, files, terminal
@@ -32,8 +34,6 @@ from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
-from tests.harness.data import ROOT, golden_path
-from tests.harness.pictures import photo
 from tests.rd.short import shortened
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
@@ -213,7 +213,7 @@ def test_version(module: bool) -> None:
     [
         ("", "COMMAND"),
         ("compress photo.png out.sg", "'compress'"),
-        (ENCODE + "--looks best", "looks are a number, or one of preview, web, archive"),
+        (ENCODE + "--quality best", "quality is a number, or one of preview, web, archive"),
         ("encode", "IN [OUT.sg]"),
         ("decode picture.sg", "OUT"),
         ("encode ''", "a file name must not be empty"),

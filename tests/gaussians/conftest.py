@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from tests.harness.data import golden_path
-from tests.harness.pictures import photo
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 
 
 @pytest.fixture

@@ -11,6 +11,8 @@ import pytest
 import torch
 
 import sgmethod
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
 from sgmethod.exchange.files import C0, WRITTEN
 from sgmethod.exchange.packing import seen
@@ -19,8 +21,6 @@ from sgmethod.native import native
 from sgmethod.native.reference import render
 from sgmethod.view import NO_CUTOFF, recut
 from tests.backend.cases import scattered, single
-from tests.harness.data import golden_path
-from tests.harness.pictures import photo
 
 SIZE = (64, 48)
 SOME = scattered(20, 1, SIZE)

@@ -10,9 +10,9 @@ import torch
 
 import sgmethod
 import sgmethod.torch
+from benchmarks.harness.data import ROOT
 from sgmethod.metrics import psnr
 from sgmethod.profiles import PROFILES
-from tests.harness.data import ROOT
 from tests.rd.short import short
 
 PAGE = (ROOT / "docs" / "python.md").read_text()

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.harness.pictures import photo
 from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded
 from sgmethod.client import encode_many as encode_on_server
@@ -27,7 +28,6 @@ from sgmethod.errors import noted
 from sgmethod.io.header import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
-from tests.harness.pictures import photo
 from tests.rd.short import short
 
 PHOTO = Image.fromarray(photo()).resize((64, 48))

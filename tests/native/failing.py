@@ -15,13 +15,13 @@ from itertools import count
 
 import numpy as np
 
+from benchmarks.harness.data import PHOTOGRAPHS
 from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from tests.harness.data import PHOTOGRAPHS
 from tests.native.harness.golden import GOLDEN, is_golden
 from tests.rd.short import short
 

@@ -15,6 +15,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.harness.pictures import photo
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.fitting.deadline import Deadline
@@ -29,7 +30,6 @@ from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.backend.cases import single
-from tests.harness.pictures import photo
 from tests.rd.short import SlowClock
 
 KERNELS = Kernels()

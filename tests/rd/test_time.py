@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
@@ -19,7 +20,6 @@ from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
-from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short, stage_of
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])

@@ -13,18 +13,18 @@ from typing import Any, NoReturn
 
 import pytest
 
+from benchmarks.harness import browser as browser_module
+from benchmarks.harness import nginx, postgres_server
+from benchmarks.harness.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.job_table import LONG_S, OpenTable, open_table
+from benchmarks.harness.nginx import Nginx
+from benchmarks.harness.postgres_server import PostgresServer, find_binaries
+from benchmarks.harness.processes import Outcome
+from benchmarks.harness.s3_server import S3Server
+from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 from service.__main__ import main
 from service.jobs.table import JobTable
-from tests.harness import browser as browser_module
-from tests.harness import nginx, postgres_server
-from tests.harness.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
-from tests.harness.data import PICTURE
-from tests.harness.job_table import LONG_S, OpenTable, open_table
-from tests.harness.nginx import Nginx
-from tests.harness.postgres_server import PostgresServer, find_binaries
-from tests.harness.processes import Outcome
-from tests.harness.s3_server import S3Server
-from tests.harness.service import SMALL_QUEUE, STAND_IN, RunCommand, Service, StartService
 
 
 def _missing(required: str, hint: str) -> NoReturn:
@@ -203,8 +203,8 @@ def service(shared_service: Service) -> Iterator[Service]:
 
 @pytest.fixture(scope="session")
 def quick(start_for_all: StartService) -> Service:
-    """The same with a stand-in for the codec."""
-    return start_for_all(extra=STAND_IN)
+    """The same with a fake codec."""
+    return start_for_all(extra=FAKE_CODEC)
 
 
 @pytest.fixture(scope="session")

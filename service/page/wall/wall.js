@@ -34,8 +34,8 @@ function placeholder(name, webp, characters, { src }, isLoaded) {
   if (webp) shown.append(element("img", { src: addressOf(webp), alt: "" }));
   else shown.append(element("p", { className: "none" }, "No file is that small"));
   if (isLoaded) {
-    const looks = { className: "photograph late", alt: "", loading: "lazy" };
-    const photograph = element("img", { ...looks, src: `static/${src}` });
+    const attributes = { className: "photograph late", alt: "", loading: "lazy" };
+    const photograph = element("img", { ...attributes, src: `static/${src}` });
     photograph.addEventListener("load", () => photograph.classList.remove("late"));
     shown.append(photograph);
   }

@@ -18,9 +18,9 @@ import sys
 from pathlib import Path
 from typing import TextIO
 
+from benchmarks.harness.data import ROOT, golden
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2, quantum_code
-from tests.harness.data import ROOT, golden
 from tests.native.harness.build import BUILDS, PATH, build, imports, layout, nanobind
 
 TARGETS = {"entropy": 2, "v1": 1, "rd": 2}  # and their versions of the format

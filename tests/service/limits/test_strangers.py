@@ -15,11 +15,11 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.harness.data import PICTURE
-from tests.harness.nginx import Nginx
-from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import Service, StartService
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.nginx import Nginx
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import Service, StartService
 
 pytestmark = pytest.mark.thorough
 

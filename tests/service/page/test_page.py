@@ -10,12 +10,12 @@ import time
 import numpy as np
 import pytest
 
+from benchmarks.harness.browser import Chromium, Page
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import encoder_of, wait_until
+from benchmarks.harness.service import Service, StartService
 from service.keys import digest
-from tests.harness.browser import Chromium, Page
-from tests.harness.data import golden_path
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import encoder_of, wait_until
-from tests.harness.service import Service, StartService
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 
@@ -25,7 +25,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.open_page(service)
     page.run("document.getElementById('effort').value = '1'")
     page.give("drop", SMALL, "my disc.png")
-    page.says("my disc.png is done", "#said")
+    page.says("my disc.png is done", "#announcement")
     page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#others"))

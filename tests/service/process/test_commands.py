@@ -13,6 +13,12 @@ from typing import Any
 
 import pytest
 
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.job_table import IMAGE, change, submitted
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.processes import Outcome, run
+from benchmarks.harness.service import FAKE_CODEC, RunCommand
 from service.__main__ import _where
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
@@ -20,12 +26,6 @@ from service.jobs.job import new_job_id
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key
-from tests.harness.data import ROOT
-from tests.harness.job_table import IMAGE, change, submitted
-from tests.harness.pictures import SMALL
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import Outcome, run
-from tests.harness.service import STAND_IN, RunCommand
 
 
 def verdicts(result: Outcome) -> dict[str, str]:
@@ -129,9 +129,9 @@ def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path,
         return result.status
 
     ours, others = f"{socket.gethostname()}:17", f"{socket.gethostname()}0:17"
-    table.sign(others)
+    table.register(others)
     assert status() == 1
-    table.sign(ours)
+    table.register(ours)
     assert status() == 0
     change(table, "UPDATE workers SET seen_at = seen_at - 20 WHERE name = ?", ours)
     assert status() == 1
@@ -168,7 +168,7 @@ def test_chaos_draws_up_a_ledger(tmp_path: Path) -> None:
     """A few jobs and no encodes, to see that the command works; benchmarks/results has the large runs."""
     out = tmp_path / "chaos.json"
     command = [sys.executable, "-m", "benchmarks.service", "chaos", "--jobs", 3, "--seed", 3, "--out", out]
-    result = run(*command, **STAND_IN)
+    result = run(*command, **FAKE_CODEC)
     assert result.status == 0, result
     (row,) = json.loads(out.read_text())["rows"]
     assert row["balanced"]

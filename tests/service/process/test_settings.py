@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.processes import PATIENCE_S, Outcome, failing, run, wait_until
+from benchmarks.harness.service import RunCommand
 from service.process import supervisor
 from service.settings import Settings
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
-from tests.harness.data import ROOT
-from tests.harness.processes import PATIENCE_S, Outcome, failing, run, wait_until
-from tests.harness.service import RunCommand
 
 COMPUTED = {"workers": "cores / 4, at least 1", **dict.fromkeys(("api_keys_file", "link_secret", "webhook_secret"), "")}
 

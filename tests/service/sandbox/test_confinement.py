@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
+from benchmarks.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
+from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService
 from service.sandbox import confinement
 from service.sandbox.frames import Crashed, Ended, Preview
-from tests.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
-from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
-from tests.harness.service import STAND_IN, RunCommand, StartService
 
 SECRET = "not-for-strangers-" * 2
 MEMORY_BYTES = 2**28
@@ -74,7 +74,7 @@ def outcomes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     secret.write_text(SECRET)
     before = secret.stat()
     program = PROBE.format(secret=str(secret), other=os.getpid(), attempts=ATTEMPTS)
-    with sandbox(TAKEN_OVER + SYSTEMS[request.param], STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER + SYSTEMS[request.param], FAKE_CODEC) as (tasks, _):
         report = messages_of(tasks, task(), program.encode())[0]
     assert isinstance(report, Preview), report
     assert secret.read_text() == SECRET
@@ -131,7 +131,7 @@ def test_memory_of_every_kind_is_limited(system: str) -> None:
     """Beyond what the codec takes, which forks share."""
     greedy = task(memory_bytes=MEMORY_BYTES)
     with (
-        sandbox(TAKEN_OVER + SYSTEMS[system], STAND_IN) as (tasks, _),
+        sandbox(TAKEN_OVER + SYSTEMS[system], FAKE_CODEC) as (tasks, _),
         file_of(HOARD.encode()) as file,
         tasks.start(greedy, file) as running,
     ):
@@ -157,7 +157,7 @@ except RuntimeError:
 answer.send(frames.Preview(file=str(started).encode()))
 time.sleep(1000)
 """
-    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], STAND_IN) as (tasks, _), ExitStack() as held:
+    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], FAKE_CODEC) as (tasks, _), ExitStack() as held:
         for threads in (1, 10, 1):
             file = held.enter_context(file_of(program.encode()))
             what = task(threads=threads)
@@ -170,7 +170,7 @@ time.sleep(1000)
 def test_a_task_that_is_not_confined_is_not_run() -> None:
     """Though the system could confine those before it."""
     fails = "server.confine = lambda *limits: confinement.confine(*limits) + ['Landlock']\n"
-    with sandbox(TAKEN_OVER + fails, STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER + fails, FAKE_CODEC) as (tasks, _):
         assert messages_of(tasks, task(), b"import os; os._exit(0)") == [
             Crashed(detail="service.sandbox.confinement.SandboxError: it was not confined by Landlock")
         ]
@@ -179,7 +179,7 @@ def test_a_task_that_is_not_confined_is_not_run() -> None:
 def test_time_is_limited() -> None:
     """Also of one that does not listen to the timer."""
     program = b"import signal\nsignal.signal(signal.SIGPROF, signal.SIG_IGN)\nwhile True: pass"
-    with sandbox(TAKEN_OVER, STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _):
         assert messages_of(tasks, task(cpu_s=0.1), b"while True: pass")[-1] == Ended(status=-signal.SIGPROF)
         assert messages_of(tasks, task(cpu_s=0.1), program)[-1] == Ended(status=-signal.SIGKILL)
 
@@ -189,7 +189,7 @@ def test_tasks_see_nothing_of_each_other() -> None:
     look = b"import sys; answer.send(frames.Preview(file=repr(hasattr(sys, 'left_behind')).encode()))"
     sleeper = task()
     with (
-        sandbox(TAKEN_OVER, STAND_IN) as (tasks, _),
+        sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _),
         file_of(b"import sys, time; sys.left_behind = 1; time.sleep(1000)") as file,
         tasks.start(sleeper, file) as running,
     ):
@@ -208,7 +208,7 @@ def test_secrets_stay_behind() -> None:
 
 
 def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> None:
-    service = start_service(link_secret=SECRET, extra=STAND_IN)
+    service = start_service(link_secret=SECRET, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     number = running_encoder(job_id)
     process = Path("/proc", str(number))

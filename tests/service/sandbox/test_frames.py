@@ -31,7 +31,7 @@ POINT = frames.TracePoint(seconds=0.5, step=1, steps=2, psnr=None, bytes=3, gaus
 FIGURES: dict[str, Any] = {
     **{"bytes": 3, "bpp": 0.3, "psnr": None, "ms_ssim": 0.9, "ssimulacra2": None, "gaussians": 1, "steps": 2},
     **{"seconds": 0.1, "width": 8, "height": 8, "profile": "rd", "tune": "psnr", "effort": 5, "source_bytes": 10},
-    **{"psnr_missed_db": None, "looks_missed": None, "warnings": [], "advice": None, "better": None},
+    **{"psnr_missed_db": None, "quality_missed": None, "warnings": [], "advice": None, "better": None},
     "notes": [],
 }
 

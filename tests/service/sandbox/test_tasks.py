@@ -15,16 +15,16 @@ import pytest
 from PIL import Image, ImageCms
 
 import sgmethod
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SMALL, saved
+from benchmarks.harness.processes import encoder_of, wait_until
+from benchmarks.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
+from benchmarks.harness.service import FAKE_CODEC
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
 from service.sandbox import frames
 from service.sandbox.client import Sandbox, TaskError
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
-from tests.harness.data import PICTURE
-from tests.harness.pictures import SMALL, saved
-from tests.harness.processes import encoder_of, wait_until
-from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
-from tests.harness.service import STAND_IN
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
 FORMATS = ("PNG", "JPEG", "WebP", "TIFF", "BMP", "GIF", "AVIF", "PPM")
@@ -49,7 +49,7 @@ def real() -> Iterator[Sandbox]:
 @pytest.fixture(scope="module")
 def taken_over() -> Iterator[Sandbox]:
     """One whose encodes are programs."""
-    with sandbox(TAKEN_OVER, STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _):
         yield tasks
 
 
@@ -64,7 +64,7 @@ def test_pictures_are_those_of_the_codec(real: Sandbox, kind: Any) -> None:
     info = sgmethod.info(PICTURE)
     for options in (PictureOptions(), PictureOptions(scale=1.5, region="2,3,20,9")):
         made = asked(real, Draw(**LIMITS, options=options, file_kind=kind), PICTURE).file
-        assert made == Drawing.of(options, kind, (info.width, info.height), 10**6).draw(PICTURE)
+        assert made == Drawing.from_options(options, kind, (info.width, info.height), 10**6).draw(PICTURE)
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -158,7 +158,7 @@ def test_ends(taken_over: Sandbox, program: str, end: object) -> None:
 def test_a_system_without_pidfd_open() -> None:
     """Kernels before 5.3 lack it, and older container engines refuse it. Each end is noticed all the same."""
     refuse = "import os\ndef refuse(*_):\n    raise OSError(38, 'Function not implemented')\nos.pidfd_open = refuse"
-    with sandbox(f"{TAKEN_OVER}\n{refuse}", STAND_IN) as (tasks, _):
+    with sandbox(f"{TAKEN_OVER}\n{refuse}", FAKE_CODEC) as (tasks, _):
         for number in range(4):
             assert messages_of(tasks, task(), f"import os; os._exit({number})".encode())[-1] == Ended(status=number)
 

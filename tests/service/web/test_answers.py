@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
 from service.keys import digest
 from service.pictures import MEDIA_TYPES
-from tests.harness.data import PICTURE
-from tests.harness.pictures import SMALL
-from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService, assert_problem, bearer, keys_of
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,14 @@ from typing import Any
 import httpx
 import pytest
 
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.job_table import CRASH, IMAGE, REQUEST
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import Service, StartService, assert_problem
 from service.api.models import MAX_TRACE_POINTS, summary, with_trace
 from service.jobs.job import Job, JobError, JobState
 from service.settings import Settings
-from tests.harness.data import PICTURE
-from tests.harness.job_table import CRASH, IMAGE, REQUEST
-from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import Service, StartService, assert_problem
 
 Event = tuple[str, dict[str, Any]]
 SETTINGS = Settings()

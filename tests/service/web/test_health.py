@@ -14,11 +14,11 @@ from pathlib import Path
 import httpx
 import pytest
 
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.job_table import grow_older
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
 from service.api.context import WORK_THREADS
-from tests.harness.data import PICTURE
-from tests.harness.job_table import grow_older
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import STAND_IN, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
@@ -44,7 +44,7 @@ def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> No
 
 def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
     """Its worker's heartbeats tell that it lives."""
-    service = start_service(lease_s=STALL_S / 4, extra=STAND_IN)
+    service = start_service(lease_s=STALL_S / 4, extra=FAKE_CODEC)
     service.wait(service.accepted_slow(), "running")
     service.accepted()
     started = service.figures()["process_start_time_seconds"]
@@ -72,7 +72,7 @@ def test_a_storage_and_a_job_table_out_of_reach(start_service: StartService) -> 
 
 
 def test_a_sandbox_that_does_no_tasks(start_service: StartService) -> None:
-    service = start_service(lease_s=STALL_S, extra=STAND_IN)
+    service = start_service(lease_s=STALL_S, extra=FAKE_CODEC)
     service.wait_ready()
     sandbox = service.ours("sandbox")[0]  # the others are its forks
     os.kill(sandbox, signal.SIGSTOP)
@@ -102,7 +102,7 @@ def test_nothing_waits_behind_requests_that_wait_for_a_lock(start_service: Start
 
 def test_workers_are_known_by_name(start_service: StartService) -> None:
     """Idle ones too, and one that was killed as long as its age is of interest."""
-    service = start_service(workers=2, extra=STAND_IN)
+    service = start_service(workers=2, extra=FAKE_CODEC)
 
     def seen() -> dict[str, float]:
         figures = {name: age for name, age in service.figures().items() if "worker_seen_seconds" in name}
@@ -138,8 +138,8 @@ def test_figures(start_service: StartService) -> None:
     assert seen['sgmethod_requests_total{method="GET",route="none",status="404"}'] == 1
     assert (seen['sgmethod_decode_cache_total{found="yes"}'], seen["sgmethod_decode_seconds_count"]) == (2, 1)
     assert seen["sgmethod_decode_cache_bytes"] > 0
-    endings = {name: seen[f"sgmethod_jobs_{name}_total"] for name in ("finished", "failed", "retried", "cancelled")}
-    assert endings == {"finished": 1, "failed": 0, "retried": 0, "cancelled": 0}
+    outcomes = {name: seen[f"sgmethod_jobs_{name}_total"] for name in ("finished", "failed", "retried", "cancelled")}
+    assert outcomes == {"finished": 1, "failed": 0, "retried": 0, "cancelled": 0}
     assert seen["sgmethod_encode_seconds_count"] == seen['sgmethod_encode_seconds_bucket{le="+Inf"}'] == 1
     assert seen["sgmethod_job_table_up"] == 1
     assert seen['sgmethod_background_failures{process="web"}'] == 0

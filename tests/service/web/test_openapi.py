@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import PATIENCE_S, run
+from benchmarks.harness.service import FAKE_CODEC, StartService, keys_of
 from service.api import models
 from service.api.routes import HOST
-from tests.harness.data import PICTURE
-from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S, run
-from tests.harness.service import STAND_IN, StartService, keys_of
 
 pytestmark = pytest.mark.thorough
 
@@ -88,7 +88,7 @@ def curl(command: str, folder: Path) -> httpx.Response:
 def test_every_operation_has_a_summary_and_a_command_that_works(start_service: StartService, tmp_path: Path) -> None:
     """As they stand at /docs to be copied, but for the address and the job's id."""
     settings = {"link_secret": "x" * 32, "source_retention_s": 1000, "max_time_limit_s": 2.0}
-    service = start_service(extra=STAND_IN, **settings)
+    service = start_service(extra=FAKE_CODEC, **settings)
     (tmp_path / "photo.jpg").write_bytes(SMALL)
     (tmp_path / "photo.sg").write_bytes(PICTURE)
     document = service.client.get("/openapi.json").json()

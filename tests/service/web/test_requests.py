@@ -13,12 +13,12 @@ import httpx
 import pytest
 from PIL import Image
 
+from benchmarks.harness.data import JAVASCRIPT, PICTURE, ROOT, STATIC
+from benchmarks.harness.pictures import SLOW, SMALL, png, saved
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 from service.api.options import OPTION_SCHEMAS
 from service.api.problems import REASONS
-from tests.harness.data import JAVASCRIPT, PICTURE, ROOT, STATIC
-from tests.harness.pictures import SLOW, SMALL, png, saved
-from tests.harness.processes import wait_until
-from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
 
@@ -114,7 +114,7 @@ REFUSED_FIELDS: dict[str, list[dict[str, str]]] = {
     "at least 12 bytes": [{"bytes": "11"}, {"bpp": "0.00001"}],
     "takes at least": [{"bytes": "100", "profile": "paper"}],
     "exceed the image's": [{"gaussians": "10000000"}],
-    "no quality scale": [{"quality": "50", "profile": "paper"}],
+    "cannot aim at a quality": [{"quality": "50", "profile": "paper"}],
     "unknown profile": [{"bpp": "1", "profile": "best"}],
     "unknown tune": [{"bpp": "1", "tune": "best"}],
     "can only be tuned for psnr": [
@@ -143,10 +143,10 @@ def test_what_has_no_body_has_no_type(web: Service) -> None:
     assert "content-type" not in answer.headers
 
 
-def test_a_look_is_a_number_or_a_name(web: Service) -> None:
-    number, name = OPTION_SCHEMAS["looks"]["anyOf"]
+def test_a_quality_is_a_number_or_a_name(web: Service) -> None:
+    number, name = OPTION_SCHEMAS["quality"]["anyOf"]
     assert (number["maximum"], name["enum"]) == (100, ["preview", "web", "archive"])
-    assert web.job(web.accepted(looks="web"))["budget"] == web.job(web.accepted(looks="60"))["budget"]
+    assert web.job(web.accepted(quality="web"))["budget"] == web.job(web.accepted(quality="60"))["budget"]
 
 
 def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:

@@ -14,6 +14,10 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import PICTURE, ROOT
+from benchmarks.harness.pictures import SMALL, png, saved
+from benchmarks.harness.processes import Outcome, run, wait_until
+from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, Service, StartService, keys_of
 from sgmethod import Budget
 from sgmethod.cli import encoding
 from sgmethod.cli import main as cli
@@ -22,10 +26,6 @@ from sgmethod.client import client as client_module
 from sgmethod.client.connection import Connection
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
-from tests.harness.data import PICTURE, ROOT
-from tests.harness.pictures import SMALL, png, saved
-from tests.harness.processes import Outcome, run, wait_until
-from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService, keys_of
 
 
 def test_an_encode(service: Service) -> None:
@@ -159,7 +159,7 @@ def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
 
 
 def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
-    service = start_service(api_keys=keys_of("ann"), extra=STAND_IN)
+    service = start_service(api_keys=keys_of("ann"), extra=FAKE_CODEC)
     (tmp_path / "in.png").write_bytes(SMALL)
 
     def encode(*arguments: object, key: str = "ann") -> Outcome:
@@ -241,7 +241,7 @@ def test_a_killed_run_finds_its_jobs_again(
     start_service: StartService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its pictures were encoded twice."""
-    service = start_service(extra=STAND_IN)
+    service = start_service(extra=FAKE_CODEC)
     pictures = [(str(number), png(64, 48, number)) for number in range(2)]
     ask = Connection.ask
 

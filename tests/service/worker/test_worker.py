@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.job_table import LONG_S, claimed, job_of, settings, submitted
+from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
 from service.errors import JobTableError
 from service.jobs.job import Claim, EncodeResult, Job, JobError, JsonObject
@@ -23,8 +25,6 @@ from service.worker import attempt as attempt_module
 from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.harness.job_table import LONG_S, claimed, job_of, settings, submitted
-from tests.harness.processes import PATIENCE_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):

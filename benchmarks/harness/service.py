@@ -17,21 +17,21 @@ from typing import Any
 import httpx
 
 import sgmethod
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.job_table import IMAGE, LONG_S, submitted
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 from service.jobs.job import Claim, EncodeResult, JobError, SourceImage
 from service.jobs.table import JobTable
 from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
-from tests.harness.data import ROOT
-from tests.harness.job_table import IMAGE, LONG_S, submitted
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 
 SMALL_QUEUE = 5
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
-_FOLDERS = (str(ROOT / "tests" / "harness" / "stand_in"), os.environ.get("PYTHONPATH", ""))
-STAND_IN = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
+_FOLDERS = (str(ROOT / "benchmarks" / "harness" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
+FAKE_CODEC = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
 
 
 class ServiceProcess:

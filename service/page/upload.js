@@ -1,6 +1,6 @@
 // How pictures come in, and within what budget they are encoded.
 
-import { local, remembered, session } from "./keeping.js";
+import { local, remembered, session } from "./storage.js";
 import { $ } from "./parts.js";
 import { expected, size, smaller } from "./words.js";
 
@@ -38,25 +38,25 @@ export function listen(given) {
 const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
 
 /** SSIMULACRA 2, 5 to 95. */
-const looks = () => Math.round(5 + 0.9 * Number($("bpp").value));
-const LOOKS = [[80, "hardly different from the original"], [60, "good beside the original"], [30, "good on its own"], [0, "a preview"]];
+const quality = () => Math.round(5 + 0.9 * Number($("bpp").value));
+const QUALITIES = [[80, "hardly different from the original"], [60, "good beside the original"], [30, "good on its own"], [0, "a preview"]];
 
 export function budget() {
   const timeLimit = Number($("time-limit").value) || null;
   const kind = $("aim").value;
-  const value = kind === "bpp" ? rate() : kind === "looks" ? looks() : Number($("aim-value").value) || AIMS[kind][1];
+  const value = kind === "bpp" ? rate() : kind === "quality" ? quality() : Number($("aim-value").value) || AIMS[kind][1];
   return { kind, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
 }
 
 /** Say what the slider means for a picture, or for any. */
 export function sayRate(item) {
-  const byLooks = $("aim").value === "looks";
-  $("rate-name").textContent = byLooks ? "How good" : "File size";
+  const byQuality = $("aim").value === "quality";
+  $("rate-name").textContent = byQuality ? "How good" : "File size";
   $("bpp").setAttribute("aria-label", $("rate-name").textContent);
-  if (byLooks) {
-    $("rate").textContent = `${looks()} of 100`;
+  if (byQuality) {
+    $("rate").textContent = `${quality()} of 100`;
     $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
-    $("rate-words").textContent = `SSIMULACRA 2, ${LOOKS.find(([least]) => looks() >= least)[1]}, in as few bytes as that takes.`;
+    $("rate-words").textContent = `SSIMULACRA 2, ${QUALITIES.find(([least]) => quality() >= least)[1]}, in as few bytes as that takes.`;
     return;
   }
   const bpp = rate();

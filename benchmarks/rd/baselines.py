@@ -26,7 +26,7 @@ from benchmarks.pictures import Pixels
 from benchmarks.rd.codecs import Run
 from sgmethod.native import native
 
-LEAST_BPP = 0.25  # to which a picture is reduced
+MIN_BPP = 0.25  # to which a picture is reduced
 QUICK = 6  # the speed of AVIF at which its search begins
 
 
@@ -39,7 +39,7 @@ class File:
     encode_s: float
 
 
-class Rival:
+class Baseline:
     """Another codec. Its qualities are in the order in which files grow."""
 
     name: str
@@ -97,7 +97,7 @@ def _around(start: int, count: int, fits: Callable[[int], bool]) -> tuple[int, i
     return max(start - offset, 0), start - offset // 2
 
 
-class Jpeg(Rival):
+class Jpeg(Baseline):
     """libjpeg-turbo, 4:2:0, optimised Huffman tables."""
 
     name, qualities = "jpeg", range(1, 101)
@@ -124,7 +124,7 @@ class MozJpeg(Jpeg):
             return path.read_bytes()
 
 
-class Jpeg2000(Rival):
+class Jpeg2000(Baseline):
     """OpenJPEG with the irreversible wavelet; quality is the PSNR aimed at."""
 
     name, qualities = "jpeg2000", [q / 20 for q in range(15 * 20, 60 * 20)]
@@ -136,7 +136,7 @@ class Jpeg2000(Rival):
         return np.asarray(imagecodecs().jpeg2k_decode(data))
 
 
-class WebP(Rival):
+class WebP(Baseline):
     """libwebp, by default with its slowest method."""
 
     name, qualities = "webp", [q / 10 for q in range(1001)]
@@ -151,7 +151,7 @@ class WebP(Rival):
         return np.asarray(imagecodecs().webp_decode(data, hasalpha=False))
 
 
-class Avif(Rival):
+class Avif(Baseline):
     """libavif of imagecodecs, 4:2:0, tune=iq (its default), on every core, by default at speed 4."""
 
     name, qualities = "avif", range(100)
@@ -197,12 +197,12 @@ class AvifForPsnr(TunedAvif):
 
 class ReducedAvif(AvifForPsnr):
     """AVIF of a picture that is reduced first, as people do for few bytes: its sides by two, or by more until
-    LEAST_BPP bits are left for each pixel. Times include the reducing; decoding enlarges."""
+    MIN_BPP bits are left for each pixel. Times include the reducing; decoding enlarges."""
 
     name = "avif reduced"
 
     def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
-        self._factor = max(2, math.ceil(math.sqrt(LEAST_BPP / aim)))
+        self._factor = max(2, math.ceil(math.sqrt(MIN_BPP / aim)))
         self._size = pixels.shape[1], pixels.shape[0]
         return super().best(pixels, aim, near)
 
@@ -226,7 +226,7 @@ class AvifWithGrain(TunedAvif):
     name, advanced = "avif grain", {"tune": "iq", "denoise-noise-level": "25"}
 
 
-class Heic(Rival):
+class Heic(Baseline):
     """libheif with x265, 4:2:0, tune=psnr, preset slow."""
 
     name, qualities = "heic", range(101)
@@ -241,7 +241,7 @@ class Heic(Rival):
         return np.asarray(package("pillow_heif").open_heif(data))
 
 
-class JpegXl(Rival):
+class JpegXl(Baseline):
     """libjxl, on every core, by default at effort 7; quality is minus the distance."""
 
     name, qualities = "jpegxl", [-q / 20 for q in range(25 * 20, 1, -1)]
@@ -267,7 +267,7 @@ class PatientAvif(AvifForPsnr):
 
 USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes)
 SELDOM = (PatientAvif, AvifWithGrain)
-RIVALS: dict[str, Callable[[], Rival]] = {rival.name: rival for rival in (*USUAL, *SELDOM)}
+BASELINES: dict[str, Callable[[], Baseline]] = {baseline.name: baseline for baseline in (*USUAL, *SELDOM)}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
 
 

@@ -1,7 +1,7 @@
-"""A stand-in for the codec, which Python loads at its start where PYTHONPATH names this folder.
+"""A fake codec, which Python loads at its start where PYTHONPATH names this folder.
 
 The sandbox of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
-2.5 s of a core. The stand-in takes the time limit to the letter unless it is asked to end early, no core, and makes a
+2.5 s of a core. The fake takes the time limit to the letter unless it is asked to end early, no core, and makes a
 file of one Gaussian.
 """
 
@@ -55,7 +55,7 @@ def encode(
     bpp = 8 * len(data) / (width * height)
     figures = {"bytes": len(data), "bpp": bpp, "psnr": 24.0, "gaussians": 1, "steps": STEPS, "seconds": time_limit_s}
     figures |= {"width": width, "height": height, "profile": profile, "tune": "psnr", "effort": 5, "warnings": []}
-    figures |= dict.fromkeys(("ms_ssim", "ssimulacra2", "psnr_missed_db", "looks_missed"))
+    figures |= dict.fromkeys(("ms_ssim", "ssimulacra2", "psnr_missed_db", "quality_missed"))
     return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, to_dict=lambda: figures))
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import Service
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import Service
 
 CHROMIUM, CHROMEDRIVER, FIREFOX = (shutil.which(name) for name in ("chromium", "chromedriver", "firefox-esr"))
 HINT = "Chromium is not installed, so the page was not tested: sudo apt install chromium chromium-driver"

@@ -1,4 +1,4 @@
-"""Makes the page's samples again from their originals, NAME.webp: python -m tests.harness.make_samples
+"""Makes the page's samples again from their originals, NAME.webp: python -m benchmarks.page_samples
 
 For each an .sg file, and an AVIF that is as large. Not needed unless another version is to be shown. The originals are
 of skimage.data: coffee whole, as WebP of quality 90 and method 6; astronaut and cat (chelsea) cut and reduced.
@@ -9,9 +9,9 @@ from __future__ import annotations
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import STATIC
+from benchmarks.harness.pictures import saved
 from service.pictures import as_large
-from tests.harness.data import STATIC
-from tests.harness.pictures import saved
 
 FOLDER = STATIC / "samples"
 BPP = {"astronaut": 0.3, "cat": 0.35, "coffee": 0.3}

@@ -1,4 +1,4 @@
-"""Makes the page's wall of previews again from its photographs: python -m tests.harness.make_wall
+"""Makes the page's wall of previews again from its photographs: python -m benchmarks.page_wall
 
 Needs Node and npm. Each photograph gets previews of a few sizes, and placeholders of at most as many characters: WebP,
 reduced first to the size that is best for its PSNR; ThumbHash; BlurHash with as many components as fit. The last two
@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from benchmarks.harness.data import STATIC
+from benchmarks.harness.pictures import pixels_of, saved
 from sgmethod.previews.preview import preview
-from tests.harness.data import STATIC
-from tests.harness.pictures import pixels_of, saved
 
 PHOTOGRAPHS = {
     "samples/astronaut.webp": "An astronaut",
