@@ -114,7 +114,7 @@ def test_more_gaussians_than_expected_are_laid_out_too() -> None:
     """Equal ones take less than a bit each."""
     n = 2000
     many = Gaussians(*(np.tile(np.float32([row]), (n, 1)) for row in ((20, 20), (3, 0, 3), (0.02, 0.02, 0.02))))
-    stream = StreamV2.of(many, (64, 64), 0.25, (0, 0, 0), False)
+    stream = StreamV2.from_gaussians(many, (64, 64), 0.25, (0, 0, 0), False)
     assert 8 * len(stream.payload) < 9 * n
     assert np.array_equal(draw_whole(stream), draw(stream.scene()))
     assert len(stream.gaussians()) == n

@@ -28,7 +28,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, Priority, SourceImage
-from sgmethod.bitstream.smallest import smallest_file
+from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, bytes_value, default_budget
 from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.profiles import (

@@ -42,7 +42,7 @@ class Parameters:
     colors: Tensor
 
     @classmethod
-    def of(cls, gaussians: Gaussians) -> Parameters:
+    def from_gaussians(cls, gaussians: Gaussians) -> Parameters:
         """Copy arrays to tensors."""
         return cls(*(torch.tensor(values) for values in gaussians.arrays))
 
@@ -66,7 +66,7 @@ class Tuner:
         self.level, self.max_bytes = level, max_bytes
         s = self.settings = settings
         self.loss = loss_of(level, s.lambda_g)
-        self.p = Parameters.of(gaussians)
+        self.p = Parameters.from_gaussians(gaussians)
         self.n = len(gaussians)
         means, factors, tail = self.p.means, self.p.factors, s.range_quantile
         self.book = ResidualCodebook(
