@@ -118,7 +118,6 @@ RULES = {
         rf"|{IMPORT}torch",
         "service/sandbox/tasks.py",
     ),
-    "the reference, which is slow, is for tests": ("sgmethod service", IMPORT + r"sgmethod\.backend\.reference", ""),
     "the encoder computes through its backend": (
         "sgmethod/rd sgmethod/fitting sgmethod/paper",
         IMPORT + r"sgmethod\.native",

@@ -17,22 +17,23 @@ from benchmarks.arguments import numbers
 from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.local import local_statistics
+from benchmarks.perceptual.networks import Networks
 from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
 from benchmarks.rd.baselines import Avif
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import Networks
 
 
 def decoded(pixels: Pixels, bpp: float) -> Iterator[tuple[str, int, float, Pixels]]:
     """Kind, bytes, the part of them that is texture, and pixels."""
     visual = encode(pixels, bpp=bpp, tune="visual").data
     yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
-    made = Avif().run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
-    if len(made.data) <= len(visual):
-        yield "avif", len(made.data), 0.0, made.decode(made.data)
+    avif = Avif()
+    data = avif.best(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1])).data
+    if len(data) <= len(visual):
+        yield "avif", len(data), 0.0, avif.decode(data)
 
 
 def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wasserstein) -> dict[str, float | None]:

@@ -31,13 +31,14 @@ import numpy as np
 from benchmarks.arguments import numbers, some_of
 from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import LPIPS_SIDE, Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.baselines import BASELINES, USUAL, Baseline, versions
 from benchmarks.rd.codecs import Sg
 from benchmarks.rd.report import Row
+from sgmethod import info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import LPIPS_SIDE, Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 Codec = Sg | Baseline
@@ -46,7 +47,7 @@ DECODES = 5  # the median of their times is reported
 
 def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Networks | None = None) -> Row:
     """Encode to a file, read and decode it, compare."""
-    made = codec.run(pixels, aim)
+    made = codec.best(pixels, aim)
     times = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture"
@@ -54,7 +55,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         size = path.stat().st_size
         for _ in range(DECODES):
             began = time.perf_counter()
-            decoded = made.decode(path.read_bytes())
+            decoded = codec.decode(path.read_bytes())
             times.append(1e3 * (time.perf_counter() - began))
     db = psnr(decoded, pixels)
     row = Row(
@@ -66,7 +67,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         psnr=db if math.isfinite(db) else None,
         ms_ssim=ms_ssim(decoded, pixels),
         ssimulacra2=ssimulacra2(decoded, pixels),
-        gaussians=made.gaussians,
+        gaussians=info(made.data).gaussians if isinstance(codec, Sg) else None,
         encode_s=round(made.encode_s, 3),
         decode_ms=round(statistics.median(times), 3),
     )

@@ -15,13 +15,13 @@ from pathlib import Path
 
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
-from benchmarks.robustness import fits, kernels, strict
+from benchmarks.robustness import fits, kernels
 from benchmarks.robustness.case import Cases
 
 SETS: dict[str, Callable[[argparse.Namespace], Cases]] = {
     "kernels": lambda _: kernels.cases(),
     "fits": lambda options: fits.cases(fits.Size(options.side, options.seeds, options.generations)),
-    "strict": lambda _: strict.cases(),
+    "strict": lambda _: fits.strict_cases(),
 }
 
 

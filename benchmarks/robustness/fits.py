@@ -4,6 +4,7 @@ time limits."""
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -15,11 +16,12 @@ import numpy as np
 
 from benchmarks.pictures import Pixels, photograph
 from benchmarks.robustness.case import Case, Cases, Found
-from benchmarks.robustness.stiff.pictures import text
+from benchmarks.robustness.pictures import PICTURES as HARD
+from benchmarks.robustness.pictures import text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import PROFILES, Profile, Tune
+from sgmethod.profiles import PROFILES, TUNES, Profile, Tune
 from sgmethod.rd import place as rd
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
@@ -183,3 +185,31 @@ def lost(pixels: Pixels, generations: int) -> Found:
         shown = decode(encode(shown, Budget("bpp", BPP), tune="psnr").data)
         found.append(psnr(shown, pixels))
     return found[0] - found[-1], " ".join(f"{db:.2f}" for db in found)
+
+
+STRICT_RULE = (
+    "encodes that np.errstate(all='raise') or a filter of errors ends, of the bits per pixel and tunings tried"
+)
+STRICT_BPP = (0.3, 1.0, 3.0)
+
+
+def strict_cases() -> Cases:
+    """Hard pictures in a program that turns warnings into errors, and has NumPy raise on underflow."""
+    for name in HARD:
+        yield Case(name, STRICT_RULE, 0, partial(failures, HARD[name]))
+
+
+def failures(make: Callable[[], Pixels]) -> Found:
+    """Count the encodes of a picture that fail, and give the first error."""
+    pixels, errors = make(), []
+    with np.errstate(all="raise"), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for bpp in STRICT_BPP:
+            for tune in TUNES:
+                try:
+                    decode(encode(pixels, Budget("bpp", bpp), tune=tune).data)
+                except BudgetError:  # a picture of a few pixels has less than the smallest file
+                    pass
+                except (ArithmeticError, Warning) as error:
+                    errors.append(f"{type(error).__name__}: {error}")
+    return len(errors), errors[0] if errors else ""

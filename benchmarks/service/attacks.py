@@ -26,7 +26,7 @@ from benchmarks.harness.nginx import Nginx, make_certificate
 from benchmarks.harness.service import Service
 from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
-from benchmarks.service.generator import generated
+from benchmarks.service.generator import Request, send_all
 from benchmarks.service.measured import made_picture
 
 VICTIM = "127.0.0.2"
@@ -40,18 +40,16 @@ SETTINGS: dict[str, Any] = {
 WARM_S, LONGER_S = 3.0, 3.0
 
 
-def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
-    """The requests of the other client, by name in the results, as benchmarks.service.generator takes them."""
-    image = folder / "image.png"
-    image.write_bytes(made_picture(256, 192))
+def requests(job: str, waiting: str) -> dict[str, Request]:
+    """The requests of the other client, by name in the results."""
     return {
-        "GET /livez": "10 GET /livez",
-        "GET /readyz": "2 GET /readyz",
-        "GET /jobs/ID": f"5 GET /jobs/{waiting}",
-        "GET /bitstreams/ID.sg": f"5 GET /bitstreams/{job}.sg",
-        "GET /decode/ID.png": f"5 GET /decode/{job}.png",
-        "POST /decode": f"5 POST /decode {FILE}",
-        "POST /encode": f"5 POST /encode {image}",
+        "GET /livez": Request(10, "GET", "/livez"),
+        "GET /readyz": Request(2, "GET", "/readyz"),
+        "GET /jobs/ID": Request(5, "GET", f"/jobs/{waiting}"),
+        "GET /bitstreams/ID.sg": Request(5, "GET", f"/bitstreams/{job}.sg"),
+        "GET /decode/ID.png": Request(5, "GET", f"/decode/{job}.png"),
+        "POST /decode": Request(5, "POST", "/decode", FILE.read_bytes()),
+        "POST /encode": Request(5, "POST", "/encode", made_picture(256, 192)),
     }
 
 
@@ -63,27 +61,26 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
         proxy = Nginx(Path(temporary), make_certificate(Path(temporary)), [service.url], tls=False)
         try:
             job, waiting = service.published(FILE.read_bytes()), service.accepted()
-            wanted = asked_for(job, waiting, Path(temporary))
-            generated(proxy.url, WARM_S, *wanted.values(), source=VICTIM)
+            others = requests(job, waiting)
+            send_all(proxy.url, WARM_S, [*others.values()], VICTIM)
             attacked = job if name == "untaken" else waiting
             with _attackers(name, proxy.url, seconds + LONGER_S, attacked) as attackers:
                 assert attackers.stdout is not None
                 assert attackers.stdout.readline() == "ready\n"
                 time.sleep(1)
-                spreads = generated(proxy.url, seconds, *wanted.values(), source=VICTIM)
+                spreads = send_all(proxy.url, seconds, [*others.values()], VICTIM)
                 answers = json.loads(attackers.communicate()[0])
             web_mb = round(peak_bytes(service.process.pid) / 1e6, 1)
         finally:
             proxy.stop()
             status = service.stop()
         log = service.log.read_text()
-    others = dict(zip(wanted, spreads, strict=True))
     worst_ms = max(spread["p99_ms"] for spread in spreads)
     failed = sum(spread["failed"] for spread in spreads)
     took_place = sum(answers.values()) >= attack.at_once  # or this machine had no core for the attackers
     return {
-        **{"attack": name, "words": attack.words, "at_once": attack.at_once, "answers": answers, "others": others},
-        **{"others_failed": failed, "others_worst_p99_ms": worst_ms},
+        **{"attack": name, "words": attack.words, "at_once": attack.at_once, "answers": answers},
+        **{"others": dict(zip(others, spreads, strict=True)), "others_failed": failed, "others_worst_p99_ms": worst_ms},
         **{"web_mb": {"most": web_mb}, "tracebacks": log.count("Traceback"), "exit_status": status},
         "met": failed == 0 and worst_ms <= AT_MOST["p99_ms"] and web_mb <= AT_MOST["web_mb"] and took_place,
     }

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import RUNS, Record
-from benchmarks.service.generator import generated
+from benchmarks.service.generator import Request, send_all
 from benchmarks.service.measured import LoadService, made_picture, running
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
@@ -44,9 +44,8 @@ def under_load(service: LoadService, job: str, case: Case, seconds: float) -> li
     service.wait(busy, "running")
     while not service.client.get(f"/jobs/{busy}").json()["trace"]:
         time.sleep(0.1)
-    series = generated(
-        service.url, seconds, f"{case.rate} GET /decode/{job}.png{case.query}", f"{LIVE_RATE} GET /livez"
-    )
+    picture = Request(case.rate, "GET", f"/decode/{job}.png{case.query}")
+    series = send_all(service.url, seconds, [picture, Request(LIVE_RATE, "GET", "/livez")])
     if service.client.get(f"/jobs/{busy}").json()["state"] != "running":
         raise SystemExit("the encode ended too early: nothing was measured under load")
     service.client.delete(f"/jobs/{busy}")

@@ -16,7 +16,6 @@ from sgmethod.backend import tiles
 from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Descent, Frame, Moments
-from sgmethod.backend.reference import Reference
 from sgmethod.backend.tensors import Tensors
 from sgmethod.backend.tiles import Tiles
 from sgmethod.fitting.deadline import Clock
@@ -26,6 +25,7 @@ from sgmethod.settings.rd import NEWTON_ADAM
 from sgmethod.settings.shared import ADAM, OptimiserSettings
 from sgmethod.torch.fitting import fit_pictures
 from tests.backend.cases import FRAMES, SIZE, VISIBILITIES, image, over, scattered, target, visibility, worst
+from tests.definitions.backend import Reference
 from tests.native import test_pyramid as pyramid
 from tests.native import test_render as plain
 
@@ -162,7 +162,7 @@ def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     found = fit_pictures(pictures, task, CPU)
     assert max(batches) == 3
     for one, picture in zip(found, pictures, strict=True):
-        wanted = task.of(picture, Kernels(), Clock(), lambda _: None)
+        wanted = task.fit(picture, Kernels(), Clock(), lambda _: None)
         assert one.error == pytest.approx(wanted.error, rel=0.1)
         assert len(one.gaussians) == 12
 

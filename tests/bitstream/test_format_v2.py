@@ -115,7 +115,7 @@ def test_views_far_out_are_crops() -> None:
     for x in (MAX_COORDINATE // 2 - 10, 50_001):
         means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
         gaussians = single(means, factors, rng.normal(0, 0.1, (n, 3)))
-        data = container.serialise(StreamV2.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
+        data = container.serialise(StreamV2.from_gaussians(gaussians, size, 0.01, (120, 110, 100), grey=False))
         whole = decode(data, view=View(2.0, (x - 20, 0, 60, 50)))[22:46]
         for left in (0, 12, 20):  # before MAX_COORDINATE and behind it
             part = decode(data, view=View(2.0, (x + left, 11, 20, 12)))
@@ -139,7 +139,7 @@ def some_codes(size: tuple[int, int], seed: int) -> Codes:
 def test_texture_survives_packing(size: tuple[int, int]) -> None:
     for codes in (some_codes(size, 1), 0 * some_codes(size, 1), 0 * some_codes(size, 1) + 15):
         data = container.serialise(
-            replace(StreamV2.of(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
+            replace(StreamV2.from_gaussians(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
         )
         stream = container.parse(data)
         assert isinstance(stream, StreamV2)
