@@ -58,7 +58,6 @@ FULL = {
     "gains": f"ablation gains {KODAK}",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 6 --seeds 1",
-    "ranges": f"ablation {KODAK} --tables ranges --most 24 --seeds 1",
     "service/load": "service load",
     "service/attacks": "service attacks",
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",

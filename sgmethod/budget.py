@@ -1,22 +1,16 @@
-"""The budget of an encode: one number and its unit.
-
-Callers' numbers are converted to Python's types here, because NumPy's small integers overflow in sums and products.
-"""
+"""The budget of an encode: one number and its unit."""
 
 from __future__ import annotations
 
-import math
 import re
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
-from numbers import Integral, Real
-from typing import Literal, SupportsFloat, SupportsIndex, get_args
+from typing import Literal, get_args
 
-from sgmethod.errors import BudgetError, SgError
+from sgmethod.arguments import AnyFloat, finite_number
+from sgmethod.errors import BudgetError
 
-AnyInt = SupportsIndex  # int, and NumPy's
-AnyFloat = SupportsFloat  # numbers of any kind
 BudgetKind = Literal["bpp", "bytes", "quality", "psnr", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
@@ -24,7 +18,7 @@ MAX_PSNR_DB = 60.0  # 8-bit rounding alone limits the PSNR to 58.9 dB
 
 MAX_QUALITY = 100.0
 
-MOST_GAUSSIANS = 1 << 24  # in a file
+MAX_GAUSSIANS = 1 << 24  # in a file
 
 QualityName = Literal["preview", "web", "archive"]
 QUALITIES: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
@@ -46,26 +40,6 @@ def bytes_value(text: str) -> float:
         with suppress(ArithmeticError):
             return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, so that 1.001k is whole
     raise BudgetError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
-
-
-def finite_number(value: object) -> int | float | None:
-    """Convert a number to a Python int or float; None if it is not a finite number."""
-    if isinstance(value, Integral):
-        return int(value)
-    if not isinstance(value, Real):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:  # a Fraction may exceed every float
-        return None
-    return number if -math.inf < number < math.inf else None  # torch.compile does not support math.isfinite
-
-
-def checked_integer(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
-    """Return a whole number from least to most as a Python int. Raises `error` for anything else."""
-    if not isinstance(value, Integral) or not least <= int(value) <= most:
-        raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
-    return int(value)
 
 
 @dataclass(frozen=True, init=False)
@@ -116,8 +90,8 @@ class Budget:
         """Return the requested number of Gaussians. Raises BudgetError if no file of the picture can hold them."""
         if self.value > width * height:
             raise BudgetError(f"{int(self.value)} Gaussians exceed the image's {width * height} pixels")
-        if self.value > MOST_GAUSSIANS:
-            raise BudgetError(f"{int(self.value)} Gaussians exceed the {MOST_GAUSSIANS} that a file can hold")
+        if self.value > MAX_GAUSSIANS:
+            raise BudgetError(f"{int(self.value)} Gaussians exceed the {MAX_GAUSSIANS} that a file can hold")
         return int(self.value)
 
 

@@ -16,21 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.devices import backend_on
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
-from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import (
-    DEFAULT_BUDGET,
-    AnyFloat,
-    AnyInt,
-    Budget,
-    BudgetKind,
-    QualityName,
-    checked_integer,
-    default_budget,
-    finite_number,
-)
+from sgmethod.bitstream.container import smallest_file
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, QualityName, default_budget
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock, Deadline
@@ -242,7 +233,7 @@ def _rd(
 ) -> tuple[builtins.bytes, int]:
     """Encode pixels [H, W, 3 or 4] with profile rd; return the file and its number of steps."""
     height, width, channels = pixels.shape
-    objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
     if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).has_majority:
         rate = rate.for_exact_background()

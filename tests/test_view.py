@@ -36,7 +36,7 @@ def scattered(n: int = 700) -> Gaussians:
 
 @pytest.fixture(scope="module")
 def data() -> bytes:
-    return container.serialise(StreamV2.of(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
+    return container.serialise(StreamV2.from_gaussians(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
 
 
 def averaged(pixels: NDArray[np.uint8], by: int) -> NDArray[np.uint8]:

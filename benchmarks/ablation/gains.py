@@ -38,7 +38,6 @@ from benchmarks.pictures import Pixels, add_options, middle_of, named_in
 from benchmarks.tables import mean, number, standard_error, table
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
-from sgmethod.backend.reference import SOBEL
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
@@ -49,6 +48,7 @@ from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.shared import StartSettings
 from sgmethod.start.placement import place
+from tests.definitions.backend import SOBEL
 
 PIXELS = 768 * 512
 

@@ -17,13 +17,13 @@ from benchmarks.arguments import numbers
 from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.local import local_statistics
+from benchmarks.perceptual.networks import Networks
 from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
 from benchmarks.rd.baselines import Avif
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import Networks
 
 
 def decoded(pixels: Pixels, bpp: float) -> Iterator[tuple[str, int, float, Pixels]]:

@@ -21,12 +21,12 @@ import numpy as np
 from benchmarks.arguments import integers, some_of
 from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.previews.codecs import CODECS, Made
 from benchmarks.rd.baselines import package
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from sgmethod.metrics.perceptual import Networks
 from sgmethod.metrics.visual import ssimulacra2
 
 BYTES = [32, 64, 128, 256, 512, 1024, 2048, 4096]

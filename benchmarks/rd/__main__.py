@@ -31,6 +31,7 @@ import numpy as np
 from benchmarks.arguments import numbers, some_of
 from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import LPIPS_SIDE, Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.baselines import BASELINES, USUAL, Baseline, versions
 from benchmarks.rd.codecs import Sg
@@ -38,7 +39,6 @@ from benchmarks.rd.report import Row
 from sgmethod import info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import LPIPS_SIDE, Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 Codec = Sg | Baseline

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from benchmarks.robustness.case import Case, Cases, Found
 from sgmethod.bitstream.v2 import MAX_QUANTUM
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
+from tests.definitions import drawing
 
 SIZE = (96, 64)
 GAUSSIANS = 40  # Gaussians of a case
@@ -165,7 +166,7 @@ def backward(gaussians: Gaussians, model: Model, isa: int) -> list[FloatArray]:
 
 def defined(gaussians: Gaussians, model: Model, tensors: list[Tensor] | None = None) -> Tensor:
     """The picture by its definition, float64."""
-    draw = reference.render_pyramid if model.pyramid else reference.render
+    draw = drawing.render_pyramid if model.pyramid else drawing.render
     means, factors, colors = tensors or exact_tensors(gaussians)
     return draw(means, factors, colors, SIZE, model.cutoff)
 

@@ -5,7 +5,7 @@
 Each attack meets a fresh `python -m service web` with default settings but a long queue, in which jobs of other
 clients may wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) send
 requests as fast as they are answered, from one address or several. A client at another address sends seven kinds of
-requests at fixed moments. Attacks have ten times as many clients as tests/service/limits, or files of the
+requests at fixed moments. Attacks have ten times as many clients as tests/service/api, or files of the
 largest size allowed.
 """
 

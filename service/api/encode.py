@@ -137,8 +137,8 @@ def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) 
     request = asked.options.request(header, context.settings.max_time_limit_s)
     priority = asked.options.priority
     new = NewJob(new_job_id(), request, header, asked.fingerprint, asked.key, asked.owner, priority)
-    free_bytes = context.storage.free_bytes()
-    if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
+    free_bytes = context.storage.free_bytes()  # a large upload is a temporary file there, and so counted already
+    if free_bytes is not None and free_bytes < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
     context.storage.put(source_key(new.id), image)
     try:  # if the table fails, the image stays for the sweep: the row may have been written anyway
@@ -154,34 +154,40 @@ def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) 
 
 
 async def _answer(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response:
-    """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError.
+    """Answer with the finished file if the client waits and the job is done in time, else with the accepted job.
 
-    What a client would try again later is no refusal here: it would submit the image again.
+    An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
-    if context.streams.is_full(client):  # too many wait already
-        wait_s = 0
-    if wait_s:
+    file = None
+    if wait_s and not context.streams.is_full(client):
         headers["Preference-Applied"] = f"wait={wait_s}"
-    later = JSONResponse(view.model_dump(), 202, headers)
-    try:
-        ended = await job_within(request, job, wait_s, context, client) if wait_s else None
-    except JobTableError:
-        return later
+        try:
+            file = await _file_within(request, context, job, wait_s, client)
+        except ProblemError as problem:
+            if problem.status not in FOR_NOW:
+                problem.headers.update(headers)
+                raise
+        except (JobTableError, OSError):
+            pass
+    if file is None:
+        return JSONResponse(view.model_dump(), 202, headers)
+    file.headers.update({**headers, **VARIES})
+    return file
+
+
+async def _file_within(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response | None:
+    """Return the bitstream, or the picture that Accept asks for; None if the job is not done within wait_s seconds.
+
+    Raises ProblemError, JobTableError, OSError.
+    """
+    ended = await job_within(request, job, wait_s, context, client)
     if ended is None:
-        return later
+        return None
     if ended.error is not None and ended.state == "failed":
         status = 422 if ended.error.code == "refused" else 500
-        raise ProblemError(status, ended.error.detail, headers=headers, code=ended.error.code, id=ended.id)
-    try:
-        if wants_picture(request):
-            answer = await picture(ended, accepted_format(request), PictureQuery(), context, request)
-        else:
-            answer = await bitstream(ended, context, request)
-    except (ProblemError, OSError, JobTableError) as trouble:
-        if isinstance(trouble, ProblemError) and trouble.status not in FOR_NOW:
-            raise
-        return later
-    answer.headers.update({**headers, **VARIES})
-    return answer
+        raise ProblemError(status, ended.error.detail, code=ended.error.code, id=ended.id)
+    if wants_picture(request):
+        return await picture(ended, accepted_format(request), PictureQuery(), context, request)
+    return await bitstream(ended, context, request)

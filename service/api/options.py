@@ -28,8 +28,8 @@ from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, Priority, SourceImage
-from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, default_budget
+from sgmethod.bitstream.container import smallest_file
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, bytes_value, default_budget
 from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.profiles import (
     DEFAULT_EFFORT,
@@ -72,6 +72,9 @@ _positive = partial(_given, exclusiveMinimum=0)
 QUALITY_SCHEMA = {
     "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*QUALITIES]}]
 }
+BYTES_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)?[kM]B?$"}]
+}
 Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
@@ -84,7 +87,9 @@ class EncodeOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
-    bytes: Number = _positive("budget: maximum bytes", 20_000)
+    bytes: Annotated[float | SkipJsonSchema[None], BeforeValidator(bytes_value), WithJsonSchema(BYTES_SCHEMA)] = _given(
+        "budget: maximum bytes, such as 20000, 20k or 1.5MB", 20_000
+    )
     quality: Annotated[float | SkipJsonSchema[None], BeforeValidator(_quality), WithJsonSchema(QUALITY_SCHEMA)] = (
         _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
     )

@@ -144,26 +144,6 @@ def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str
 
 
 @dataclass(frozen=True)
-class JobRules:
-    """What holds for all jobs; 0 for any number of jobs or bytes.
-
-    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
-    source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
-    ends; queue_length, own_queue_length: jobs that may wait, of all and of one owner; quota_bytes, own_quota_bytes:
-    the same for bytes that are stored.
-    """
-
-    lease_s: float
-    max_attempts: int
-    source_retention_s: float = 0.0
-    webhooks: tuple[str, ...] = ()
-    queue_length: int = 0
-    own_queue_length: int = 0
-    quota_bytes: int = 0
-    own_quota_bytes: int = 0
-
-
-@dataclass(frozen=True)
 class Claim:
     """The right of one worker to run a job, until its lease is over. attempt is the fencing token."""
 

@@ -18,10 +18,10 @@ from psycopg_pool import ConnectionPool
 from service.errors import JobTableError
 from service.jobs.engine import PATIENCE_S, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.job import JobRules
 from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal
+from service.settings import Settings
 
 NUMBER = "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"
 # The database's clock: those of several machines differ.
@@ -78,8 +78,8 @@ class PostgresJobTable(JobTable):
     url: postgresql://user:password@host/database, or what else libpq understands.
     """
 
-    def __init__(self, url: str, rules: JobRules) -> None:
-        super().__init__(rules)
+    def __init__(self, url: str, settings: Settings) -> None:
+        super().__init__(settings)
         try:
             conninfo = make_conninfo(url, **CONNECT)
         except psycopg.Error:  # its message may hold the password
@@ -104,7 +104,7 @@ class PostgresJobTable(JobTable):
             open=True,
             connection_class=psycopg.Connection[DictRow],
         )
-        self._engine = Engine(self._pool, conninfo, rules.lease_s, SESSION)
+        self._engine = Engine(self._pool, conninfo, settings.lease_s, SESSION)
 
     @staticmethod
     def _set_up(conninfo: str) -> None:
@@ -160,7 +160,7 @@ class PostgresJobTable(JobTable):
 
     def _top_up(self) -> None:
         """Add tokens until there is one for each row that a worker can do something about."""
-        lease_s = self._rules.lease_s
+        lease_s = self._settings.lease_s
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
                 return  # another worker is at it

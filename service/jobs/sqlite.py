@@ -10,10 +10,10 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from service.errors import JobTableError
-from service.jobs.job import JobRules
 from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
+from service.settings import Settings
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
@@ -24,8 +24,8 @@ SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_
 class SqliteJobTable(JobTable):
     """JobTable on one SQLite file in WAL mode, every commit synced to disk."""
 
-    def __init__(self, path: Path, rules: JobRules) -> None:
-        super().__init__(rules)
+    def __init__(self, path: Path, settings: Settings) -> None:
+        super().__init__(settings)
         self._path = path
         self._file: tuple[int, int] | None = None  # which one the idle connections are to
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()

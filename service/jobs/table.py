@@ -26,7 +26,6 @@ from service.jobs.job import (
     EncodeResult,
     Job,
     JobError,
-    JobRules,
     JobState,
     JsonObject,
     NewJob,
@@ -36,6 +35,7 @@ from service.jobs.job import (
 )
 from service.jobs.statements import Database
 from service.process.loops import StopSignal
+from service.settings import Settings
 from service.storage.files import bitstream_key, preview_key, source_key
 
 log = logging.getLogger(__name__)
@@ -44,6 +44,7 @@ WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
 # When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
 WATCHED = 1 / 2
+MAX_ATTEMPTS = 4  # crashes until a job fails
 FORGOTTEN_S = 900.0  # a worker silent for longer is no longer listed
 AHEAD_S = 2.0  # a sign of life from further ahead is one from before the clock was put back
 
@@ -55,8 +56,8 @@ class JobTable(ABC):
     What a method has done is on the disk when it returns.
     """
 
-    def __init__(self, rules: JobRules) -> None:
-        self._rules = rules
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
         self._overdue: dict[tuple[str, int, float], float] = {}  # claims, and since when (monotonic seconds)
 
     @abstractmethod
@@ -128,14 +129,14 @@ class JobTable(ABC):
                 self._check_queue(db, owner)
 
     def _check_queue(self, db: Database, owner: str | None) -> None:
-        most, own_most = self._rules.queue_length, self._rules.own_queue_length
-        if most and _queued(db) >= most:
+        most, own_most = self._settings.queue_length, self._settings.max_queued_per_key
+        if _queued(db) >= most:
             raise LimitError("queue", "the queue is full; try again later")
-        if owner and own_most and _queued(db, owner) >= own_most:
+        if owner and _queued(db, owner) >= own_most:
             raise LimitError("own_queue", f"this API key already has {own_most} jobs waiting; try again later")
 
     def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
-        most, own_most = self._rules.quota_bytes, self._rules.own_quota_bytes
+        most, own_most = self._settings.quota_bytes, self._settings.quota_bytes_per_key
         if owner and own_most and _stored_bytes(db, owner) + size_bytes > own_most:
             raise LimitError("own_quota", "this API key has reached its storage quota; remove jobs first")
         if most and _stored_bytes(db) + size_bytes > most:
@@ -215,10 +216,10 @@ class JobTable(ABC):
         One look is not enough: clocks jump, and at the end of an outage of the database every lease is over. A worker
         that lives renews its own meanwhile.
         """
-        watched_s = WATCHED * self._rules.lease_s
+        watched_s = WATCHED * self._settings.lease_s
         query = f"SELECT id, attempt, lease_until FROM jobs {sql.OVERDUE}"
         with self._connection() as db:
-            rows = db.execute(query, (watched_s, self._rules.lease_s)).fetchall()
+            rows = db.execute(query, (watched_s, self._settings.lease_s)).fetchall()
         now = time.monotonic()
         claims = [(row["id"], row["attempt"], row["lease_until"]) for row in rows]
         self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
@@ -234,7 +235,7 @@ class JobTable(ABC):
             return None
         with self._transaction() as db:
             self._alone(db)
-            row = db.execute(sql.CLAIM, (worker, self._rules.lease_s)).fetchone()
+            row = db.execute(sql.CLAIM, (worker, self._settings.lease_s)).fetchone()
             if row is None:
                 return None
             db.execute(sql.SERVED, (row["number"],))
@@ -265,7 +266,7 @@ class JobTable(ABC):
         None: the job is no longer this worker's.
         """
         with self._transaction() as db:
-            job = self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s)
+            job = self._change(db, claim, "lease_until = epoch() + ?", self._settings.lease_s)
             for place, point in enumerate(points if job else (), first):
                 db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.job_id))
             return job
@@ -301,7 +302,7 @@ class JobTable(ABC):
         """The job after an attempt that failed; None if the attempt is not its latest."""
         text, crashed = as_json(error), error.code == "crashed"
         job = _update(db, sql.PUT_BACK, where, text, int(crashed), *values)
-        if job is not None and not (crashed and job.crashes < self._rules.max_attempts):
+        if job is not None and not (crashed and job.crashes < MAX_ATTEMPTS):
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
             self._conclude(db, job)
@@ -311,14 +312,14 @@ class JobTable(ABC):
         """An attempt has ended: count how, and let the operator's addresses hear of the end of the job, or a worker
         that it waits again.
         """
-        endings.conclude(db, job, self._rules.webhooks)
+        endings.conclude(db, job, self._settings.webhook_addresses)
         if job.state == "queued":
             self._wake(db)
 
     @property
     def keeps_sources(self) -> bool:
         """Whether the image of a finished job is kept, and so goes on counting."""
-        return self._rules.source_retention_s > 0
+        return self._settings.source_retention_s > 0
 
     def release(self, claim: Claim) -> bool:
         """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
@@ -349,10 +350,10 @@ class JobTable(ABC):
         """Let notices to addresses that the operator no longer names, as before a correction, go to those named now;
         returns how many there were. Without any, they stay until they are given up.
         """
-        if not self._rules.webhooks:
+        if not self._settings.webhook_addresses:
             return 0
         with self._transaction() as db:
-            return endings.forward_notices(db, self._rules.webhooks)
+            return endings.forward_notices(db, self._settings.webhook_addresses)
 
     def needed_keys(self) -> set[str]:
         """Storage keys of the files that some job still needs."""

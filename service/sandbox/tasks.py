@@ -39,9 +39,8 @@ KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
 NOT_IMPORTED = {
     f"sgmethod.{name}"
     for name in (
-        *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch", "backend.reference"),
+        *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch"),
         *("backend.tensors", "backend.pairs", "backend.tiles", "backend.together", "backend.tile_kernels"),
-        *("native.reference", "metrics.perceptual"),
     )
 }
 

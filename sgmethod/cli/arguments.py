@@ -77,12 +77,10 @@ INFO = (
 )
 COMPARE = (
     "Measure how close B is to the original A. Either may be a picture or an .sg file.",
-    """Higher is better for PSNR, MS-SSIM and SSIMULACRA 2; lower is better for LPIPS and DISTS. If a metric cannot
-be computed, the output says why.
+    """Prints PSNR, MS-SSIM and SSIMULACRA 2; higher is better. If one cannot be computed, the output says why.
 
 examples:
   sgmethod compare photo.jpg photo.sg
-  sgmethod compare photo.jpg photo.sg --weights DIR
   sgmethod compare a.png b.png --json""",
 )
 PLOT = (
@@ -269,7 +267,6 @@ def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("first", type=_path, metavar="A", help="the original")
     parser.add_argument("second", type=_path, metavar="B", help="what to measure")
-    parser.add_argument("--weights", type=_path, metavar="DIR", help="folder of the LPIPS and DISTS weights")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
 
 

@@ -48,7 +48,7 @@ def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     files.write(conversion.target, data)
     height, width = pixels.shape[:2]
     said = f"{width} x {height} pixels, {kind}, {len(data):,} bytes"
-    return Outcome.of(conversion, bytes=len(data), said=said, notes=notes)
+    return Outcome.from_conversion(conversion, bytes=len(data), said=said, notes=notes)
 
 
 def _kind(target: str) -> str:

@@ -87,7 +87,7 @@ def _encode(
         files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
     files.write(conversion.target, data)
     said = "" if arguments.json else _summary(figures)
-    return Outcome.of(conversion, bytes=len(data), said=said, figures=figures, notes=notes)
+    return Outcome.from_conversion(conversion, bytes=len(data), said=said, figures=figures, notes=notes)
 
 
 Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # file, figures, trace, notes on anything dropped

@@ -75,7 +75,7 @@ def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     if conversion.target != STREAM:
         files.write(conversion.target, made.data)
     said = _said(made, conversion, arguments)
-    return Outcome.of(conversion, bytes=len(made.data), said=said, figures=made.to_dict(), notes=notes)
+    return Outcome.from_conversion(conversion, bytes=len(made.data), said=said, figures=made.to_dict(), notes=notes)
 
 
 def _said(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:

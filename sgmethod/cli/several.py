@@ -34,7 +34,7 @@ class Outcome(Row):
     said: str = ""
 
     @classmethod
-    def of(cls, conversion: Conversion, **made: Any) -> Outcome:
+    def from_conversion(cls, conversion: Conversion, **made: Any) -> Outcome:
         """Create the result of a conversion."""
         return cls(Path(conversion.target).name, conversion.source, target=conversion.target, **made)
 
@@ -135,7 +135,7 @@ class _Report:
 
 def tasks_of(conversions: list[Conversion]) -> list[Task[Outcome]]:
     """Create a task for each conversion."""
-    return [Task(one, Outcome.of(one)) for one in conversions]
+    return [Task(one, Outcome.from_conversion(one)) for one in conversions]
 
 
 def outcomes(tasks: list[Task[Outcome]], convert: Convert, arguments: argparse.Namespace) -> Finished[Outcome]:

@@ -18,7 +18,8 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from sgmethod.budget import DEFAULT_BUDGET, AnyFloat, AnyInt, Budget
+from sgmethod.arguments import AnyFloat, AnyInt
+from sgmethod.budget import DEFAULT_BUDGET, Budget
 from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
 from sgmethod.errors import ServerError
 from sgmethod.io.files import File, bytes_of

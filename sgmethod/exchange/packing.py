@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
-from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, Budget, checked_integer, finite_number
+from sgmethod.budget import MAX_GAUSSIANS, Budget
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
@@ -55,7 +56,7 @@ def pack(
     """
     width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
     own = seen(checked_gaussians(gaussians), (width, height))
-    if len(own) > min(width * height, MOST_GAUSSIANS):
+    if len(own) > min(width * height, MAX_GAUSSIANS):
         raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
     below = _levels(background)
     target = None if image is None else target_of(_pixels(image, width, height), below)
@@ -96,7 +97,7 @@ class _Packing:
         return replace(rounded, payload=payload)
 
     def _coded(self, gaussians: Gaussians, quantum: float) -> StreamV2:
-        return StreamV2.of(gaussians, self._size, quantum, self._background, self._grey)
+        return StreamV2.from_gaussians(gaussians, self._size, quantum, self._background, self._grey)
 
     def within(self, max_bytes: int) -> StreamV2:
         """Code Gaussians with the finest quantum for a file of at most max_bytes."""

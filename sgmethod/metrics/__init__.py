@@ -1,4 +1,4 @@
-"""Measures of likeness: PSNR and MS-SSIM (pixels.py); SSIMULACRA 2 (visual.py); LPIPS and DISTS (perceptual.py)."""
+"""Measures of likeness: PSNR and MS-SSIM (pixels.py) and SSIMULACRA 2 (visual.py)."""
 
 from sgmethod.metrics.pixels import MS_SSIM_SIDE, ms_ssim, psnr
 from sgmethod.metrics.visual import ssimulacra2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container, v1
-from sgmethod.bitstream.smallest import smallest_file
+from sgmethod.bitstream.container import smallest_file
 from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.budget import Budget
 from sgmethod.decoder import draw

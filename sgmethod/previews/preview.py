@@ -15,9 +15,10 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
+from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.bitstream.v2 import SMALLEST_FILE
-from sgmethod.budget import AnyInt, Budget, checked_integer
+from sgmethod.budget import Budget
 from sgmethod.codec import encode
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+import statistics
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, quantum_code
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, quantum_code
 from sgmethod.budget import MAX_PSNR_DB
+from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
+from sgmethod.io.compositing import on_backgrounds
+from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, ssimulacra2_db
+from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings, Times
 
 
@@ -85,8 +90,15 @@ class Aim(RateControl, ABC):
         """Quality up to the one asked for, then size."""
         return min(self.reached(coded), self.aim_db), -coded.size
 
+    @abstractmethod
+    def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
+        """Measure pictures [2, H, W, 3] in dB."""
+
+    def missing_db(self, stream: StreamV2, source: Pixels) -> float:
+        decoded = on_backgrounds(draw_whole(stream))
+        return max(self.aim_db - self.reached_on_backgrounds(decoded, on_backgrounds(source)), 0.0)
+
     def raised(self, by_db: float) -> Aim:
-        """Return the same with an aim that is higher by this and a little more."""
         return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
@@ -124,16 +136,16 @@ class PsnrAim(Aim):
     """Rate control for a PSNR to reach."""
 
     @classmethod
-    def of(cls, psnr: float, pixels: int, settings: RdSettings) -> PsnrAim:
+    def from_psnr(cls, db: float, pixels: int, settings: RdSettings) -> PsnrAim:
         """Create the aim for a picture of `pixels` pixels, with about the quantum that a photograph needs."""
         s = settings.rate
-        quantum = min(0.1 * 2 ** ((34 - psnr) / s.db_per_doubling), s.coarsest_of_aim)
+        quantum = min(0.1 * 2 ** ((34 - db) / s.db_per_doubling), s.coarsest_of_aim)
         return cls(
             settings,
             pixels,
             quantum,
             further_rounds=settings.schedule.rounds_for_psnr,
-            aim_db=psnr,
+            aim_db=db,
             tries=s.aim_tries,
             steering_limit=s.steering_limit,
             below_best_db=s.missed_db,
@@ -142,6 +154,17 @@ class PsnrAim(Aim):
     def reached(self, picture: Measured) -> float:
         """PSNR in dB."""
         return picture.psnr
+
+    def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
+        return min(psnr(decoded, source), 120.0)
+
+    def allows_alpha(self, error: float) -> bool:
+        """Whether alpha alone makes no more than its share of the error that the PSNR allows."""
+        return error <= self.settings.alpha.most_error * 10 ** (-self.aim_db / 10)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> PsnrAim:
+        allowed = 10 ** (-self.aim_db / 10)
+        return replace(self, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
 
     def allows(self, psnr: Callable[[], float]) -> bool:
         """Whether about the PSNR is left: after growth, no Gaussian would come back."""
@@ -153,7 +176,7 @@ class QualityAim(Aim):
     """Rate control for a SSIMULACRA 2 to reach, as ssimulacra2_db() counts it."""
 
     @classmethod
-    def of(cls, score: float, size: tuple[int, int], settings: RdSettings) -> QualityAim:
+    def from_score(cls, score: float, size: tuple[int, int], settings: RdSettings) -> QualityAim:
         """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
 
         Raises BudgetError for sides that are too small for SSIMULACRA 2.
@@ -180,6 +203,10 @@ class QualityAim(Aim):
     def reached(self, picture: Measured) -> float:
         """SSIMULACRA 2, as ssimulacra2_db() counts it."""
         return picture.ssimulacra2_db
+
+    def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
+        found = map(ssimulacra2, decoded, source)
+        return ssimulacra2_db(statistics.fmean(one for one in found if one is not None))
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Steer seldom: measuring takes as long as steps."""

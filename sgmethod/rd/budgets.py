@@ -14,9 +14,9 @@ def rate_of(budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_
     pixels = size[0] * size[1]
     match budget.kind:
         case "gaussians":
-            return GaussianCount.of(budget.max_gaussians(*size), pixels, settings)
+            return GaussianCount.from_count(budget.max_gaussians(*size), pixels, settings)
         case "psnr":
-            return PsnrAim.of(budget.value, pixels, settings)
+            return PsnrAim.from_psnr(budget.value, pixels, settings)
         case "quality":
-            return QualityAim.of(budget.value, size, settings)
-    return ByteBudget.of(budget.max_bytes(*size) or 0, pixels, settings, has_alpha=has_alpha)
+            return QualityAim.from_score(budget.value, size, settings)
+    return ByteBudget.from_bytes(budget.max_bytes(*size) or 0, pixels, settings, has_alpha=has_alpha)

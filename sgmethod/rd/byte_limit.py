@@ -7,7 +7,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.bitstream.texture import Codes, pack
-from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
+from sgmethod.bitstream.v2 import (
+    MAX_QUANTUM,
+    MIN_QUANTUM,
+    SHORT_BYTES,
+    SMALLEST_ALPHA,
+    SMALLEST_FILE,
+    StreamV2,
+    alpha_bytes,
+)
 from sgmethod.errors import BudgetError
 from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import RdSettings, Times
@@ -48,7 +56,7 @@ class ByteBudget(ByteLimit):
     """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
 
     @classmethod
-    def of(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
+    def from_bytes(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
         """Create the budget for a picture of `pixels` pixels. Raises BudgetError if no file is as small."""
         least = SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
         if max_bytes < least:
@@ -68,6 +76,15 @@ class ByteBudget(ByteLimit):
     def for_exact_background(self) -> ByteBudget:
         """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
         return replace(self, is_short=self.max_bytes < LONG_FILE)
+
+    def for_alpha(self) -> ByteLimit:
+        """Alpha takes what it is worth, up to a limit."""
+        spare = self.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
+        most = StreamV2.MIN_BYTES + int(self.settings.alpha.most_bytes * spare)
+        return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha, self.is_short, max_bytes=most)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
+        return self.for_bytes(self.max_bytes - alpha_bytes(alpha))
 
     def expected_gaussians(self) -> int:
         return max(min(self._gaussians_by_size(), self.pixels), 1)

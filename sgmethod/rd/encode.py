@@ -33,7 +33,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = Plan.of(request, pyramid, gaussians)
+    plan = Plan.from_request(request, pyramid, gaussians)
     state = plan.begin(gaussians)
     rate, rounds = request.rate, plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds

@@ -54,7 +54,7 @@ class ExactFit:
     seed: int = 0
 
     @quiet
-    def of(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
+    def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
         plan = self._plan(pixels, backend, clock)
         times, n = plan.settings.effort.times, self.gaussians
@@ -82,10 +82,10 @@ class ExactFit:
 
     def _plan(self, pixels: Pixels, backend: Backend, clock: Clock) -> Plan:
         height, width = pixels.shape[:2]
-        rate = replace(GaussianCount.of(self.gaussians, height * width, RD), quantum=self.quantum)
+        rate = replace(GaussianCount.from_count(self.gaussians, height * width, RD), quantum=self.quantum)
         steps = self.steps or round(EXACT.share_of_steps * rate.steps(RD))
         settings = exact_schedule(steps)
-        objective = Objective.of(pixels, "psnr", settings.objective)
+        objective = Objective.from_pixels(pixels, "psnr", settings.objective)
         request = Request(objective, rate, Deadline(clock), backend, settings, Recorder(clock), self.seed)
         pyramid = request.pyramid()
         return Plan(request, within_pixels(settings, pyramid), pyramid)

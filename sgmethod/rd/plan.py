@@ -30,7 +30,7 @@ class Plan:
     pyramid: Pyramid
 
     @classmethod
-    def of(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
+    def from_request(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
         """Plan a request whose first Gaussians are placed.
 
         If time is too short for all steps, it takes the settings of a lower effort; if that takes too long as well, a

@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.budget import MOST_GAUSSIANS
+from sgmethod.bitstream.v2 import MAX_QUANTUM, StreamV2
+from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
+from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings, Times
 
 EXACT_DB = 99.0  # PSNR of a picture without any error
@@ -122,7 +123,7 @@ class RateControl:
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """Limit on the number of Gaussians, for settings that a time limit may have cut."""
-        return min(self.pixels, MOST_GAUSSIANS)
+        return min(self.pixels, MAX_GAUSSIANS)
 
     def steps(self, settings: RdSettings) -> int:
         """Steps of the first run, for settings that a time limit may have cut."""
@@ -177,6 +178,32 @@ class RateControl:
         """Limit on the payload when a file is coded again after relaxing."""
         return NO_LIMIT
 
+    # --- asked where a picture has alpha, which is encoded before its colours (alpha.py)
+
+    def for_alpha(self) -> RateControl:
+        """Rate control for the alpha plane."""
+        return RateControl(self.settings, self.pixels, self._quantum_of_alpha)
+
+    @property
+    def _quantum_of_alpha(self) -> float:
+        return min(self.settings.alpha.coarser * self.quantum, MAX_QUANTUM)
+
+    def allows_alpha(self, error: float) -> bool:
+        """Whether alpha may make this mean squared error, that of a file with exact colours."""
+        return True
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
+        """Rate control for the colours beside a coded alpha plane, which alone makes this error."""
+        return self
+
+    def missing_db(self, stream: StreamV2, source: Pixels) -> float:
+        """How far a file with alpha is below the quality asked for. source: [H, W, 4]."""
+        return 0.0
+
+    def raised(self, by_db: float) -> RateControl:
+        """Return the same with a quality that is higher by this and a little more."""
+        return self
+
     # --- asked once files are made
 
     def is_missed(self, files: Iterable[Coded]) -> bool:
@@ -204,13 +231,21 @@ class GaussianCount(RateControl):
     max_gaussians: int = 1
 
     @classmethod
-    def of(cls, max_gaussians: int, pixels: int, settings: RdSettings) -> GaussianCount:
+    def from_count(cls, max_gaussians: int, pixels: int, settings: RdSettings) -> GaussianCount:
         """Create the limit for a picture of `pixels` pixels."""
         quantum = settings.rate.gaussians_quantum
         return cls(settings, pixels, quantum, max_gaussians=max_gaussians)
 
     def expected_gaussians(self) -> int:
         return self.max_gaussians
+
+    def for_alpha(self) -> RateControl:
+        most = max(int(self.settings.alpha.most_gaussians * self.max_gaussians), 1)
+        return replace(self, quantum=self._quantum_of_alpha, max_gaussians=most)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
+        used = len(alpha.gaussians()) if alpha.payload else 0
+        return replace(self, max_gaussians=max(self.max_gaussians - used, 1))
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """The limit, and a surplus early."""

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.devices import backend_on, checked_device, has_tiles
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
-from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, checked_integer, finite_number
+from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.codec import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
@@ -26,10 +27,10 @@ from sgmethod.scene import Pixels
 from sgmethod.trace import Stop
 
 OnProgress = Callable[[float], None]
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 POLLED_S = 0.05  # between two calls of the caller's functions
 # Pictures of a batch on a GPU: each has a thread, and some ten planes as large as itself in 32 bits.
-MOST_TOGETHER, SAMPLES_TOGETHER = 256, 1 << 26
+MAX_TOGETHER, SAMPLES_TOGETHER = 256, 1 << 26
 
 
 class Fit(NamedTuple):
@@ -93,8 +94,8 @@ def fit(
 
 def task_of(gaussians: AnyInt, pixels: int, steps: AnyInt | None, seed: AnyInt, quantum: AnyFloat | None) -> ExactFit:
     """Check the arguments of a fit of pictures that have at least this many pixels. Raises BudgetError."""
-    gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MOST_GAUSSIANS), BudgetError)
-    steps = None if steps is None else checked_integer(steps, "steps", 1, MOST_STEPS, BudgetError)
+    gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MAX_GAUSSIANS), BudgetError)
+    steps = None if steps is None else checked_integer(steps, "steps", 1, MAX_STEPS, BudgetError)
     price = 0.0 if quantum is None else finite_number(quantum)
     if price is None or (quantum is not None and not MIN_QUANTUM <= price <= MAX_QUANTUM):
         raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
@@ -116,7 +117,7 @@ def fit_pictures(
     if has_tiles(device):
         from sgmethod.backend.together import Together
 
-        places = max(1, min(MOST_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
+        places = max(1, min(MAX_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
         batches = [Together(device, len(pictures[k : k + places])) for k in range(0, len(pictures), places)]
     elif device.type == "cpu" and len(pictures) >= native.thread_count():
         places = native.thread_count()
@@ -131,10 +132,10 @@ def fit_pictures(
                 raise SgError("the fits were abandoned")
 
         if not batches:
-            return task.of(pictures[index], backend, clock, on_step)
+            return task.fit(pictures[index], backend, clock, on_step)
         batch = batches[index // places]
         try:
-            return task.of(pictures[index], batch, clock, on_step)
+            return task.fit(pictures[index], batch, clock, on_step)
         finally:
             batch.leave()
 

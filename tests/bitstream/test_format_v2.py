@@ -20,13 +20,14 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.texture import Codes, cells, pack
 from sgmethod.bitstream.v2 import MIN_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes, coded_background
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
 from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
 from tests.bitstream.test_format_v1 import TEXT, rows, table
+from tests.definitions import drawing
 
 GOLDEN = golden(2)
 PARTS = (0.01, 0.1, 0.25, 0.5, 0.77, 0.99)
@@ -49,8 +50,8 @@ def test_the_limits_in_the_text() -> None:
         f"until it is less than 8; at most {plain.MOST_RAW_BITS}.",
         rf"refuse \|v\| > {plain.MOST_V} * 2^h or 2 \|r\| > {plain.MOST_R} * 2^h",
         f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.LEAST_COLOUR_STEP):g})",
-        f"ratio = minor / ({reference.NARROWEST} * {reference.NARROWEST})",
-        f"the largest l from 1 to {reference.MAX_LEVEL} with",
+        f"ratio = minor / ({drawing.NARROWEST} * {drawing.NARROWEST})",
+        f"the largest l from 1 to {drawing.MAX_LEVEL} with",
         f"Square patches, {plain.PATCH} pixels wide,",
         f"columns = ceil(width / {plain.PATCH}) rows = ceil(height / {plain.PATCH})",
         f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
@@ -67,7 +68,7 @@ def test_the_version_and_the_views_in_the_text() -> None:
     assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
     assert f"/ ({1 / PIXEL_VARIANCE:g} kept)" in text
     assert f"OX = floor(left * sx) mod {MAX_COORDINATE} " in text
-    assert MAX_COORDINATE % 2**reference.MAX_LEVEL == 0
+    assert MAX_COORDINATE % 2**drawing.MAX_LEVEL == 0
     assert f"C = 3: kept = {variance(native.CUTOFF_V2):.4f}" in text
     assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 
@@ -115,7 +116,7 @@ def test_views_far_out_are_crops() -> None:
     for x in (MAX_COORDINATE // 2 - 10, 50_001):
         means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
         gaussians = single(means, factors, rng.normal(0, 0.1, (n, 3)))
-        data = container.serialise(StreamV2.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
+        data = container.serialise(StreamV2.from_gaussians(gaussians, size, 0.01, (120, 110, 100), grey=False))
         whole = decode(data, view=View(2.0, (x - 20, 0, 60, 50)))[22:46]
         for left in (0, 12, 20):  # before MAX_COORDINATE and behind it
             part = decode(data, view=View(2.0, (x + left, 11, 20, 12)))
@@ -139,7 +140,7 @@ def some_codes(size: tuple[int, int], seed: int) -> Codes:
 def test_texture_survives_packing(size: tuple[int, int]) -> None:
     for codes in (some_codes(size, 1), 0 * some_codes(size, 1), 0 * some_codes(size, 1) + 15):
         data = container.serialise(
-            replace(StreamV2.of(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
+            replace(StreamV2.from_gaussians(Gaussians.empty(0), size, 0.05, (9, 9, 9), False), texture=codes)
         )
         stream = container.parse(data)
         assert isinstance(stream, StreamV2)

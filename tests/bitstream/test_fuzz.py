@@ -151,7 +151,7 @@ def equal(n: int, side: int, factor: tuple[float, float, float], quantum: float,
     """A square grey picture with n Gaussians of one shape, all over it."""
     means = np.random.default_rng(0).uniform(0, side, (n, 2))
     gaussians = single(means, np.tile(factor, (n, 1)), np.full((n, 3), color))
-    return container.serialise(StreamV2.of(gaussians, (side, side), quantum, (10, 20, 30), True))
+    return container.serialise(StreamV2.from_gaussians(gaussians, (side, side), quantum, (10, 20, 30), True))
 
 
 CROWDED = equal(3000, 200, (1, 0, 1), 1.5)  # they cost a bit each: what follows a change can be many more

@@ -14,8 +14,8 @@ from benchmarks.harness.data import JAVASCRIPT, ROOT
 from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.native import reference
 from tests.bitstream import plain_decoder_v2
+from tests.definitions import drawing
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}
@@ -40,7 +40,7 @@ def test_the_plain_decoder_finds_the_same(name: str) -> None:
             for one in integers
         ]
         gaussians = [plain_decoder_v2.gaussian_of(header, one) for one in integers]
-        assert layer["gaussians"] == [[*g[:5], *g[5], reference.level_of(*g[2:5])] for g in gaussians]
+        assert layer["gaussians"] == [[*g[:5], *g[5], drawing.level_of(*g[2:5])] for g in gaussians]
 
 
 def stream_of(name: str) -> StreamV2:

@@ -474,7 +474,7 @@ def test_commands_of_the_help(run: Run) -> None:
     texts = (arguments.EXAMPLES, arguments.ENCODE[1], arguments.DECODE[1], arguments.INFO[1], arguments.COMPARE[1])
     lines = re.findall(r"^  (sgmethod .*)", "\n".join((*texts, arguments.PLOT[1])), re.MULTILINE)
     assert len(lines) > 15
-    run_in_order(run, [line for line in lines if "--weights" not in line])
+    run_in_order(run, lines)
 
 
 def test_python_of_the_readme() -> None:

@@ -41,6 +41,6 @@ def test_strengths_fit_the_blocks_through_the_decoders_interpolation(cells: tupl
 def test_strips_thinner_than_a_block_get_none(thin: int) -> None:
     """A long one would be padded to many times its size."""
     for size in ((thin, 100), (100, thin)):
-        objective = Objective.of(np.zeros((*size, 3), np.uint8), "visual", RD.objective)
+        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual", RD.objective)
         target = objective.moving_target(np.zeros((3, *size), np.int16), 1, 0)
         assert (objective.replaces_grain, target.hides) == (thin == BLOCK, thin != BLOCK)

@@ -53,7 +53,7 @@ def decodes(name: str) -> Action:
 @cache
 def large_file() -> bytes:
     """With Gaussians enough for tasks that take memory, on several levels."""
-    stream = StreamV2.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
+    stream = StreamV2.from_gaussians(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
     return container.serialise(stream)
 
 

@@ -22,7 +22,6 @@ from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.levels import to_8_bit
-from sgmethod.native import reference
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
@@ -30,6 +29,7 @@ from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.backend.cases import single
+from tests.definitions import drawing
 from tests.rd.short import SlowClock
 
 KERNELS = Kernels()
@@ -64,7 +64,7 @@ def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
     """Weights [pixels, Gaussians] in float64."""
     one = torch.ones(1, 3, dtype=torch.float64)
     means, factors = (torch.tensor(values).double() for values in (shapes.means, shapes.factors))
-    columns = [reference.render(m[None], f[None], one, size, CUTOFF_V1)[0] for m, f in zip(means, factors, strict=True)]
+    columns = [drawing.render(m[None], f[None], one, size, CUTOFF_V1)[0] for m, f in zip(means, factors, strict=True)]
     return torch.stack(columns, -1).reshape(-1, len(means)).numpy()
 
 

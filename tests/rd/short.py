@@ -59,7 +59,7 @@ def requested(
 ) -> Request:
     """A request of profile rd, as codec.encode() makes it."""
     clock = Clock()
-    objective = Objective.of(np.ascontiguousarray(pixels), tune, settings.objective)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
     return Request(
         objective, rate, deadline or Deadline(clock), backend or Kernels(), settings, recorder or Recorder(clock)
@@ -70,7 +70,7 @@ def begun(request: Request) -> tuple[Plan, State]:
     """The plan of a request, and the state before its first step."""
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = Plan.of(request, pyramid, gaussians)
+    plan = Plan.from_request(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)
 
 

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.thorough
 Pixels = NDArray[np.uint8]
 SIZES = (18, 64, 100, 150, 220, 300, 450, 600, 900, 2000, 6000)
 ROUNDED_DB = 58.9  # as good as rounding to 8 bits allows
-MOST_STEPS = 1300  # of an encode with the default effort; 787 but for two rounds while a PSNR is missed
+MAX_STEPS = 1300  # of an encode with the default effort; 787 but for two rounds while a PSNR is missed
 Y, X = np.mgrid[:48, :64]
 
 
@@ -70,7 +70,7 @@ def test_more_bytes_are_never_worse_nor_exceeded(name: str) -> None:
     for size in SIZES:
         file = encoded(name, "bytes", size)
         assert len(file.data) <= size
-        assert file.stats.steps <= MOST_STEPS
+        assert file.stats.steps <= MAX_STEPS
         if (name, size) not in WORSE:
             assert file.stats.psnr >= min(best, ROUNDED_DB) - 0.5, size
         best = max(best, file.stats.psnr)
@@ -83,7 +83,7 @@ def test_a_psnr_that_is_reachable_is_reached(name: str) -> None:
     for aim in (20, 30, 45, 60):
         file = encoded(name, "psnr", aim)
         assert file.stats.psnr >= aim or reachable < aim, aim
-        assert file.stats.steps <= MOST_STEPS
+        assert file.stats.steps <= MAX_STEPS
 
 
 @each_picture

@@ -85,7 +85,7 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
     clock.now = 0.0
-    plan = Plan.of(request, pyramid, gaussians)
+    plan = Plan.from_request(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)
 
 

@@ -51,7 +51,7 @@ def encode(
     height, width = pixels.shape[:2]
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
-    data = container.serialise(StreamV2.of(one, (width, height), 0.5, (0, 0, 0), False))
+    data = container.serialise(StreamV2.from_gaussians(one, (width, height), 0.5, (0, 0, 0), False))
     bpp = 8 * len(data) / (width * height)
     figures = {"bytes": len(data), "bpp": bpp, "psnr": 24.0, "gaussians": 1, "steps": STEPS, "seconds": time_limit_s}
     figures |= {"width": width, "height": height, "profile": profile, "tune": "psnr", "effort": 5, "warnings": []}

@@ -31,7 +31,7 @@ from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
 from service.jobs.job import Claim, EncodeResult
-from service.jobs.table import JobTable
+from service.jobs.table import MAX_ATTEMPTS, JobTable
 from service.storage.files import source_key
 
 
@@ -120,7 +120,7 @@ def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
 def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> None:
     hasty = open_job_table(NO_TIME_S)
     job_id = submitted(hasty)
-    for _ in range(2):
+    for _ in range(MAX_ATTEMPTS - 1):
         claimed(hasty)
         assert hasty.reconcile() == []
         assert state(hasty, job_id) == "queued"
@@ -159,11 +159,11 @@ def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     request = json.dumps({**asdict(REQUEST), "mood": 9, "tune": "sharper"})
     change(table, "UPDATE jobs SET request = ? WHERE id = ?", request, strange)
     plain = submitted(table)
-    claims = [table.claim("w") for _ in range(4)]
+    claims = [table.claim("w") for _ in range(MAX_ATTEMPTS + 1)]
     assert [claim.job_id for claim in claims if claim is not None] == [plain]
     job = job_of(table, strange)
     assert job.error is not None
-    assert (job.state, job.crashes) == ("failed", 3)
+    assert (job.state, job.crashes) == ("failed", MAX_ATTEMPTS)
     assert asdict(job.request) == {**asdict(REQUEST), "tune": "sharper"}
     assert "another version" in job.error.detail
 
@@ -226,7 +226,7 @@ def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
     """A webhook is due as soon as the clock shows that it was put off for too long, and then waits as any other; a
     worker that is gone has not just been seen.
     """
-    table = open_job_table(LONG_S, webhooks=("http://a.example",))
+    table = open_job_table(LONG_S, webhook_urls="http://a.example")
     submitted(table)
     assert table.finish(claimed(table), RESULT)
     for tried in (False, True):  # at once at first, and after a pause
@@ -292,13 +292,14 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     done, crashed, refused, cancelled = (submitted(table) for _ in range(4))
     assert table.finish(claimed(table), RESULT)
     assert table.finish(Claim(done, 1, REQUEST, IMAGE), RESULT)  # once more, as after an answer that was lost
-    for _ in range(3):  # of RULES
+    for _ in range(MAX_ATTEMPTS):
         assert table.fail(claimed(table), CRASH)
     assert table.fail(claimed(table), REFUSED)
     for job_id in (done, crashed, refused, cancelled):
         table.remove(job_id)
     totals = table.census().totals
-    assert {name: totals.get(name, 0) for name in ENDINGS} == {"finished": 1, "retried": 2, "failed": 2, "cancelled": 1}
+    counts = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
+    assert {name: totals.get(name, 0) for name in ENDINGS} == counts
     assert sum(totals.get(bucket(most), 0) for most in BUCKETS_S) == 1
     assert totals[SECONDS] >= 0
 
@@ -311,9 +312,9 @@ def test_quotas(open_job_table: OpenTable) -> None:
             open_job_table(LONG_S, **quotas).submit(new(owner=owner))
         return refusal.value.reason
 
-    own = open_job_table(LONG_S, own_quota_bytes=size)
+    own = open_job_table(LONG_S, quota_bytes_per_key=size)
     submitted(own, owner="ann")
-    assert refused("ann", own_quota_bytes=2 * size - 1) == "own_quota"
+    assert refused("ann", quota_bytes_per_key=2 * size - 1) == "own_quota"
     submitted(own, owner="bob")
-    assert refused("cat", quota_bytes=3 * size - 1, own_quota_bytes=size) == "quota"
-    submitted(open_job_table(LONG_S, quota_bytes=3 * size, own_quota_bytes=size), owner="cat")
+    assert refused("cat", quota_bytes=3 * size - 1, quota_bytes_per_key=size) == "quota"
+    submitted(open_job_table(LONG_S, quota_bytes=3 * size, quota_bytes_per_key=size), owner="cat")

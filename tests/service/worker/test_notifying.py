@@ -20,7 +20,7 @@ from benchmarks.harness.service import FAKE_CODEC, StartService
 from service.jobs import endings
 from service.jobs.endings import Notice
 from service.jobs.job import JobError
-from service.jobs.table import JobTable
+from service.jobs.table import MAX_ATTEMPTS, JobTable
 from service.process.loops import Rounds, StopSignal
 from service.worker import notifying
 from service.worker.notifying import headers, send_next
@@ -97,7 +97,7 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
     monkeypatch.setattr(endings, "LONGEST_PAUSE_S", 0.2)
     monkeypatch.setattr(notifying, "ANSWER_S", 0.3)
     other = Receiver()
-    table, stop = open_job_table(LONG_S, webhooks=(receiver.url, other.url)), StopSignal()
+    table, stop = open_job_table(LONG_S, webhook_urls=f"{receiver.url},{other.url}"), StopSignal()
     sends = [partial(send_next, table, url, KEY) for url in (receiver.url, other.url)]
     threads = [Rounds("notifying", send, 0.02, stop) for send in sends]
     for thread in threads:
@@ -123,12 +123,12 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
 
 def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
     """Done, refused, crashed too often; not what goes back into the queue. The notice outlives its job."""
-    table = open_job_table(LONG_S, webhooks=("http://a", "http://b"))
+    table = open_job_table(LONG_S, webhook_urls="http://a,http://b")
     done = ended(table)
     refused = submitted(table)
     assert table.fail(claimed(table), JobError("refused", "it is no picture"))
     crashed = submitted(table)
-    for _ in range(3):
+    for _ in range(MAX_ATTEMPTS):
         assert table.census().notices == 4
         assert table.fail(claimed(table), CRASH)
     assert table.census().notices == 6
@@ -148,13 +148,13 @@ def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
 
 def test_an_address_that_was_corrected(open_job_table: OpenTable) -> None:
     """What waits for the old one goes to those that are named now. An operator who names none keeps it waiting."""
-    table = open_job_table(LONG_S, webhooks=("http://old", "http://same"))
+    table = open_job_table(LONG_S, webhook_urls="http://old,http://same")
     job_id = ended(table)
     same = table.due_notice("http://same")
     assert same is not None
     table.notice_delivered(same)
     assert open_job_table(LONG_S).forward_notices() == 0
-    corrected = open_job_table(LONG_S, webhooks=("http://new",))
+    corrected = open_job_table(LONG_S, webhook_urls="http://new")
     assert (corrected.forward_notices(), corrected.forward_notices()) == (1, 0)
     assert table.due_notice("http://old") is None
     new = corrected.due_notice("http://new")
@@ -165,7 +165,7 @@ def test_an_address_that_was_corrected(open_job_table: OpenTable) -> None:
 
 
 def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = open_job_table(LONG_S, webhooks=("http://a",))
+    table = open_job_table(LONG_S, webhook_urls="http://a")
     ended(table)
     pauses = []
     for _ in range(12):

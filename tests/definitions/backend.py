@@ -25,9 +25,9 @@ from sgmethod.backend.protocol import (
     step_by_step,
 )
 from sgmethod.native import native
-from sgmethod.native.reference import render, render_pyramid
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
+from tests.definitions.drawing import render, render_pyramid
 
 MAX_SCALE, MAX_SLANT, MAX_AMPLITUDE = 8192.0, 2048.0, 32.0  # limits during a fit; a slant is |l2| / l3
 FAINT = 0.03  # least amplitude in the limit on steps: without it, shapes of faint Gaussians would jump

@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from sgmethod.metrics.perceptual import Networks
-from tests.cli.test_cli import Run, in_folder, run
-from tests.test_metrics import disturbed, picture
-
-__all__ = ["in_folder", "run"]  # fixtures
+from benchmarks.perceptual.networks import Networks
+from tests.metrics.test_metrics import disturbed, picture
 
 ALEX = ((64, 3, 11), (192, 64, 5), (384, 192, 3), (256, 384, 3), (256, 256, 3))
 VGG = (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
@@ -50,14 +47,6 @@ def test_networks(weights: Path) -> None:
     other = disturbed(SOURCE, 60)
     assert networks(SOURCE, other)["dists"] == pytest.approx(more["dists"], rel=1e-4)  # it has no direction
     assert networks.lpips(other, SOURCE) == pytest.approx(more["lpips"], rel=1e-5)
-
-
-def test_compare_with_weights(run: Run, weights: Path, tmp_path: Path) -> None:
-    ran = run("compare", "photo.png", "photo.png", "--weights", str(weights))
-    assert [line.split() for line in ran.out.splitlines()[-2:]] == [["LPIPS", "0"], ["DISTS", ran.out.split()[-1]]]
-    ran = run("compare", "photo.png", "photo.png", "--weights", str(tmp_path / "none"))
-    assert ran.status == 2
-    assert ran.err.startswith("sgmethod: cannot use the weights in ")
 
 
 @pytest.mark.parametrize("name", ["lpips_vgg16.npz", "dists_alpha_beta.pt"])

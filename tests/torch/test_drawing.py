@@ -12,11 +12,12 @@ from torch import Tensor
 
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.torch import drawing, render
 from sgmethod.torch.drawing import _draw, _draw_backward
 from tests.backend.cases import scattered
+from tests.definitions import drawing as definition
 
 SIZE = (40, 35)
 CUTOFF = native.CUTOFF_V2
@@ -34,7 +35,7 @@ def stacked(n: int, batch: int, dtype: torch.dtype = torch.float32) -> list[Tens
 
 
 def exact(values: list[Tensor], pyramid: bool) -> Tensor:
-    draw = reference.render_pyramid if pyramid else reference.render
+    draw = definition.render_pyramid if pyramid else definition.render
     return draw(*values, SIZE, CUTOFF)
 
 

@@ -19,10 +19,11 @@ from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw, draw_whole
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import scattered
+from tests.definitions import drawing
 from tests.native.harness.golden import GOLDEN, is_golden
 
 VERSION_1 = sorted(golden(1))
@@ -71,7 +72,7 @@ def defined(scene: Scene) -> NDArray[np.int64]:
     size = scene.origin[0] + scene.width, scene.origin[1] + scene.height
     drawn = scene.gaussians.rows((scene.gaussians.factors[:, ::2] > 0).all(1))
     values = [torch.from_numpy(array).double() for array in drawn.arrays]
-    draw_exactly = reference.render_pyramid if scene.pyramid else reference.render
+    draw_exactly = drawing.render_pyramid if scene.pyramid else drawing.render
     picture = draw_exactly(values[0], values[1], values[2], size, scene.cutoff).numpy().transpose(1, 2, 0)
     shown = picture[scene.origin[1] :, scene.origin[0] :] + np.array(scene.background) / 255
     levels = np.floor(255 * shown.clip(0, 1) + 0.5).astype(int)
@@ -114,7 +115,7 @@ def test_more_gaussians_than_expected_are_laid_out_too() -> None:
     """Equal ones take less than a bit each."""
     n = 2000
     many = Gaussians(*(np.tile(np.float32([row]), (n, 1)) for row in ((20, 20), (3, 0, 3), (0.02, 0.02, 0.02))))
-    stream = StreamV2.of(many, (64, 64), 0.25, (0, 0, 0), False)
+    stream = StreamV2.from_gaussians(many, (64, 64), 0.25, (0, 0, 0), False)
     assert 8 * len(stream.payload) < 9 * n
     assert np.array_equal(draw_whole(stream), draw(stream.scene()))
     assert len(stream.gaussians()) == n

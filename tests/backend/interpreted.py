@@ -1,4 +1,4 @@
-"""The Triton kernels on the CPU, run by tests/tiles/test_tiles.py in a process with TRITON_INTERPRET=1.
+"""The Triton kernels on the CPU, run by tests/backend/test_tiles.py in a process with TRITON_INTERPRET=1.
 
 Errors are measured as in the tests of the compiled kernels, whose cases these are.
 """
@@ -16,7 +16,6 @@ from sgmethod.backend import tiles
 from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Descent, Frame, Moments
-from sgmethod.backend.reference import Reference
 from sgmethod.backend.tensors import Tensors
 from sgmethod.backend.tiles import Tiles
 from sgmethod.fitting.deadline import Clock
@@ -26,6 +25,7 @@ from sgmethod.settings.rd import NEWTON_ADAM
 from sgmethod.settings.shared import ADAM, OptimiserSettings
 from sgmethod.torch.fitting import fit_pictures
 from tests.backend.cases import FRAMES, SIZE, VISIBILITIES, image, over, scattered, target, visibility, worst
+from tests.definitions.backend import Reference
 from tests.native import test_pyramid as pyramid
 from tests.native import test_render as plain
 
@@ -103,8 +103,8 @@ def test_backend(name: str, kind: str) -> None:
 def test_a_batch_is_its_pictures() -> None:
     """What cannot be drawn draws nothing, gets no gradient and disturbs no other."""
     every = [scattered(9, seed) for seed in range(3)]
-    every[1].factors[:4, ::2] = np.float32([[0, 1], [-1, 1], [np.nan, 1], [1e-30, 1]])
-    every[1].means[4:6] = np.float32([[np.inf, 0], [0, np.nan]])
+    every[1].factors[:4, ::2] = np.array([[0, 1], [-1, 1], [np.nan, 1], [1e-30, 1]], np.float32)
+    every[1].means[4:6] = np.array([[np.inf, 0], [0, np.nan]], np.float32)
     frame, by_image = Frame(*SIZE), torch.from_numpy(np.stack([image(seed) for seed in range(3)]))
     batch = Tiles(frame, *(torch.cat(values) for values in zip(*map(tensors, every), strict=True)))
     pictures, gradients = batch.draw(), batch.gradients(by_image)
@@ -162,7 +162,7 @@ def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     found = fit_pictures(pictures, task, CPU)
     assert max(batches) == 3
     for one, picture in zip(found, pictures, strict=True):
-        wanted = task.of(picture, Kernels(), Clock(), lambda _: None)
+        wanted = task.fit(picture, Kernels(), Clock(), lambda _: None)
         assert one.error == pytest.approx(wanted.error, rel=0.1)
         assert len(one.gaussians) == 12
 

@@ -18,9 +18,9 @@ from sgmethod.exchange.files import C0, WRITTEN
 from sgmethod.exchange.packing import seen
 from sgmethod.metrics import psnr
 from sgmethod.native import native
-from sgmethod.native.reference import render
 from sgmethod.view import NO_CUTOFF, recut
 from tests.backend.cases import scattered, single
+from tests.definitions.drawing import render
 
 SIZE = (64, 48)
 SOME = scattered(20, 1, SIZE)

@@ -45,7 +45,7 @@ def some_gaussians(n: int = 300) -> Gaussians:
 def file_of(
     codes: Codes | None, gaussians: Gaussians | None = None, *, grey: bool = False, size: tuple[int, int] = SIZE
 ) -> bytes:
-    stream = StreamV2.of(
+    stream = StreamV2.from_gaussians(
         gaussians or Gaussians.empty(0), size, 0.02, (128, 128, 128) if grey else (140, 120, 110), grey
     )
     return container.serialise(replace(stream, texture=codes))
