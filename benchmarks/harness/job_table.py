@@ -13,7 +13,6 @@ from service.jobs.job import (
     EncodeResult,
     Job,
     JobError,
-    JobRules,
     NewJob,
     SourceImage,
     new_job_id,
@@ -21,15 +20,20 @@ from service.jobs.job import (
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
+from service.settings import Settings
 
 REQUEST = EncodeRequest("bpp", 1.0, "rd", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
 RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": None})
 CRASH, REFUSED = JobError("crashed", "it crashed"), JobError("refused", "no")
 LONG_S, NO_TIME_S = 60.0, 0.0
-RULES = JobRules(LONG_S, 3)
 
 OpenTable = Callable[..., JobTable]
+
+
+def settings(lease_s: float = LONG_S, **options: Any) -> Settings:
+    """Settings that need not be valid, as of a lease that is too short for a service."""
+    return Settings().model_copy(update={"lease_s": lease_s, "source_retention_s": 0, **options})
 
 
 def new(key: str | None = None, fingerprint: str = "f", image: SourceImage = IMAGE, **more: Any) -> NewJob:
@@ -75,12 +79,10 @@ def grow_older(table: JobTable, seconds: float) -> None:
 
 def open_table(database_url: str, folder: Path, lease_s: float, **options: Any) -> JobTable:
     """The job table of SG_DATABASE_URL, SQLite's in the folder."""
-    rules = JobRules(lease_s, 3, **options)
-    return (
-        SqliteJobTable(folder / "jobs.sqlite3", rules)
-        if database_url == "sqlite"
-        else PostgresJobTable(database_url, rules)
-    )
+    chosen = settings(lease_s, **options)
+    if database_url == "sqlite":
+        return SqliteJobTable(folder / "jobs.sqlite3", chosen)
+    return PostgresJobTable(database_url, chosen)
 
 
 def what_all_say(target: Callable[..., None], number: int, *arguments: Any) -> list[Any]:

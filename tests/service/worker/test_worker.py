@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.job_table import LONG_S, claimed, job_of, submitted
+from benchmarks.harness.job_table import LONG_S, claimed, job_of, settings, submitted
 from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
 from service.errors import JobTableError
-from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JsonObject
+from service.jobs.job import Claim, EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
@@ -50,7 +50,7 @@ class Unsteady(SqliteJobTable):
 
 @pytest.fixture
 def table(tmp_path: Path) -> Iterator[Unsteady]:
-    table = Unsteady(tmp_path / "jobs.sqlite3", JobRules(LONG_S, 4))
+    table = Unsteady(tmp_path / "jobs.sqlite3", settings())
     yield table
     table.close()
 

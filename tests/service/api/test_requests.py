@@ -108,6 +108,7 @@ REFUSED_FIELDS: dict[str, list[dict[str, str]]] = {
     "positive": [{"bpp": "0"}, {"bpp": "-1"}, {"bpp": "1e999"}, {"gaussians": "0"}],
     "must be a number": [{"bpp": value} for value in ("nan", "inf", "1_0", "", "\u0663")],
     "whole": [{"bytes": "10.5"}],
+    "a size is a number of bytes": [{"bytes": "many"}],
     "at most 60": [{"psnr": "99"}],
     "at most 100": [{"quality": "101"}],
     "at least 12 bytes": [{"bytes": "11"}, {"bpp": "0.00001"}],
@@ -189,6 +190,7 @@ def test_an_image_as_the_body(web: Service) -> None:
     assert (unasked["priority"], unasked["time_limit_s"]) == ("interactive", 300)  # the longest
     assert web.job(post("?bpp=1&effort=7").json()["id"])["effort"] == 7
     assert web.job(post("?quality=40").json()["id"])["budget"] == {"kind": "quality", "value": 40}
+    assert web.job(post("?bytes=1.5k").json()["id"])["budget"] == {"kind": "bytes", "value": 1500}
     assert web.job(post("?bpp=1&tune=psnr").json()["id"])["tune"] == "psnr"
     assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
