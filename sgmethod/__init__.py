@@ -21,8 +21,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        drawing any part at any size
     decoder     bytes -> Gaussians -> pixels
-    metrics/    PSNR, MS-SSIM, SSIMULACRA 2
-    advice      pictures that Gaussians do not suit, and the formats that suit them better
+    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; whether another format does better
     start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
     paper/      profile paper

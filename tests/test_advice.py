@@ -14,12 +14,12 @@ from skimage import data
 
 import sgmethod
 from benchmarks.harness.pictures import page_of_text
-from sgmethod import advice as module
-from sgmethod.advice import Better, advice, better_file, is_drawn
 from sgmethod.cli.main import main
 from sgmethod.errors import ImageError
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.io.pictures import encode_picture
+from sgmethod.metrics import advice as module
+from sgmethod.metrics.advice import Better, advice, better_file, is_drawn
 
 
 def page() -> np.ndarray:

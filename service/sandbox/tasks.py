@@ -182,7 +182,7 @@ def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
 
 
 def _compare(task: frames.Compare, file: bytes, answer: Answer) -> None:
-    from sgmethod.advice import better_file, is_drawn
+    from sgmethod.metrics.advice import better_file, is_drawn
 
     pixels = read_image_8_bit(file, ImageLimits(task.max_pixels), keep_alpha=True)
     if task.file_kind == "webp" and (lossless := better_file(pixels, task.size, 0.0, ("webp",))):
@@ -201,8 +201,8 @@ def _make_preview(task: frames.MakePreview, file: bytes, answer: Answer) -> None
 
 
 def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
-    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
+    from sgmethod.metrics.advice import advice, better_file
 
     request = task.request
     with noted() as notes:

@@ -135,9 +135,9 @@ class _Packing:
         while len(some) > 1:
             first, second = (some.rows(half) for half in np.array_split(np.arange(len(some)), 2))
             some = first if clipped(first) else second
-        said = ", ".join(str(values[0].tolist()) for values in some.arrays)
+        numbers = ", ".join(str(values[0].tolist()) for values in some.arrays)
         raise GaussiansError(
-            f"no file can hold a Gaussian with mean, factors and colour {said}: its size sqrt(l1 l3) must be about "
+            f"no file can hold a Gaussian with mean, factors and colour {numbers}: its size sqrt(l1 l3) must be about "
             "0.21 to 19,500 pixels, neither of l1 and l3 more than 8.9 million times the other, |l2| at most 4096 l3, "
             "its centre within about 1.6 sizes of the picture, and its colour at most 2^22 steps"
         )
