@@ -135,7 +135,7 @@ def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
     if row.theirs:
         height, width = pixels.shape[:2]
         return fit_by_adan(start, level.gradients, width, height, AdanSettings(), row.settings.fit_steps)
-    return paper.fit(level, start, row.settings, Recorder(clock), Deadline(clock, None))[0]
+    return paper.fit(level, start, row.settings, Recorder(clock), Deadline.from_limit(clock, None))[0]
 
 
 def on_gpu(
