@@ -161,7 +161,7 @@ def test_only_some_files_have_it(rule: str) -> None:
 
 
 def test_the_exported_names() -> None:
-    """The names in docs/python.md have a test beside that page's examples (tests/gaussians/test_python_page.py)."""
+    """The names in docs/python.md have a test beside that page's examples (tests/torch/test_python_page.py)."""
     assert sgmethod.__all__ == sorted(sgmethod.__all__)
     own = {
         name

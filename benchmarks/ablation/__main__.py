@@ -1,6 +1,6 @@
 """What the parts of profile paper are worth: the tables of the paper's ablations.
 
-    python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions,ranges] [--most 6]
+    python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions] [--most 6]
                                   [--pictures kodim05] [--seeds 3] [--fit-steps 2000] [--tune-steps 1000]
     python -m benchmarks.ablation gains [--help]     the paper's start and regularisation, before coding
     python -m benchmarks.ablation gained JSON...     a table of what gains measured

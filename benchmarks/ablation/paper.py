@@ -69,9 +69,6 @@ TABLES = {
     "positions": Table(
         {f"{bits}": replace(BUDGETED, position_bits=bits) for bits in (16, 14, 12, 10)}, (1000, 3000, 7000)
     ),
-    "ranges": Table(
-        {"minimum and maximum": replace(PAPER, range_quantile=0.0), "quantiles": PAPER}, (1000, 3000, 7000), (384, 256)
-    ),
 }
 
 

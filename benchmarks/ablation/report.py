@@ -12,7 +12,7 @@ Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
 BySetting = dict[str, dict[Case, list[Row]]]
 
-BASELINES = {"quantisation": "GSImage", "positions": "16", "ranges": "minimum and maximum"}  # of each table
+BASELINES = {"quantisation": "GSImage", "positions": "16"}  # of each table
 COLUMNS = {
     **{"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".4f")},
     **{"gaussians": ("Gaussians", ",.0f"), "seconds": ("seconds", ".1f")},

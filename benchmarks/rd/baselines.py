@@ -14,7 +14,6 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +22,11 @@ import numpy as np
 from PIL import Image, features
 
 from benchmarks.pictures import Pixels
-from benchmarks.rd.codecs import Run
+from benchmarks.rd.codecs import File
 from sgmethod.native import native
 
 MIN_BPP = 0.25  # to which a picture is reduced
 QUICK = 6  # the speed of AVIF at which its search begins
-
-
-@dataclass(frozen=True)
-class File:
-    """What a codec made at one quality, and how long that took."""
-
-    quality: float
-    data: bytes
-    encode_s: float
 
 
 class Baseline:
@@ -74,15 +64,10 @@ class Baseline:
             low, high = (middle, high) if fits(middle) else (low, middle)
         return files.get(low) or self._file(pixels, self.qualities[low])
 
-    def run(self, pixels: Pixels, aim: float) -> Run:
-        """The best file; the time is that of one encode, not of the search."""
-        file = self.best(pixels, aim)
-        return Run(file.data, file.encode_s, self.decode)
-
     def _file(self, pixels: Pixels, quality: float) -> File:
         began = time.perf_counter()
         data = self.encode(pixels, quality)
-        return File(quality, data, time.perf_counter() - began)
+        return File(data, time.perf_counter() - began, quality)
 
 
 def _around(start: int, count: int, fits: Callable[[int], bool]) -> tuple[int, int]:

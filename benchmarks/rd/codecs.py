@@ -1,13 +1,12 @@
-"""The profiles of this project as codecs, and what any codec makes of a picture."""
+"""The profiles of this project as codecs, and the file that any codec makes of a picture."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from benchmarks.pictures import Pixels
-from sgmethod import decode, encode, info
+from sgmethod import decode, encode
 from sgmethod.backend.devices import backend_on
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock, Deadline
@@ -21,13 +20,12 @@ from sgmethod.settings.rd import RD
 
 
 @dataclass(frozen=True)
-class Run:
-    """What a codec made of a picture [H, W, 3]."""
+class File:
+    """A file, the seconds of its encode, and the quality at which another codec made it."""
 
     data: bytes
     encode_s: float
-    decode: Callable[[bytes], Pixels]
-    gaussians: int | None = None
+    quality: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,16 +49,20 @@ class Sg:
             f"effort {self.effort}": self.effort != DEFAULT_EFFORT,
             "one quality": self.one_quality,
         }
-        return " ".join([self.profile, *(part for part, said in parts.items() if said)])
+        return " ".join([self.profile, *(part for part, is_set in parts.items() if is_set)])
 
-    def run(self, pixels: Pixels, aim: float) -> Run:
+    def best(self, pixels: Pixels, aim: float) -> File:
         """The best file within a rate in bits per pixel, or the file of a quality."""
         began = time.perf_counter()
         if self.one_quality:
             data = self._at_quantum(pixels, 3.2 * 2 ** (-aim / 16))
         else:
             data = encode(pixels, bpp=aim, profile=self.profile, tune=self.tune, effort=self.effort).data
-        return Run(data, time.perf_counter() - began, decode, info(data).gaussians)
+        return File(data, time.perf_counter() - began)
+
+    def decode(self, data: bytes) -> Pixels:
+        """Decode a file to pixels [H, W, 3]."""
+        return decode(data)
 
     def _at_quantum(self, pixels: Pixels, quantum: float) -> bytes:
         """The file of a fixed quantum, which is no budget."""

@@ -8,8 +8,7 @@ from typing import Any
 
 from benchmarks.report.plots import style
 from benchmarks.report.results import rows
-from benchmarks.robustness.stiff.rows import Row
-from benchmarks.robustness.stiff.rules import judged
+from benchmarks.robustness.stiff import Row, judged
 from benchmarks.tables import MISSING, number, table
 
 SETS = ("kernels", "fits", "strict")

@@ -9,8 +9,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.arguments import run_part
-from benchmarks.robustness import extremes
-from benchmarks.robustness.stiff import command as stiff
+from benchmarks.robustness import extremes, stiff
 
 if __name__ == "__main__":
     sys.exit(run_part({"stiff": stiff.main, "extremes": extremes.main}, __doc__))

@@ -5,7 +5,7 @@
 Each attack meets a fresh `python -m service web` with default settings but a long queue, in which jobs of other
 clients may wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) send
 requests as fast as they are answered, from one address or several. A client at another address sends seven kinds of
-requests at fixed moments. Attacks have ten times as many clients as tests/service/limits, or files of the
+requests at fixed moments. Attacks have ten times as many clients as tests/service/api, or files of the
 largest size allowed.
 """
 
@@ -27,7 +27,7 @@ from benchmarks.harness.service import Service
 from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import Request, send_all
-from benchmarks.service.measured import made_picture
+from benchmarks.service.pictures import made_picture
 
 VICTIM = "127.0.0.2"
 AT_MOST = {"p99_ms": 1000, "web_mb": 400}

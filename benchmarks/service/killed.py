@@ -1,4 +1,4 @@
-"""The service that `chaos` kills."""
+"""The service that chaos.py kills."""
 
 from __future__ import annotations
 
@@ -94,9 +94,9 @@ class ChaosService(ServiceProcess):
         return int(match.group(1))
 
     def published_twice(self) -> set[str]:
-        """Jobs that two workers say they published."""
-        said = Counter(re.findall(r"job ([0-9a-f]{32}): done, ", self.log.read_text()))
-        return {job_id for job_id, times in said.items() if times > 1}
+        """Jobs that were published twice, by the log."""
+        published = Counter(re.findall(r"job ([0-9a-f]{32}): done, ", self.log.read_text()))
+        return {job_id for job_id, times in published.items() if times > 1}
 
     def processes_left(self) -> set[int]:
         """Processes of ours that are still there a moment after the service has ended."""

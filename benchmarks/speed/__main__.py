@@ -44,7 +44,7 @@ def main() -> None:
             record.add({"what": "size", **sizes.row(paths, megapixels, options.bpp, options.repeats)})
     if "kernels" in options.only and not record.has(what="kernel"):
         gaussians = kernels.fitted(kernels.load(paths[0]), GAUSSIANS, options.steps)
-        for row in kernels.measure(kernels.Jobs(gaussians), options.rounds):
+        for row in kernels.measure(gaussians, options.rounds):
             record.add({"what": "kernel", **row})
 
 

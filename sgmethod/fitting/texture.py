@@ -29,7 +29,7 @@ CONTRAST = 64  # least difference between ink and paper, in levels of 8 bits
 LIKE = 1 / 6  # part of the contrast by which JPEG may move a pixel away from ink or paper
 MAX_DRAWN = 1 / 2  # most pixels of ink or paper in a block of noise
 SIDE = TEXTURE_CELL // BLOCK  # blocks along a side of a cell
-SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/test_texture.py
+SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/fitting/test_texture.py
 STEPS = 30  # towards the strengths of cells, which then move by less than a tenth of a code
 TINY = 1e-3  # squared levels
 # Weights [blocks of a cell, 9] in linear interpolation of the cell and its neighbours: of 3 cells, the middle one's.

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from benchmarks.perceptual.networks import Networks
-from tests.test_metrics import disturbed, picture
+from tests.metrics.test_metrics import disturbed, picture
 
 ALEX = ((64, 3, 11), (192, 64, 5), (384, 192, 3), (256, 384, 3), (256, 256, 3))
 VGG = (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)

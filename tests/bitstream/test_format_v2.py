@@ -20,7 +20,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.texture import Codes, cells, pack
 from sgmethod.bitstream.v2 import MIN_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes, coded_background
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
 from tests.backend.cases import single
@@ -49,8 +49,8 @@ def test_the_limits_in_the_text() -> None:
         f"until it is less than 8; at most {plain.MOST_RAW_BITS}.",
         rf"refuse \|v\| > {plain.MOST_V} * 2^h or 2 \|r\| > {plain.MOST_R} * 2^h",
         f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.LEAST_COLOUR_STEP):g})",
-        f"ratio = minor / ({reference.NARROWEST} * {reference.NARROWEST})",
-        f"the largest l from 1 to {reference.MAX_LEVEL} with",
+        f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
+        f"the largest l from 1 to {native.MAX_LEVEL} with",
         f"Square patches, {plain.PATCH} pixels wide,",
         f"columns = ceil(width / {plain.PATCH}) rows = ceil(height / {plain.PATCH})",
         f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
@@ -67,7 +67,7 @@ def test_the_version_and_the_views_in_the_text() -> None:
     assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
     assert f"/ ({1 / PIXEL_VARIANCE:g} kept)" in text
     assert f"OX = floor(left * sx) mod {MAX_COORDINATE} " in text
-    assert MAX_COORDINATE % 2**reference.MAX_LEVEL == 0
+    assert MAX_COORDINATE % 2**native.MAX_LEVEL == 0
     assert f"C = 3: kept = {variance(native.CUTOFF_V2):.4f}" in text
     assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 

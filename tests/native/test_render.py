@@ -241,7 +241,7 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert row[50].item() == pytest.approx(1 - np.exp(-CUTOFF), abs=1e-6)  # worst seen 0
 
 
-NOT_DRAWN = {  # more, and in a pyramid: tests/gaussians/test_drawing.py
+NOT_DRAWN = {  # more, and in a pyramid: tests/torch/test_drawing.py
     "mean x": ([np.nan, 5], [2, 0, 2]),
     "mean y": ([5, np.inf], [2, 0, 2]),
     "l1 not a number": ([5, 5], [np.nan, 0, 2]),

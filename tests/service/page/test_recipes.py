@@ -19,7 +19,7 @@ from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden
 from benchmarks.harness.processes import run, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
-from tests.service.previews.test_previews import show
+from tests.service.page.test_previews import show
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from benchmarks.harness.data import golden
@@ -19,7 +18,7 @@ from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw, draw_whole
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import scattered
@@ -68,10 +67,13 @@ def test_pictures_and_views_are_those_of_the_definition(name: str, scale: float)
 
 def defined(scene: Scene) -> NDArray[np.int64]:
     """Levels [H, W, 3], or [H, W, 4] with alpha."""
+    torch = pytest.importorskip("torch", reason="the definition needs PyTorch")
+    from tests.definitions import drawing
+
     size = scene.origin[0] + scene.width, scene.origin[1] + scene.height
     drawn = scene.gaussians.rows((scene.gaussians.factors[:, ::2] > 0).all(1))
     values = [torch.from_numpy(array).double() for array in drawn.arrays]
-    draw_exactly = reference.render_pyramid if scene.pyramid else reference.render
+    draw_exactly = drawing.render_pyramid if scene.pyramid else drawing.render
     picture = draw_exactly(values[0], values[1], values[2], size, scene.cutoff).numpy().transpose(1, 2, 0)
     shown = picture[scene.origin[1] :, scene.origin[0] :] + np.array(scene.background) / 255
     levels = np.floor(255 * shown.clip(0, 1) + 0.5).astype(int)

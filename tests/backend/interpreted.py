@@ -1,4 +1,4 @@
-"""The Triton kernels on the CPU, run by tests/tiles/test_tiles.py in a process with TRITON_INTERPRET=1.
+"""The Triton kernels on the CPU, run by tests/backend/test_tiles.py in a process with TRITON_INTERPRET=1.
 
 Errors are measured as in the tests of the compiled kernels, whose cases these are.
 """
@@ -103,8 +103,8 @@ def test_backend(name: str, kind: str) -> None:
 def test_a_batch_is_its_pictures() -> None:
     """What cannot be drawn draws nothing, gets no gradient and disturbs no other."""
     every = [scattered(9, seed) for seed in range(3)]
-    every[1].factors[:4, ::2] = np.float32([[0, 1], [-1, 1], [np.nan, 1], [1e-30, 1]])
-    every[1].means[4:6] = np.float32([[np.inf, 0], [0, np.nan]])
+    every[1].factors[:4, ::2] = np.array([[0, 1], [-1, 1], [np.nan, 1], [1e-30, 1]], np.float32)
+    every[1].means[4:6] = np.array([[np.inf, 0], [0, np.nan]], np.float32)
     frame, by_image = Frame(*SIZE), torch.from_numpy(np.stack([image(seed) for seed in range(3)]))
     batch = Tiles(frame, *(torch.cat(values) for values in zip(*map(tensors, every), strict=True)))
     pictures, gradients = batch.draw(), batch.gradients(by_image)
