@@ -66,16 +66,13 @@ FULL = {
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
-def run(result: str, line: str, folder: Path) -> float:
-    """Seconds that the command took. Its failure does not keep others from running."""
-    module, *words = shlex.split(line)
-    print(f"--- {module} {shlex.join(words)}", flush=True)
+def run(result: str, words: list[str], folder: Path) -> None:
+    """Run a command, and print how long it took. If it fails, the next one runs all the same."""
+    print(f"--- {shlex.join(words)}", flush=True)
     began = time.monotonic()
-    command = [sys.executable, "-m", f"benchmarks.{module}", *words, "--out", str(folder / f"{result}.json")]
-    done = subprocess.run(command, cwd=ROOT, check=False)
-    if done.returncode != 0:
-        print(f"{module} failed with status {done.returncode}", file=sys.stderr)
-    return time.monotonic() - began
+    command = [sys.executable, "-m", f"benchmarks.{words[0]}", *words[1:], "--out", str(folder / f"{result}.json")]
+    status = subprocess.run(command, cwd=ROOT, check=False).returncode
+    print(f"{result}: {time.monotonic() - began:.0f} s{f', failed with status {status}' if status else ''}", flush=True)
 
 
 def main() -> None:
@@ -89,20 +86,16 @@ def main() -> None:
     if not options.full:
         lines["rd/kodak"] += " --baselines" if versions() else ""
         lines["convergence/kodak"] += "" if versions() else f" {NO_BASELINES}"
-    wanted = {name: line for name, line in lines.items() if line.split()[0] in options.only}
-    if not wanted:
-        parser.error("these are measured with --full alone")
+    lines = {name: line for name, line in lines.items() if line.split()[0] in options.only}
     if options.full and not versions():
         parser.error("--full needs the other codecs: pip install -e '.[benchmark]'")
-    if any("{weights}" in line for line in wanted.values()) and not options.weights:
+    if any("{weights}" in line for line in lines.values()) and not options.weights:
         parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
-    if options.full and any(KODAK in line for line in wanted.values()) and options.images == PHOTOGRAPHS:
+    if options.full and any(KODAK in line for line in lines.values()) and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
-    folders = {name: shlex.quote(str(getattr(options, name))) for name in ("images", "weights")}
-    out = RESULTS if options.full else RUNS
-    wanted = {name: line.format(**folders) for name, line in wanted.items()}
-    taken = {name: run(name, line, out) for name, line in wanted.items()}
-    print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken.items()))
+    for name, line in lines.items():
+        words = [word.format(images=options.images, weights=options.weights) for word in shlex.split(line)]
+        run(name, words, RESULTS if options.full else RUNS)
 
 
 if __name__ == "__main__":

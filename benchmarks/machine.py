@@ -25,11 +25,8 @@ RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes without --out
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
 # What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
-NOT_CODE = (
-    *(":!benchmarks/results", ":!benchmarks/report", ":!benchmarks/__main__.py"),
-    *(":!service/page", ":!sgmethod/javascript"),
-)
-CODE = ("sgmethod", "service", "benchmarks", *NOT_CODE)
+NOT_CODE = "benchmarks/results benchmarks/report benchmarks/__main__.py service/page sgmethod/javascript"
+CODE = ("sgmethod", "service", "benchmarks", *(f":!{path}" for path in NOT_CODE.split()))
 
 
 def origin() -> dict[str, object]:
@@ -66,11 +63,8 @@ def same_code(one: str, other: str) -> bool:
     to measure again."""
     if one == other:
         return one != UNKNOWN
-    return _is_commit(one) and _is_commit(other) and not _git("diff", one, other, "--", *CODE)
-
-
-def _is_commit(name: str) -> bool:
-    return bool(_git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}"))
+    are_commits = all(_git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}") for name in (one, other))
+    return are_commits and not _git("diff", one, other, "--", *CODE)
 
 
 def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:

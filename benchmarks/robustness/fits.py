@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 from unittest.mock import patch
@@ -44,15 +44,6 @@ KINDS: dict[str, tuple[Profile, Tune]] = {
 }
 
 
-@dataclass(frozen=True)
-class Size:
-    """How much is tried: pixels along a side, seeds, generations."""
-
-    side: int = 64
-    seeds: int = 10
-    generations: int = 10
-
-
 def step(side: int) -> Pixels:
     """Black beside white: one edge, and nothing else."""
     pixels = np.zeros((side, side, 3), np.uint8)
@@ -63,12 +54,12 @@ def step(side: int) -> Pixels:
 PICTURES: dict[str, Callable[[int], Pixels]] = {"photograph": photograph, "text": text, "step": step}
 
 
-def cases(size: Size) -> Cases:
-    """Bad starts of profile rd on every picture, the rest on the photograph."""
-    budget, pixels = Budget("bpp", BPP), photograph(size.side)
+def cases(side: int, seeds: int, generations: int) -> Cases:
+    """Bad starts of profile rd on every picture, the rest on the photograph. side: of pictures, in pixels."""
+    budget, pixels = Budget("bpp", BPP), photograph(side)
     for kind, (profile, tune) in KINDS.items():
         for name in PICTURES if profile == "rd" else ("photograph",):
-            picture = PICTURES[name](size.side)
+            picture = PICTURES[name](side)
             for start, patched in starts(profile).items():
                 measure = partial(worse, picture, budget, profile, tune, patched)
                 yield Case(f"{name}, {kind}, {start}", RULE, 0.0, measure)
@@ -81,15 +72,10 @@ def cases(size: Size) -> Cases:
         yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n), "rd", "psnr"))
     for count in (1, 11, 12, 13, 30, 100, pixels.size, 10 * pixels.size):
         yield Case(f"{count:,} bytes", SIZE_RULE, 0, partial(beyond, pixels, count))
-    yield Case(
-        f"{size.seeds} seeds", "dB between the best and the worst", SPREAD_LIMIT_DB, partial(spread, pixels, size.seeds)
-    )
-    yield Case(
-        f"{size.generations} generations",
-        "dB lost from the first to the last, each encoded from the one before",
-        GENERATIONS_LIMIT_DB,
-        partial(lost, pixels, size.generations),
-    )
+    rule = "dB between the best and the worst"
+    yield Case(f"{seeds} seeds", rule, SPREAD_LIMIT_DB, partial(spread, pixels, seeds))
+    rule = "dB lost from the first to the last, each encoded from the one before"
+    yield Case(f"{generations} generations", rule, GENERATIONS_LIMIT_DB, partial(lost, pixels, generations))
 
 
 def starts(profile: str) -> dict[str, Patch]:
@@ -110,7 +96,7 @@ def starts(profile: str) -> dict[str, Patch]:
         return patched
 
     def equal(g: Gaussians) -> None:
-        for values in (g.means, g.factors, g.colors):
+        for values in g.arrays:
             values[:] = values[0]
 
     def singular(g: Gaussians) -> None:
@@ -122,17 +108,12 @@ def starts(profile: str) -> dict[str, Patch]:
 
         return spoil
 
-    bad = [(math.nan, "not a number"), (math.inf, "infinite")]
-    return {
-        "as it is": nullcontext,
-        "all Gaussians equal at the start": spoiled(equal),
-        "singular shapes at the start": spoiled(singular),
-        **{
-            f"every second {name[:-1]} {word} at the start": spoiled(some(v, name))
-            for v, word in bad
-            for name in ("means", "factors")
-        },
-    }
+    found: dict[str, Patch] = {"as it is": nullcontext, "all Gaussians equal at the start": spoiled(equal)}
+    found["singular shapes at the start"] = spoiled(singular)
+    for value, word in ((math.nan, "not a number"), (math.inf, "infinite")):
+        for name in ("means", "factors"):
+            found[f"every second {name[:-1]} {word} at the start"] = spoiled(some(value, name))
+    return found
 
 
 def fast(settings: Settings) -> Settings:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,8 +29,7 @@ VALUE_RULE = "error of a pixel, over the sum of the magnitudes of the colours th
 GRADIENT_RULE = "error of a gradient against float64, over the largest of its kind, 1e-30 at least"
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """How a version draws: cut-off, and whether in a pyramid."""
 
     name: str
@@ -158,7 +157,7 @@ def raster(gaussians: Gaussians, model: Model, isa: int) -> native.Rasterization
 def backward(gaussians: Gaussians, model: Model, isa: int) -> list[FloatArray]:
     """The kernels' gradients of the sum of the picture times upstream()."""
     image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
-    out = [np.empty_like(values) for values in (gaussians.means, gaussians.factors, gaussians.colors)]
+    out = [np.empty_like(values) for values in gaussians.arrays]
     over = raster(gaussians, model, isa)
     over.render(gaussians.colors, image)
     over.backward(gaussians.colors, upstream().float().numpy(), *out)
@@ -174,8 +173,7 @@ def defined(gaussians: Gaussians, model: Model, tensors: list[Tensor] | None = N
 
 def exact_tensors(gaussians: Gaussians) -> list[Tensor]:
     """Means, factors and colours in float64, with gradients."""
-    arrays = gaussians.means, gaussians.factors, gaussians.colors
-    return [torch.from_numpy(values.astype(np.float64)).requires_grad_() for values in arrays]
+    return [torch.from_numpy(values.astype(np.float64)).requires_grad_() for values in gaussians.arrays]
 
 
 def upstream() -> Tensor:
@@ -189,9 +187,7 @@ def summed(gaussians: Gaussians, cutoff: float) -> NDArray[np.float64]:
     x, y = (np.arange(side) + 0.5 for side in SIZE)
     total = np.zeros((3, SIZE[1], SIZE[0]))
     largest = max(float(np.abs(gaussians.colors).max()), MIN_MAGNITUDE)
-    for mean, (l1, l2, l3), color in zip(
-        *(values.astype(np.float64) for values in (gaussians.means, gaussians.factors, gaussians.colors)), strict=True
-    ):
+    for mean, (l1, l2, l3), color in zip(*(values.astype(np.float64) for values in gaussians.arrays), strict=True):
         z1 = (x[None, :] - mean[0]) / l1
         z2 = (y[:, None] - mean[1] - l2 * z1) / l3
         total += np.abs(color)[:, None, None] * (z1 * z1 + z2 * z2 < 2 * cutoff + 1)

@@ -44,6 +44,11 @@ class Attack:
     addresses: int = 1
 
 
+async def status_of(reader: asyncio.StreamReader) -> str:
+    """The status in the first line of an answer."""
+    return (await reader.readline()).split()[1].decode()
+
+
 class Crowd:
     """The attackers of one service, for a number of seconds from when they are ready."""
 
@@ -94,8 +99,11 @@ class Crowd:
             with contextlib.suppress(ConnectionError):  # refused before the body was read: the answer is there
                 writer.write(body)
                 await writer.drain()
-            status = (await reader.readline()).split()[1].decode()
-            return status, await reader.read()
+            return await status_of(reader), await reader.read()
+
+    async def post(self, source: str, path: str, body: bytes) -> str:
+        """The status of the answer to a POST."""
+        return (await self.asked(source, f"POST {path}", body))[0]
 
 
 def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
@@ -103,11 +111,7 @@ def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
 
     def prepared() -> Request:
         body = make()
-
-        async def post(crowd: Crowd, source: str) -> str:
-            return (await crowd.asked(source, f"POST {path}", body))[0]
-
-        return post
+        return lambda crowd, source: crowd.post(source, path, body)
 
     return prepared
 
@@ -141,11 +145,7 @@ def large_pictures() -> Request:
 def hopeless() -> Request:
     """Submit jobs that cannot succeed."""
     queries = itertools.cycle(HOPELESS)
-
-    async def post(crowd: Crowd, source: str) -> str:
-        return (await crowd.asked(source, f"POST /encode?{next(queries)}", SMALL))[0]
-
-    return post
+    return lambda crowd, source: crowd.post(source, f"/encode?{next(queries)}", SMALL)
 
 
 def idle() -> Request:
@@ -181,10 +181,8 @@ def streams() -> Request:
     async def watch(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
             writer.write(f"GET /jobs/{crowd.job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            status = (await reader.readline()).split()[1].decode()
-            if status == "200":
-                while await reader.readline():
-                    pass
+            if (status := await status_of(reader)) == "200":
+                await reader.read()
             return status
 
     return watch
@@ -199,7 +197,7 @@ def untaken() -> Request:
             writer.write(f"GET /decode/{crowd.job}.png?scale=8 HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             await asyncio.sleep(PATIENCE_S / 2)
             writer.transport.resume_reading()  # type: ignore[attr-defined]
-            return (await reader.readline()).split()[1].decode()
+            return await status_of(reader)
 
     return ask
 

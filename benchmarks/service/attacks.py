@@ -27,7 +27,7 @@ from benchmarks.harness.service import Service
 from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import Request, send_all
-from benchmarks.service.measured import made_picture
+from benchmarks.service.pictures import made_picture
 
 VICTIM = "127.0.0.2"
 AT_MOST = {"p99_ms": 1000, "web_mb": 400}

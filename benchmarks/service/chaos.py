@@ -24,7 +24,7 @@ from typing import Any
 from benchmarks.harness.postgres_server import HINT, PostgresServer, find_binaries
 from benchmarks.machine import RUNS, command, origin, write_json
 from benchmarks.service.killed import ChaosService
-from benchmarks.service.measured import made_picture
+from benchmarks.service.pictures import made_picture
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
 STUCK_AFTER_S = 180.0  # without any job that ends

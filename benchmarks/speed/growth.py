@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,38 +81,28 @@ def name_of(row: dict[str, Any]) -> str:
     return f"{row['method']}, speed {row['setting']}" if row["setting"] else str(row["method"])
 
 
-def means(rows: Rows, settings: dict[str, Any], axis: str) -> Iterator[tuple[str, list[tuple[float, float, float]]]]:
-    """For each method and setting: along the axis, seconds and PSNR, means over the pictures."""
-    fixed = AXES[axis]
-    along = [row for row in rows if row[fixed] == settings[fixed]]
-    for name in dict.fromkeys(map(name_of, along)):
-        mine = [row for row in along if name_of(row) == name]
-        points = []
-        for at in sorted({row[axis] for row in mine}):
-            group = [row for row in mine if row[axis] == at]
-            points.append((at, *(statistics.fmean(row[name] for row in group) for name in ("seconds", "psnr"))))
-        yield name, points
-
-
 def exponent(x: Sequence[float], y: Sequence[float]) -> float | None:
     """The slope of the line through the logarithms; None for fewer than two points."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len({*x}) > 1 else None
 
 
 def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
-    """A table of seconds along the axis, and of the power with which they grow."""
-    found = dict(means(rows, settings, axis))
-    every = sorted({at for points in found.values() for at, *_ in points})
-    last = [row for row in rows if row[axis] == every[-1] and row[AXES[axis]] == settings[AXES[axis]]]
+    """A table of seconds along an axis, means over the pictures, and of the power with which they grow."""
+    fixed = AXES[axis]
+    groups: dict[str, dict[float, list[dict[str, Any]]]] = {}
+    for row in rows:
+        if row[fixed] == settings[fixed]:
+            groups.setdefault(name_of(row), {}).setdefault(row[axis], []).append(row)
+    every = sorted({at for group in groups.values() for at in group})
     lines = []
-    for name, points in found.items():
-        seconds = {at: taken for at, taken, _ in points}
+    for name, group in groups.items():
+        seconds = {at: statistics.fmean(row["seconds"] for row in group[at]) for at in sorted(group)}
         power = exponent([*seconds], [*seconds.values()])
-        db = mean([level for at, _, level in points if at == every[-1]])
         cells = [f"{seconds[at]:.2f}" if at in seconds else MISSING for at in every]
-        size = mean([row["bytes"] for row in last if name_of(row) == name])
+        last = group.get(every[-1], [])
+        size = mean([row["bytes"] for row in last])
         above = f" ({size:,.0f} bytes)" if size is not None and size > last[0]["max_bytes"] else ""
-        lines.append([name, *cells, number(power, ".2f"), number(db, ".2f") + above])
+        lines.append([name, *cells, number(power, ".2f"), number(mean([row["psnr"] for row in last]), ".2f") + above])
     unit = "MP" if axis == "megapixels" else "bytes"
     titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "grows with the power", "PSNR at the last"]
     return table(" | ".join(titles), lines)

@@ -25,7 +25,7 @@ def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> 
     page.open_page(service)
     page.run("document.getElementById('effort').value = '1'")
     page.give("drop", SMALL, "my disc.png")
-    page.says("my disc.png is done", "#said")
+    page.says("my disc.png is done", "#announcement")
     page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#others"))
