@@ -173,7 +173,7 @@ def test_deep_tiffs_are_the_same_opened_by_pillow(tags: dict[int, int]) -> None:
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_alpha_of_tiffs(kind: int, grey: bool, order: str) -> None:
-    """ExtraSamples: 0 is not told to be alpha, 1 is multiplied into the colours already, 2 is as we have it."""
+    """ExtraSamples: 0 need not be alpha, 1 is multiplied into the colours already, 2 is as we have it."""
     colours = GREY if grey else RGB
     data = tiff([(np.concatenate([colours, ALPHA], 2), {338: kind})], order)
     part = ALPHA.astype(int)

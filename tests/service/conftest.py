@@ -87,10 +87,10 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     yield run
     for number, handler in handlers.items():
         signal.signal(number, handler)
-    # The command's log goes where nobody listens any more: each request of a later test would leave a traceback there.
+    # The command's log goes to a closed stream: each request of a later test would leave a traceback there.
     root = logging.getLogger()
-    for told in [told for told in root.handlers if type(told) is logging.StreamHandler]:
-        root.removeHandler(told)
+    for handler in [each for each in root.handlers if type(each) is logging.StreamHandler]:
+        root.removeHandler(handler)
     root.setLevel(logging.WARNING)
 
 
@@ -156,7 +156,7 @@ def start_proxy(tmp_path_factory: pytest.TempPathFactory, certificate: Path) -> 
 
 @pytest.fixture
 def start_service(tmp_path: Path) -> Iterator[StartService]:
-    """Starts services with settings of the test's own; they are gone after the test."""
+    """Starts services with settings of the test's own; they end after the test."""
     started: list[Service] = []
 
     def start(command: str = "serve", **settings: Any) -> Service:

@@ -98,7 +98,7 @@ def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service)
     state = page.run(STATE)
     assert (state["alt"], state["sizes"]) == ("Cups", "50vw")
     assert state["ratio"] == pytest.approx(48 / 40, rel=0.01)
-    wait_until(lambda: any("404" in said for said in page.complaints()))
+    wait_until(lambda: any("404" in line for line in page.complaints()))
     assert page.run("return document.querySelector('#one img').outerHTML") == image
     seen = "return getComputedStyle(one.shadowRoot.querySelector('canvas')).display"
     page.tell("Emulation.setEmulatedMedia", media="print")

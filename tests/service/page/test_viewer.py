@@ -191,10 +191,10 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     assert not page.is_seen("#contents")
 
 
-def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
+def test_the_time_of_a_frame(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.click("#figures-field summary")
-    # It is told for a while only, and of frames without long pauses between them, which a busy machine may make.
+    # It is shown for a while only, and of frames without long pauses between them, which a busy machine may make.
     text = wait_until(
         lambda: page.run("""
             return new Promise((done) => {

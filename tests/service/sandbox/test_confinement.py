@@ -16,7 +16,7 @@ from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService
 from service.sandbox import confinement
 from service.sandbox.frames import Crashed, Ended, Preview
 
-SECRET = "not-for-strangers-" * 2
+SECRET = "not-for-everyone-" * 2
 MEMORY_BYTES = 2**28
 PROBE = """
 import ctypes, json, mmap, os, resource, signal, socket, sys

@@ -170,8 +170,8 @@ def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
 
 
 def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
-    for said in ("bytes(8)", "bytes([18, 192, 0, 0]) * 2", "bytes([0, 0, 0, 2, 0, 0, 0, 0]) + b'[]'"):
-        program = f"import os, time\nos.write(answer._descriptor, {said})\ntime.sleep(1000)"
+    for answer in ("bytes(8)", "bytes([18, 192, 0, 0]) * 2", "bytes([0, 0, 0, 2, 0, 0, 0, 0]) + b'[]'"):
+        program = f"import os, time\nos.write(answer._descriptor, {answer})\ntime.sleep(1000)"
         what = task()
         with pytest.raises(FrameError):
             messages_of(taken_over, what, program.encode())
