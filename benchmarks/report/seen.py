@@ -1,4 +1,4 @@
-"""What people see: metrics that follow the eye, beside AVIF at the same bytes."""
+"""Metrics that are designed to agree with people, compared with AVIF at the same size."""
 
 from __future__ import annotations
 

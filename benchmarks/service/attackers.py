@@ -35,8 +35,8 @@ Request = Callable[["Crowd", str], Awaitable[str]]
 
 @dataclass(frozen=True)
 class Attack:
-    """What attackers do. words: for a reader; at_once: how many do it, from how many addresses; request: what each does
-    again and again, whose answer is a status or a word."""
+    """An attack. words: its description; at_once: the number of attackers, and addresses that of their addresses;
+    request: makes the request that each repeats, and that returns a status or a word."""
 
     words: str
     at_once: int

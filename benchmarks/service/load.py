@@ -1,4 +1,4 @@
-"""How fast the service answers while it encodes.
+"""Measure how fast the service answers while it encodes.
 
     python -m benchmarks.service load [--seconds 30] [--out FILE]
 

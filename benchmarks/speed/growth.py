@@ -1,4 +1,4 @@
-"""How the time of an encode grows with the pixels, and with the bytes, beside AVIF.
+"""Measure how the time of an encode grows with the pixels and with the bytes, compared with AVIF.
 
     python -m benchmarks.speed growth --images FOLDER [--most 3] [--megapixels 0.75,1.5,3,6,12] [--at-bytes 10000]
                                       [--bytes 500,2000,10000,50000,200000] [--at-megapixels 12] [--repeats 3]
