@@ -34,8 +34,10 @@ SILENT_S = 15.0  # after which a worker, which reports every 2 s, counts as dead
 
 
 def main() -> int:
-    """Run one command. Exit status: 0 after a requested end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
-    nothing runs yet."""
+    """Run one command.
+
+    Exit status: 0 after a requested end, 2 for a bad setting, 1 for other trouble, 130 for Ctrl-C before anything runs.
+    """
     arguments = _parser().parse_args()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # which is inherited: ignored, children leave no status
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
@@ -118,7 +120,7 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
 
 def _before_start(settings: Settings) -> list[str]:
-    """Trouble with folder, database, bucket or sandbox shows here, not as processes that keep dying."""
+    """Open what the settings name and return warnings. Errors show here, not in processes that keep dying."""
     missing = check_layers(required=settings.require_sandbox)  # before there is a second thread
     open_job_table(settings).close()
     open_storage(settings).check()
@@ -150,7 +152,7 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def _alive(settings: Settings, _arguments: argparse.Namespace) -> int:
     table, host = open_job_table(settings), f"{socket.gethostname()}:"
-    silent_s = [seconds for name, seconds in table.census().workers.items() if name.startswith(host)]
+    silent_s = [seconds for name, seconds in table.counts().workers.items() if name.startswith(host)]
     table.close()
     if min(silent_s, default=SILENT_S) < SILENT_S:
         return 0
@@ -159,7 +161,7 @@ def _alive(settings: Settings, _arguments: argparse.Namespace) -> int:
 
 
 def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractContextManager[socket.socket]:
-    """The requests of the supervisor's sandbox, or of one of this process's own."""
+    """Return the socket for requests to the supervisor's sandbox, or to a sandbox of this process."""
     if arguments.sandbox is not None:
         return socket.socket(fileno=arguments.sandbox)
     _warn(_before_start(settings))
@@ -194,7 +196,10 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> int:
 
 
 def _announce(settings: Settings) -> socket.socket:
-    """Listen, and say where. Raises OSError, also for an address that others can reach while nobody needs a key."""
+    """Listen, and print where.
+
+    Raises OSError, also for an address that others can reach while no API key is needed.
+    """
     listener = listen(settings)
     if not (is_loopback(listener) or settings.key_names or settings.host_names):
         listener.close()
@@ -217,7 +222,7 @@ def _for_whom(settings: Settings) -> str:
 
 
 def _where(settings: Settings) -> str:
-    """Where everything is kept, without the database's address: it may hold a password."""
+    """Describe where data is kept, without the database's address, which may contain a password."""
     folder = str(settings.data_dir.resolve())
     jobs, files = "PostgreSQL" if settings.uses_postgres else folder, settings.storage_url or folder
     return f"data in {folder}" if jobs == files else f"jobs in {jobs}, images and bitstreams in {files}"

@@ -10,7 +10,7 @@ from service.storage.files import DiskStorage, Storage
 
 
 def open_job_table(settings: Settings) -> JobTable:
-    """The job table, made if there is none yet. Raises JobTableError, MissingPackagesError, OSError."""
+    """Open the job table, and create it if there is none. Raises JobTableError, MissingPackagesError, OSError."""
     if settings.uses_postgres:
         try:
             from service.jobs.postgres import PostgresJobTable
@@ -22,7 +22,7 @@ def open_job_table(settings: Settings) -> JobTable:
 
 
 def open_storage(settings: Settings) -> Storage:
-    """The storage of sources and bitstreams, made if there is none yet. Raises OSError, MissingPackagesError."""
+    """Open the storage of images and bitstreams, or create it. Raises OSError, MissingPackagesError."""
     if not settings.storage_url:
         return DiskStorage(settings.data_dir)
     try:

@@ -50,7 +50,7 @@ Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in 
 
 
 def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = None) -> bytes:
-    """The file of pixels, uint8 [H, W, 3], whose sides are at most MAX_SIDES of its kind; quality: 1 to 100."""
+    """Encode pixels, uint8 [H, W, 3], as a picture file. Sides are at most MAX_SIDES; quality: 1 to 100."""
     options = {**OPTIONS.get(kind, {}), "quality": quality or DEFAULT_QUALITY.get(kind)}
     return pictures.encode_picture(
         pixels, pictures.SUFFIXES[f".{kind}"], options, lambda rows: isal_zlib.compress(rows, PNG_LEVEL)
@@ -58,7 +58,7 @@ def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = No
 
 
 def as_large(encoded: Callable[[int], bytes], size: int) -> bytes:
-    """Of the files of qualities 1 to 100, the finest of at most `size` bytes; the next larger if that is not near."""
+    """Search all qualities for the largest file of at most `size` bytes, or the next larger one if it is not NEAR."""
     under = over = None
     low, high = 0, 101
     while high - low > 1:
@@ -75,8 +75,9 @@ def as_large(encoded: Callable[[int], bytes], size: int) -> bytes:
 
 
 def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn: bool = False) -> bytes:
-    """Encode pixels, uint8 [H, W, 3], by another codec to about `size` bytes; drawn: as AVIF without chroma
-    subsampling, since drawings have sharp colour edges.
+    """Encode pixels, uint8 [H, W, 3], by another codec to about `size` bytes.
+
+    drawn: the image is a drawing, whose sharp colour edges AVIF keeps without chroma subsampling.
     """
     from PIL import Image  # the web process, which imports this module, never encodes
 
@@ -96,7 +97,7 @@ def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn:
 
 
 def matching(pattern: str, detail: str) -> AfterValidator:
-    """Refuses a text that does not match, as Field(pattern=...) does, but with a sentence instead of the pattern."""
+    """Return a validator like Field(pattern=...), whose error is a sentence instead of the pattern."""
 
     def checked(text: str | None) -> str | None:
         if text is not None and re.fullmatch(pattern, text) is None:
@@ -107,7 +108,7 @@ def matching(pattern: str, detail: str) -> AfterValidator:
 
 
 class PictureOptions(BaseModel):
-    """What to draw of a picture, before its size is known: part of a request's query, and of a task."""
+    """The part of a picture to draw, and its size: in the query of a request, and in a task."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -141,7 +142,7 @@ class PictureOptions(BaseModel):
 
 @dataclass(frozen=True)
 class Drawing:
-    """One picture file to make: the view that is drawn, and the width and height in pixels that are kept of it."""
+    """A picture file to draw: the view, and the width and height in pixels to crop it to."""
 
     kind: PictureFormat
     view: View
@@ -150,10 +151,12 @@ class Drawing:
     quality: int | None
 
     @classmethod
-    def of(cls, options: PictureOptions, kind: PictureFormat, size: tuple[int, int], max_pixels: int) -> Drawing:
-        """What the options come to for a picture of that size (width, height).
+    def from_options(
+        cls, options: PictureOptions, kind: PictureFormat, size: tuple[int, int], max_pixels: int
+    ) -> Drawing:
+        """Apply the options to a picture of this size (width, height).
 
-        Raises ViewError if that is no picture, or one beyond max_pixels or what the kind of file holds.
+        Raises ViewError if the result is empty, or exceeds max_pixels or the limits of the file format.
         """
         if options.quality is not None and kind not in DEFAULT_QUALITY:
             raise ViewError(f"quality does not apply to {kind} files")
@@ -174,7 +177,7 @@ class Drawing:
         return cls(kind, view, min(width, crop[0] or width), min(height, crop[1] or height), quality)
 
     def etag(self, sha256: str) -> str:
-        """An entity tag: the same bitstream and the same drawing give the same bytes."""
+        """Return an entity tag: the same bitstream and drawing give the same bytes."""
         part = "".join(f"{number}-" for number in self.view.region or ())
         prefix = "" if self.view.prefix == 1 else f"p{self.view.prefix!r}-"
         smooth = "" if self.view.texture else "smooth-"
@@ -182,7 +185,7 @@ class Drawing:
         return f'"{sha256[:32]}-{prefix}{smooth}{part}{self.width}x{self.height}{quality}.{self.kind}"'
 
     def draw(self, bitstream: bytes) -> bytes:
-        """The picture file. Raises BitstreamError, ViewError, MemoryError."""
+        """Return the picture file. Raises BitstreamError, ViewError, MemoryError."""
         return encode_picture(self._kept(sgmethod.decode(bitstream, view=self.view)), self.kind, self.quality)
 
     def _kept(self, pixels: Pixels) -> Pixels:
@@ -198,7 +201,7 @@ def _region(options: PictureOptions) -> Region | None:
 
 
 def _middle(part: Region, width: float, height: float) -> Region:
-    """The middle of a part, in whole pixels, at least so wide and high."""
+    """Return the middle of a part, in whole pixels, at least this wide and high."""
     x, y, w, h = part
     left, top = max(int((w - width) / 2), 0), max(int((h - height) / 2), 0)
     return x + left, y + top, w - 2 * left, h - 2 * top

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from benchmarks.harness.data import golden
@@ -23,7 +22,6 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import scattered
-from tests.definitions import drawing
 from tests.native.harness.golden import GOLDEN, is_golden
 
 VERSION_1 = sorted(golden(1))
@@ -69,6 +67,9 @@ def test_pictures_and_views_are_those_of_the_definition(name: str, scale: float)
 
 def defined(scene: Scene) -> NDArray[np.int64]:
     """Levels [H, W, 3], or [H, W, 4] with alpha."""
+    torch = pytest.importorskip("torch", reason="the definition needs PyTorch")
+    from tests.definitions import drawing
+
     size = scene.origin[0] + scene.width, scene.origin[1] + scene.height
     drawn = scene.gaussians.rows((scene.gaussians.factors[:, ::2] > 0).all(1))
     values = [torch.from_numpy(array).double() for array in drawn.arrays]

@@ -1,4 +1,4 @@
-"""New jobs: from a request to a job in the table, whose file is the answer if it is done in time."""
+"""Handlers that accept new jobs, and may wait to answer with the finished file."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a client asks for, whatever the settings make of it. image: tells the image from others."""
+    """A client's request, independent of settings. image: identifies the image."""
 
     owner: str | None
     key: str | None
@@ -77,7 +77,7 @@ class _Asked:
 
     @property
     def fingerprint(self) -> str:
-        """A digest of the request."""
+        """Digest of the request."""
         words = f"{self.options.model_dump_json(exclude_unset=True)} {self.image}"
         return hashlib.sha256(words.encode()).hexdigest()
 
@@ -85,8 +85,10 @@ class _Asked:
 async def encode(
     request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
-    """Submit an image for encoding, with at most one budget. With `wait`, the response is the finished file (or the
-    decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
+    """Submit an image for encoding, with at most one budget.
+
+    With `wait`, the response is the finished file (or the decoded picture, if the Accept header asks for one) when the
+    job is done in time; otherwise 202 and the job as JSON.
     """
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
@@ -103,8 +105,9 @@ async def encode(
 async def encode_again(
     job: KnownJob, request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
-    """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
-    deleted. Takes the options of `POST /encode`, in the query or in a form.
+    """Start a new job with the image of an existing one, without uploading it again.
+
+    410 once that image has been deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
     asked = _Asked(caller.owner, key, read_options(await fields_alone(request)), job.id)
     again = await _first(asked, context)
@@ -123,9 +126,9 @@ async def _digest(file: UploadFile, context: Context) -> str:
 
 
 async def _first(asked: _Asked, context: Context) -> Job | None:
-    """The job that the same request has made already. Raises KeyReusedError.
+    """Return the job that the same request has already made. Raises KeyReusedError.
 
-    Before anything else is looked at: what was refused now was accepted then.
+    Checked before anything else: what would be refused now may have been accepted then.
     """
     if asked.key is None:
         return None
@@ -133,7 +136,7 @@ async def _first(asked: _Asked, context: Context) -> Job | None:
 
 
 def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) -> Job:
-    """Store the image, then put the job into the job table; only then may the client be told."""
+    """Store the image, then insert the job. Only then may the client get an answer."""
     request = asked.options.request(header, context.settings.max_time_limit_s)
     priority = asked.options.priority
     new = NewJob(new_job_id(), request, header, asked.fingerprint, asked.key, asked.owner, priority)

@@ -1,7 +1,7 @@
-"""What an encode is asked for beside its image: one model for the form, the query and the OpenAPI document.
+"""The options of an encode: one model for the form, the query and the OpenAPI document.
 
-Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the picture. The encoder
-refuses them too; it cannot be asked here, since it loads libraries that a web process does without.
+Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the image. The encoder
+refuses them too, but it loads libraries that a web process does without.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
 class EncodeOptions(BaseModel):
-    """The options. Give at most one budget; the default is 0.3 bits per pixel.
+    """The options of an encode. Give at most one budget; the default is 0.3 bits per pixel.
 
     Raises ValidationError, BudgetError, or ProblemError 422.
     """
@@ -120,14 +120,14 @@ class EncodeOptions(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The budget that is given, or the default. Raises BudgetError."""
+        """The budget given, or the default. Raises BudgetError."""
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
     def request(self, image: SourceImage, longest_s: float) -> EncodeRequest:
-        """The encoder's part of the request. longest_s: the longest time limit in seconds, which is also the default.
+        """Return the encoder's part of the request. longest_s: the longest and default time limit in seconds.
 
-        Raises BudgetError or ProblemError 422 if no file of the image could come of it.
+        Raises BudgetError or ProblemError 422 if no file of the image could meet it.
         """
         seconds = longest_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
@@ -141,7 +141,7 @@ class EncodeOptions(BaseModel):
         return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
-        """The budget; the default is raised to the smallest file that a tiny image can have."""
+        """Return the budget. The default is raised to the smallest possible file for a tiny image."""
         budget = self.budget
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
@@ -167,7 +167,7 @@ OPTION_SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 def read_options(fields: Iterable[tuple[str, str]]) -> EncodeOptions:
-    """The options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
+    """Parse the options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
     texts: dict[str, str] = {}
     for name, value in fields:
         if name in texts:

@@ -1,6 +1,4 @@
-"""Finished jobs as pictures and as bitstreams, what running ones have so far, what other codecs make of as many bytes,
-and pictures of bitstreams that nobody keeps.
-"""
+"""Handlers that return pictures, bitstreams, previews, and files of other codecs at the same size."""
 
 from __future__ import annotations
 
@@ -52,13 +50,13 @@ log = logging.getLogger(__name__)
 
 LATE_S = 60.0
 MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: equal ones take an eighth of a byte each
-LEAST_PREVIEW_BYTES, MOST_PREVIEW_BYTES = 12, 4096
+MIN_PREVIEW_BYTES, MAX_PREVIEW_BYTES = 12, 4096
 # No slashes, control characters or ends of lines, and no dot first: systems hide such files.
 FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
 
 
 class PictureQuery(PictureOptions):
-    """The query parameters of a picture: what to draw, and a name to save it under."""
+    """Query parameters of a picture: the part to draw, and a file name."""
 
     download: Annotated[
         str | None,
@@ -67,7 +65,7 @@ class PictureQuery(PictureOptions):
     ] = None
 
     def disposition(self) -> dict[str, str]:
-        """The header that makes a browser save the file; none without a name."""
+        """Return the header that makes a browser save the file; none without a name."""
         if self.download is None:
             return {}
         plain = re.sub(r'[^ -~]|["\\%]', "_", self.download)
@@ -77,20 +75,20 @@ class PictureQuery(PictureOptions):
 
 
 class PreviewQuery(Parameters):
-    """How large a preview may be."""
+    """Query parameters of a preview."""
 
     bytes: int = Field(
-        default=200, ge=LEAST_PREVIEW_BYTES, le=MOST_PREVIEW_BYTES, description="of the .sg file, 4 characters for 3"
+        default=200, ge=MIN_PREVIEW_BYTES, le=MAX_PREVIEW_BYTES, description="of the .sg file, 4 characters for 3"
     )
 
 
 async def picture(
     job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
-    """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
+    """Return the decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
     result = _result_of(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
-    drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
+    drawing = Drawing.from_options(query, kind, size, context.settings.max_pixels)
     pixels = math.prod(drawing.view.size(*size))
     headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context), **query.disposition()}
 
@@ -109,7 +107,7 @@ async def picture(
 async def picture_as_accepted(
     job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
-    """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
+    """Return the decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
     answer = await picture(job, accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
     return answer
@@ -122,8 +120,9 @@ async def _remembered(
     kind: PictureFormat,
     make: Callable[[], Coroutine[Any, Any, bytes]],
 ) -> Response:
-    """The picture file of an entity tag: 304 if the client has it, from memory if it was asked for lately; requests at
-    the same time share one.
+    """Answer with the picture file that the ETag among the headers names.
+
+    304 if the client has it; else from the cache, or from `make`, which concurrent requests share.
     """
     if (answer := not_modified(request, headers)) is not None:
         return answer
@@ -151,7 +150,7 @@ async def picture_of_body_as(
 
 
 async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Response:
-    """The .sg file."""
+    """Return the .sg file."""
     result = _result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
@@ -165,8 +164,9 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
 
 
 async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -> Response:
-    """A bitstream about as large as the final one, but coarser; the final one once the job is done. Profile rd updates
-    it at most once a second; the other profiles have no preview.
+    """Return a bitstream about as large as the final one, but coarser; the final one once the job is done.
+
+    Profile rd updates it at most once a second; the other profiles have no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
     key = job.result.bitstream_key if job.result else preview_key(job.id, job.attempt)
@@ -185,8 +185,9 @@ async def preview(
     caller: UseCaller,
     query: Annotated[PreviewQuery, Query()],
 ) -> PreviewFigures:
-    """A text that a page shows until the image has loaded, with the image's size and average colour. The image is the
-    body. It is answered at once, without a job, within the limits of decodes. Nothing is stored.
+    """Make a text that a page shows until the image has loaded, with the image's size and average colour.
+
+    The image is the body. The answer comes at once, without a job, within the limits of decodes. Nothing is stored.
     """
     if media_type(request) == FORM_TYPE:
         raise ProblemError(415, "the body must be the image itself, not a form", headers={"Accept": "image/*"})
@@ -196,9 +197,10 @@ async def preview(
 
 
 async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext, request: Request) -> Response:
-    """The job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller. If no quality
-    setting gives such a file, the next larger one. Of a screenshot or a drawing, WebP is lossless where that is no
-    larger, and AVIF in 4:4:4. 410 once the image has been deleted.
+    """Return the job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller.
+
+    If no quality setting gives such a file, the next larger one. For a screenshot or a drawing, WebP is lossless if
+    that is no larger, and AVIF is 4:4:4. 410 once the image has been deleted.
     """
     size = int(_result_of(job).stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
@@ -215,31 +217,31 @@ async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext,
 
 
 def open_image(context: Context, job: Job) -> BinaryIO:
-    """The image of a job. Raises ProblemError 410 if it is kept no longer, whether or not it has been removed yet."""
+    """Open the image of a job. Raises ProblemError 410 when its retention time is over, even if it still exists."""
     check_image_kept(job, context)
     try:
         return context.storage.open(source_key(job.id))
     except FileNotFoundError:
-        raise _late(job.created_at) or _image_gone() from None
+        raise _late(job.created_at) or _image_deleted() from None
 
 
 def check_image_kept(job: Job, context: Context) -> None:
-    """Raises ProblemError 410 if the time of a job's image is over."""
+    """Raise ProblemError 410 if the retention time of a job's image is over."""
     until = _image_until(job, context)
     if until is not None and time.time() >= until:
-        raise _image_gone()
+        raise _image_deleted()
 
 
 def _image_until(job: Job, context: Context) -> float | None:
     return None if job.finished_at is None else job.finished_at + context.settings.source_retention_s
 
 
-def _image_gone() -> ProblemError:
+def _image_deleted() -> ProblemError:
     return ProblemError(410, "the image of this job has been deleted; send it again")
 
 
 def _result_of(job: Job) -> EncodeResult:
-    """Raises ProblemError 409 with the state if the job is not done."""
+    """Return the result of a finished job. Raises ProblemError 409 with the state of any other."""
     if job.result is not None:
         return job.result
     detail = f"the job is {job.state}"
@@ -263,8 +265,9 @@ def _bitstream(context: Context, job: Job, result: EncodeResult) -> bytes:
 
 
 def _late(stored_at: float | None) -> ProblemError | None:
-    """The refusal of a file that the storage lacks, if it was stored just now: a store that copies between places may
-    have it in a moment.
+    """Return a refusal for a missing file that was stored just now, else None.
+
+    A store that replicates may have the file in a moment.
     """
     if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # ahead: the clock was put back since
         return None
@@ -278,8 +281,10 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
 
 
 def _kept(request: Request, job: Job, context: Context, image_until: float | None = None) -> dict[str, str]:
-    """How long clients may cache the file, and when it goes. An answer to a link is cached no longer than the link
-    holds, and one that is made of the image no longer than until image_until.
+    """Return the caching headers of a file.
+
+    A response to a link is cached no longer than the link is valid, and a file made from the image no longer than until
+    image_until.
     """
     ends = [end for end in (request.state.caller.link_expires, image_until) if end is not None]
     most_s = min([LONGEST_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])

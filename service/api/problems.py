@@ -16,7 +16,7 @@ from starlette.routing import Match
 
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
-from service.sandbox.client import SandboxGoneError, TaskError
+from service.sandbox.client import SandboxUnavailableError, TaskError
 from sgmethod.errors import BudgetError, ViewError
 
 log = logging.getLogger(__name__)
@@ -49,10 +49,9 @@ REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
 
 
 class ProblemError(Exception):
-    """An answer that refuses: HTTP status, one sentence, extra members and headers.
+    """A response that refuses a request: HTTP status, one sentence, extra members and headers.
 
-    reason: one word of those that the code holds, and nothing that a client has chosen: there is a figure for each.
-    429 and 503 have many causes, and name theirs.
+    reason: a fixed word, never a client's, because each has a metric. 429 and 503 have many causes and always name one.
     """
 
     def __init__(
@@ -67,12 +66,12 @@ class ProblemError(Exception):
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The statuses as responses of the OpenAPI document."""
+    """Return the statuses as responses of the OpenAPI document."""
     return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
 def refused(request: Request, problem: ProblemError) -> Response:
-    """The problem as the answer to a request, whose state then holds the reason."""
+    """Build the response for a problem, and note its reason in the state of the request."""
     setattr(request.state, REFUSAL, problem.reason)
     title = HTTPStatus(problem.status).phrase
     scope = request.scope  # below a mount, root_path is the mount's own
@@ -83,7 +82,7 @@ def refused(request: Request, problem: ProblemError) -> Response:
 
 
 def install_problem_handlers(app: FastAPI) -> None:
-    """Make every error of the application a problem document."""
+    """Answer every error of the application with a problem document."""
     ours = (ProblemError, BudgetError, ViewError, TaskError, JobTableError, KeyReusedError, LimitError)
     for kind in (*ours, RequestValidationError, HTTPException, ClientDisconnect, OSError, Exception):
         app.add_exception_handler(kind, _on_error)
@@ -114,7 +113,7 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
             return ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
         case JobTableError():
             return _unreachable("the job table", "table", error)
-        case SandboxGoneError():
+        case SandboxUnavailableError():
             return _unreachable("the sandbox", "sandbox", error)
         case OSError():
             return _unreachable("the storage", "storage", error)
@@ -141,7 +140,7 @@ def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
 
 
 def _allowed_methods(request: Request) -> set[str]:
-    """Methods of all routes at this path; the exception knows those of the first alone."""
+    """Return the methods of all routes at this path; the exception knows only those of the first."""
     methods = set()
     for method in METHODS:
         scope = {**request.scope, "method": method}

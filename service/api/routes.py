@@ -23,11 +23,11 @@ NOT_MODIFIED: dict[Any, Any] = {304: {"description": "the client has it already"
 
 
 async def _no_query(_query: Annotated[Parameters, Query()]) -> None:
-    """Raises RequestValidationError if there are parameters."""
+    """Raise RequestValidationError if there are parameters."""
 
 
 async def _given_once(request: Request) -> None:
-    """Raises ProblemError 422."""
+    """Raise ProblemError 422 for a repeated query parameter."""
     for name in request.query_params:
         if len(request.query_params.getlist(name)) > 1:
             raise ProblemError(422, f"the query parameter {name} is given twice")
@@ -43,10 +43,12 @@ DONE_IN_TIME = {200: {"description": "done in time", "content": dict.fromkeys((B
 
 @dataclass(frozen=True)
 class Route:
-    """curl: a command to copy, in the OpenAPI document and so at /docs, which a test runs; HOST and ID stand for the
-    service and for a job. refusals: statuses of problem documents beside 404 (of what a path names), 422 and 503;
-    files: media types, where the answer is a file; answers: others; document: more for the OpenAPI document; own_query:
-    whether the handler takes query parameters; status: of a success; options: of FastAPI's.
+    """A route of the API.
+
+    curl: a command for the OpenAPI document and /docs, run by a test; HOST and ID stand for the service and a job.
+    refusals: statuses of problem documents besides 404, 422 and 503; files: media types, if the answer is a file;
+    answers: other responses; document: additions to the OpenAPI document; own_query: whether the handler takes query
+    parameters; status: of a success; options: of FastAPI.
     """
 
     name: str  # method and path
@@ -190,7 +192,7 @@ ROUTES = [
 
 
 def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:
-    """Give the application all routes. key_check: the dependency by which the document says that a key is needed."""
+    """Add all routes to the application. key_check: dependency that documents the API key."""
     for route in ROUTES:
         method, path = route.name.split()
         checks, refusals = [Depends(_given_once)], {*route.refusals, 422, 503}

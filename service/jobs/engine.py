@@ -1,9 +1,9 @@
 """The engine that wakes workers on other machines: Procrastinate, in PostgreSQL beside the job table.
 
-A job of the engine is a token without a name. It says that some row of the job table can be claimed; which
-one, the table decides when a worker holds the token, because only the table knows of priorities, turns and
-limits. So the engine may lose a token or have one too many and nothing breaks: a token without a row ends at
-once, and every worker tops up tokens that are missing, such as those of workers that are gone.
+A job of the engine is a token without a name: some row of the job table can be claimed. The table decides which one
+when a worker holds the token, because only the table knows priorities, turns and limits. So the engine may lose a token
+or have one too many: a token without a row ends at once, and every worker adds missing tokens, such as those of lost
+workers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from procrastinate.jobs import Status
 from procrastinate.schema import SchemaManager
 from psycopg_pool import ConnectionPool
 
-from service.process.loops import Rounds, StopSignal
+from service.process.loops import PeriodicThread, StopSignal
 
 Pool = ConnectionPool[psycopg.Connection[psycopg.rows.DictRow]]
 
@@ -60,9 +60,9 @@ class Engine:
         """Return the number of tokens that no worker holds."""
         return sum(queue["todo"] for queue in self._deferrer.job_manager.list_queues(QUEUE))
 
-    def deliver(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
+    def dispatch(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
         """Call run_next for each token, and top_up every second, until stopping is requested."""
-        refilling = Rounds("refilling the queue engine", top_up, TOP_UP_S, stop)
+        refilling = PeriodicThread("refilling the queue engine", top_up, TOP_UP_S, stop)
         refilling.start()
         while not stop.requested:
             try:
@@ -114,15 +114,15 @@ def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
 
 
 def in_words(error: BaseException) -> str:
-    """One line; the engine's own errors say little, their cause all."""
+    """Return an error as one line. The engine's own errors say little; their cause says more."""
     return " ".join(str(error.__cause__ or error).split())
 
 
 def _cancel_on(stop: StopSignal) -> None:
     """Cancel the current task once stopping is requested, and again until it ends.
 
-    The first cancellation lets the engine wait for its running task, and then for the database, to sign off there. The
-    next one ends that wait.
+    The first cancellation makes the engine wait for its running task and then unregister in the database. The next one
+    ends that wait.
     """
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task is not None

@@ -51,7 +51,7 @@ SELECT (SELECT count(*) FROM jobs WHERE state = 'queued') + (SELECT count(*) FRO
 
 
 class _Session:
-    """A connection that takes statements as statements.py has them."""
+    """A connection that takes statements in the form of statements.py."""
 
     def __init__(self, connection: psycopg.Connection[DictRow]) -> None:
         self.connection = connection
@@ -73,9 +73,9 @@ def _translated_errors() -> Iterator[None]:
 
 
 class PostgresJobTable(JobTable):
-    """JobTable on a PostgreSQL database, which is set up when first used.
+    """A job table in a PostgreSQL database, which is set up when first used.
 
-    url: postgresql://user:password@host/database, or what else libpq understands.
+    url: postgresql://user:password@host/database, or another form that libpq understands.
     """
 
     def __init__(self, url: str, settings: Settings) -> None:
@@ -108,7 +108,7 @@ class PostgresJobTable(JobTable):
 
     @staticmethod
     def _set_up(conninfo: str) -> None:
-        """Make the tables if there are none. Without the pool, so that a wrong address is known at once."""
+        """Create the tables if there are none. This does not use the pool, so a wrong address is reported at once."""
         session_id = "SELECT pg_backend_pid()"
         with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
             before = other.execute(session_id).fetchone()
@@ -155,11 +155,11 @@ class PostgresJobTable(JobTable):
         assert isinstance(db, _Session)
         self._engine.defer(db.connection)
 
-    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
-        self._engine.deliver(run_next, self._top_up, stop)
+    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        self._engine.dispatch(run_next, self._top_up, stop)
 
     def _top_up(self) -> None:
-        """Add tokens until there is one for each row that a worker can do something about."""
+        """Add tokens until there is one for each row that a worker could claim or reconcile."""
         lease_s = self._settings.lease_s
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:

@@ -22,7 +22,7 @@ SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_
 
 
 class SqliteJobTable(JobTable):
-    """JobTable on one SQLite file in WAL mode, every commit synced to disk."""
+    """A job table in one SQLite file in WAL mode, every commit synced to disk."""
 
     def __init__(self, path: Path, settings: Settings) -> None:
         super().__init__(settings)
@@ -33,7 +33,7 @@ class SqliteJobTable(JobTable):
         self._follow_file()
 
     def _set_up(self) -> None:
-        """Make the tables if there are none."""
+        """Create the tables if there are none."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version not in (0, SCHEMA_VERSION):
@@ -44,7 +44,7 @@ class SqliteJobTable(JobTable):
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def _follow_file(self) -> None:
-        """Let go of a file that was removed or replaced: what is written to it would be lost with its last reader."""
+        """Reopen a file that was replaced: writes to the old one would be lost with its last reader."""
         try:
             found = self._path.stat()
         except OSError as error:  # SQLite would make an empty file
@@ -70,7 +70,7 @@ class SqliteJobTable(JobTable):
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        """After an SQLite error the connection is thrown away, so the next try is fresh."""
+        """Provide a connection. It is discarded after an SQLite error, so that the next try starts afresh."""
         self._follow_file()
         idle, db = self._idle, None
         try:
@@ -94,19 +94,19 @@ class SqliteJobTable(JobTable):
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """It holds the write lock from the start, so no transaction fails half-way."""
+        """Provide a transaction that holds the write lock from the start, so that none fails half-way."""
         with self._connection() as db:
             db.execute("BEGIN IMMEDIATE")
             with db:  # which commits, or takes everything back
                 yield db
 
     def _alone(self, db: Database) -> None:
-        """Every transaction is."""
+        """Do nothing: every transaction is alone."""
 
     def _wake(self, db: Database) -> None:
-        """Workers look often enough by themselves."""
+        """Do nothing: workers poll often enough."""
 
-    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
         while not stop.requested:
             if not run_next():
                 stop.wait(POLL_S)

@@ -13,7 +13,7 @@ CREATE TABLE workers (
     seen_at  DOUBLE PRECISION NOT NULL,
     failures INTEGER NOT NULL
 );
-CREATE TABLE notices (
+CREATE TABLE deliveries (
     job      TEXT NOT NULL,
     address  TEXT NOT NULL,
     body     TEXT NOT NULL,
@@ -21,7 +21,7 @@ CREATE TABLE notices (
     due_at   DOUBLE PRECISION NOT NULL,
     PRIMARY KEY (job, address)
 );
-CREATE INDEX notices_by_time ON notices (address, due_at);
+CREATE INDEX deliveries_by_time ON deliveries (address, due_at);
 CREATE TABLE totals (
     name   TEXT PRIMARY KEY,
     amount DOUBLE PRECISION NOT NULL
@@ -63,11 +63,11 @@ CREATE TABLE trace (
     PRIMARY KEY (job, place)
 );
 """
-CENSUS = """
+COUNTS = """
 SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
     (SELECT CAST(coalesce(sum(image_bytes + file_bytes), 0) AS BIGINT) FROM jobs) AS stored_bytes,
-    (SELECT count(*) FROM notices) AS notices,
-    coalesce(epoch() - (SELECT min(ended_at) FROM notices), 0) AS notice_waits_s
+    (SELECT count(*) FROM deliveries) AS deliveries,
+    coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """
 SELECT_JOB = """
 SELECT jobs.*, CASE WHEN state = 'queued' THEN (
@@ -94,7 +94,7 @@ WHERE state = 'queued' AND number = (
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 ) RETURNING number, id, attempt, request, image
 """
-SIGN = """
+REGISTER = """
 INSERT INTO workers VALUES (?, epoch(), ?)
 ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at, failures = excluded.failures
 """
@@ -120,5 +120,5 @@ class Database(Protocol):
     """A connection."""
 
     def execute(self, statement: str, values: Sequence[Any] = (), /) -> Any:
-        """Run one statement; gives a cursor, as both databases' modules have it, whose rows are read by names."""
+        """Run one statement. Returns a cursor whose rows are read by name, as in both databases' modules."""
         ...

@@ -33,10 +33,10 @@ export async function ask(path, options = {}) {
     throw new Refusal(401, key ? "Unknown API key." : "This service needs an API key.");
   }
   const problem = await response.json().catch(() => ({})); // a proxy's answer may be anything
-  const said = problem.detail ? ` (${problem.detail})` : "";
+  const why = problem.detail ? ` (${problem.detail})` : "";
   const words = WORDS[response.status];
   const detail = problem.detail ?? `The service answered ${response.status}.`;
-  throw new Refusal(response.status, words ? words + said : detail);
+  throw new Refusal(response.status, words ? words + why : detail);
 }
 
 export const json = async (path, options) => (await ask(path, options)).json().catch(outOfReach);

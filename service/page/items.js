@@ -1,7 +1,7 @@
 // The pictures on the page: samples, files that were opened, jobs of the service.
 
 import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
-import { keep, kept } from "./keeping.js";
+import { keep, kept } from "./storage.js";
 import { Remote, sleep } from "./parts.js";
 import { size } from "./words.js";
 
@@ -48,7 +48,7 @@ export class Item {
     this.size = this.opened = this.soFar = null; // soFar: { tag, image, bytes }
   }
 
-  tell(change = {}) {
+  update(change = {}) {
     if (this.state === "cancelled") return; // and stays so, whatever happens to its job
     Object.assign(this, change);
     this.changed(this);
@@ -63,7 +63,7 @@ export class Item {
     this.wasTransparent = Boolean(laid);
     this.original = laid ?? this.original;
     if (this.original) this.size = [this.original.width, this.original.height];
-    this.tell();
+    this.update();
   }
 
   /** The .sg file: decoded here, or by the service if its kind is unknown here. */
@@ -80,7 +80,7 @@ export class Item {
       decoded = await createImageBitmap(await drawn(sg, "png"));
     }
     const size = [decoded.width, decoded.height];
-    this.tell({ sg, file, decoded, size, note, measured: null, others: {}, smooth: null, soFar: null, state: "done", words: "" });
+    this.update({ sg, file, decoded, size, note, measured: null, others: {}, smooth: null, soFar: null, state: "done", words: "" });
   }
 
   /** Open an .sg file that was given, and keep it for a reload. */
@@ -106,12 +106,12 @@ export class Item {
       this.budget = budget;
       this.stopping = false;
       const words = `Sending ${this.format ? `${this.format}, ` : ""}${size(this.originalBytes)}`;
-      this.tell({ state: "sending", words, done: null, trace: [], job: null });
+      this.update({ state: "sending", words, done: null, trace: [], job: null });
       const { id } = await submit(this.source, budget);
       if (this.state === "cancelled") return void (await remove(id));
       this.id = id;
       keep(id, this.source, this.name);
-      this.tell({ state: "queued", words: "Waiting" });
+      this.update({ state: "queued", words: "Waiting" });
       await this.#follow();
     });
   }
@@ -120,7 +120,7 @@ export class Item {
   async resume(id) {
     await this.#working(async () => {
       this.id = id;
-      this.tell({ state: "queued", words: "Loading the picture" });
+      this.update({ state: "queued", words: "Loading the picture" });
       const before = await kept(id);
       if (before) {
         this.name = before.name;
@@ -136,12 +136,12 @@ export class Item {
     } catch (error) {
       const refused = error.status === 415;
       const words = refused && this.format ? unread(this.format) : error.message;
-      this.tell({ state: "failed", words, done: null, soFar: null, refused });
+      this.update({ state: "failed", words, done: null, soFar: null, refused });
     }
   }
 
   async #follow() {
-    const { paceOf, stateOf } = await import("./watching.js"); // not at the first look
+    const { paceOf, stateOf } = await import("./progress.js"); // not at the first look
     for (let tries = 0; ; ) {
       let [job, sg] = [null, null];
       try {
@@ -152,7 +152,7 @@ export class Item {
         if (this.state === "cancelled") return;
         if (error.status === 404) throw new Error("The service has no such picture, or has deleted it.");
         if (!(error.status >= 500) || ++tries > RETRIES) throw error;
-        this.tell({ words: "The service does not answer; trying again" });
+        this.update({ words: "The service does not answer; trying again" });
         await sleep(RETRY_MS);
         continue;
       }
@@ -171,7 +171,7 @@ export class Item {
         this.stopping = false; // what it had was lost
         if (job.position !== this.job?.position) this.paceS = await this.#pace(paceOf);
       }
-      this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
+      this.update({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
       await sleep(POLL_MS);
     }
   }
@@ -195,7 +195,7 @@ export class Item {
       await decoder.ask("open", { key, bytes });
       const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
       decoder.ask("close", { key });
-      this.tell({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
+      this.update({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
       before?.close();
     } catch {
       return;
@@ -215,7 +215,7 @@ export class Item {
   /** End the encode early, and keep what is there. */
   async stop() {
     this.stopping = true;
-    this.tell({ words: "Finishing early" });
+    this.update({ words: "Finishing early" });
     await ask(`${jobPath(this.id)}/stop`, { method: "POST" }).catch((error) => {
       if (error.status !== 409) this.stopping = false;
     });
@@ -224,7 +224,7 @@ export class Item {
   /** Cancelling is no error. own: whether its job ends too. */
   async cancel(own = true) {
     const { id } = this;
-    this.tell({ state: "cancelled", words: "There is no file.", done: null, soFar: null });
+    this.update({ state: "cancelled", words: "There is no file.", done: null, soFar: null });
     this.#asking.abort();
     if (id && own) await remove(id);
   }

@@ -5,12 +5,12 @@ import { openGpu } from "./viewer/gpu.js";
 import { fillTable, measure } from "./viewer/comparisons.js";
 import { Tools } from "./viewer/tools.js";
 import { Viewer } from "./viewer/viewer.js";
-import { budget, listen, rememberBudget, sayRate } from "./giving.js";
+import { budget, listen, rememberBudget, sayRate } from "./upload.js";
 import { draw, imageOf, Item } from "./items.js";
 import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples, THUMBNAIL_WIDTH } from "./samples.js";
-import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./taking.js";
-import { TITLES, showLabels, showRows, showWork, trouble } from "./telling.js";
+import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./download.js";
+import { TITLES, showLabels, showRows, showWork, trouble } from "./status.js";
 import { size } from "./words.js";
 
 const items = []; // in the order in which they came
@@ -34,7 +34,7 @@ function show(item) {
 
 function changed(item) {
   if (!items.includes(item)) return;
-  tellRows();
+  refreshRows();
   if (item === current) refresh(item);
 }
 
@@ -100,15 +100,15 @@ function smoothOf(item) {
     item.smooth = item.decoded; // until then
     draw(item.file, { scale: 1, texture: false })
       .then(imageOf)
-      .then((image) => item.tell({ smooth: image }));
+      .then((image) => item.update({ smooth: image }));
   }
   return item.smooth;
 }
 
-function tellRows() {
+function refreshRows() {
   const pick = (item) => {
     show(item);
-    tellRows();
+    refreshRows();
   };
   showRows(items, current, pick, remove);
 }
@@ -118,7 +118,7 @@ function remove(item) {
   items.splice(items.indexOf(item), 1);
   if (item === current && items.length) show(items.at(-1));
   if (item !== current) item.close();
-  tellRows();
+  refreshRows();
 }
 
 // What happens
@@ -133,7 +133,7 @@ function sample(name) {
   const item = items.find((one) => one.sample === name) ?? added(`${name}.webp`);
   item.sample = name;
   show(item);
-  tellRows();
+  refreshRows();
   item.opening ??= openSample(item, name).catch((error) => {
     item.opening = null; // the next click tries again
     trouble(error.message);
@@ -154,26 +154,26 @@ async function give(files) {
     }
     // A sample makes room, which nobody gave.
     const first = items.findIndex((item) => item.sample);
-    const gone = first >= 0 ? items.splice(first, 1)[0] : null;
+    const removed = first >= 0 ? items.splice(first, 1)[0] : null;
     const item = added(file.name || "pasted.png");
     item.format = format;
     if (!shown || !items.includes(current)) show(item);
     shown = true;
-    gone?.close();
+    removed?.close();
     try {
       if (kind === "sg") await item.open(file);
       else {
         await item.setOriginal(file);
         if (!item.original && COMMON.includes(format)) {
           const words = `This ${format} is damaged, or too large for this browser.`;
-          item.tell({ state: "failed", words, isUnread: true });
+          item.update({ state: "failed", words, isUnread: true });
         } else if (items.includes(item)) item.encode(budget());
       }
     } catch (error) {
-      item.tell({ state: "failed", words: `The file cannot be opened: ${error.message}` });
+      item.update({ state: "failed", words: `The file cannot be opened: ${error.message}` });
     }
   }
-  tellRows();
+  refreshRows();
 }
 
 async function again() {
@@ -194,7 +194,7 @@ function begin() {
   if (!wanted || SAMPLES.includes(wanted)) sample(wanted || SAMPLES[0]);
   else if (known) {
     show(known);
-    tellRows();
+    refreshRows();
   } else if (/^[0-9a-f]{32}$/.test(wanted)) {
     const item = added("photograph");
     item.id = wanted;
@@ -207,7 +207,7 @@ function begin() {
   } else {
     const item = added("photograph");
     show(item);
-    item.tell({ state: "failed", words: "No picture has this address: it may have been cut off." });
+    item.update({ state: "failed", words: "No picture has this address: it may have been cut off." });
   }
 }
 

@@ -1,4 +1,4 @@
-"""The clients' side of the sandbox: it is started, a task is sent, its answer is read and checked."""
+"""The clients' side of the sandbox: starting it, sending tasks, reading and checking answers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
-from service.process.loops import Rounds, StopSignal
+from service.process.loops import PeriodicThread, StopSignal
 from service.process.supervisor import WATCH_S, Supervised
 from service.sandbox.confinement import environment
 from service.sandbox.frames import (
@@ -47,16 +47,16 @@ ENDS_S = 2.0
 HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 
 
-class SandboxGoneError(OSError):
-    """The sandbox has died, or cannot be started; it is tried again. No fault of the task."""
+class SandboxUnavailableError(OSError):
+    """The sandbox has died or cannot be started, through no fault of the task. Trying again may help."""
 
 
 class TaskError(Exception):
-    """A task came to nothing through no fault of the service: one sentence."""
+    """A task failed through no fault of the service; one sentence."""
 
 
 class RefusedError(TaskError):
-    """The file, or what is asked of it, was refused. kind: the class of the error, of sgmethod.errors."""
+    """The codec refused the file or the options. kind: a class of sgmethod.errors."""
 
     def __init__(self, kind: type[Exception], detail: str) -> None:
         super().__init__(detail)
@@ -64,13 +64,13 @@ class RefusedError(TaskError):
 
 
 class Sandbox:
-    """Where tasks are sent. requests: a socket that the sandbox reads, though it may be dead for a moment."""
+    """Sends tasks to the sandbox. requests: a socket that it reads, though it may be restarting."""
 
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
 
     def start(self, task: Task, file: BinaryIO) -> RunningTask:
-        """A new task, which reads the open file from its beginning. Raises SandboxGoneError."""
+        """Start a task, which reads the open file from its beginning. Raises SandboxUnavailableError."""
         ours, theirs = socket.socketpair()
         with theirs:
             try:
@@ -78,13 +78,13 @@ class Sandbox:
                 socket.send_fds(self._requests, [message], descriptors, socket.MSG_DONTWAIT)
             except OSError as error:  # as when it has not read for long
                 ours.close()
-                raise SandboxGoneError(f"the sandbox takes no task: {error}") from error
+                raise SandboxUnavailableError(f"the sandbox takes no task: {error}") from error
         return RunningTask(task, ours)
 
     async def ask(self, task: Task, file: BinaryIO) -> Result[Any]:
-        """The result of a task, which ends when the caller is cancelled.
+        """Return the result of a task, which ends when the caller is cancelled.
 
-        Raises RefusedError, TaskError, SandboxGoneError.
+        Raises RefusedError, TaskError, SandboxUnavailableError.
         """
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
@@ -92,9 +92,9 @@ class Sandbox:
                     outcome = await asyncio.wait_for(running.outcome(), max(PATIENCE_S, 4 * task.cpu_s))
                 except TimeoutError:
                     if not running.begun:
-                        raise SandboxGoneError("the sandbox cannot be started") from None
+                        raise SandboxUnavailableError("the sandbox cannot be started") from None
                     raise TaskError("it exceeds the time limit") from None
-                except SandboxGoneError:
+                except SandboxUnavailableError:
                     if left:
                         continue
                     raise
@@ -112,7 +112,7 @@ class Sandbox:
         raise TaskError("its decoder crashed")
 
     async def try_out(self, patience_s: float) -> None:
-        """Have it read the header of a tiny image. Raises TaskError, OSError."""
+        """Read the header of a tiny image. Raises TaskError, OSError."""
         with tempfile.TemporaryFile() as file:
             file.write(TINY_IMAGE)
             file.flush()
@@ -120,11 +120,11 @@ class Sandbox:
             try:
                 await asyncio.wait_for(self.ask(task, file), patience_s)
             except TimeoutError:
-                raise SandboxGoneError("the sandbox does not answer") from None
+                raise SandboxUnavailableError("the sandbox does not answer") from None
 
 
 class RunningTask:
-    """A task under way. Leaving the context ends it. begun: whether the sandbox is known to do it."""
+    """A running task, ended when the context is left. begun: whether the sandbox has started it."""
 
     def __init__(self, task: Task, connection: socket.socket) -> None:
         self._connection = connection
@@ -139,16 +139,16 @@ class RunningTask:
         self._connection.close()
 
     def read(self, timeout_s: float) -> list[Message]:
-        """The messages that have come in. Waits timeout_s seconds at most for one to come.
+        """Return the messages that have arrived, after waiting at most timeout_s seconds for one.
 
-        Raises FrameError if the task says what it may not, and SandboxGoneError.
+        Raises FrameError for an invalid frame, and SandboxUnavailableError.
         """
         if not select.select([self._connection], [], [], timeout_s)[0]:
             return []
         return self._taken(self._received())
 
     async def outcome(self) -> Message:
-        """The message that ends the task; Crashed for one that says what it may not. Raises SandboxGoneError."""
+        """Return the message that ends the task; Crashed after an invalid frame. Raises SandboxUnavailableError."""
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -161,7 +161,7 @@ class RunningTask:
                 return messages[0]
 
     def end_early(self) -> None:
-        """Ask it to end soon with what it has. To ask again changes nothing."""
+        """Ask the task to end soon with what it has. Repeated calls have no effect."""
         with contextlib.suppress(OSError):  # it has not heard what it was told, or has ended
             self._connection.send(EARLY_END)
 
@@ -173,16 +173,16 @@ class RunningTask:
 
     def _taken(self, data: bytes) -> list[Message]:
         if not data:
-            raise SandboxGoneError("the sandbox has died")
+            raise SandboxUnavailableError("the sandbox has died")
         messages = self._reader.take(data)
         self.begun |= any(isinstance(message, Begun) for message in messages)
         return [message for message in messages if not isinstance(message, Begun)]
 
 
 class SandboxProcess(Supervised):
-    """The process of the sandbox. requests: the socket into which its clients write.
+    """The process of the sandbox. requests: socket that its clients write to; threads: of an encode.
 
-    What they write while it is dead is done by its successor. threads: of an encode.
+    Requests written while it is dead are handled by its successor.
     """
 
     def __init__(self, threads: int) -> None:
@@ -194,7 +194,7 @@ class SandboxProcess(Supervised):
         super().__init__("sandbox", command, (number,), {**HUGE_PAGES, **environment(os.environ), **variables})
 
     def stop(self, deadline: float) -> None:
-        """Let it end, as it does once all its clients are gone."""
+        """Let it end, which it does when all its clients have closed their sockets."""
         self.requests.close()
         self._served.close()
         super().stop(deadline)
@@ -202,9 +202,9 @@ class SandboxProcess(Supervised):
 
 @contextlib.contextmanager
 def own_sandbox(threads: int) -> Iterator[socket.socket]:
-    """The requests of a sandbox that is this process's own, and ends with the context."""
+    """Run a sandbox for this process only, and provide its socket for requests."""
     process, ended = SandboxProcess(threads), StopSignal()
-    keeper = Rounds("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
+    keeper = PeriodicThread("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
     keeper.start()
     try:
         yield process.requests

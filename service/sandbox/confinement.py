@@ -1,14 +1,14 @@
-"""Confines a process that is about to read what a stranger sent.
+"""Confine a process that is about to read an upload.
 
-Its layers, each of which holds without the others as far as it reaches:
+The layers, each of which holds without the others as far as it reaches:
 
     seccomp     only the system calls of filter.py
     Landlock    no file, no connection, no signal to another process
     limits      memory, time, files, threads
-    nobody      where the service runs as root, tasks do not
+    nobody      where the service runs as root, tasks run as this user
 
-Before that, a task has its file in memory, its descriptors closed and an environment without secrets. Two calls are
-made here, as no library that is kept up makes them.
+Before that, a task has its file in memory, its descriptors closed and an environment without secrets. Two system calls
+are made directly, as no maintained library makes them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use
 PROBE_BYTES = 16 << 20  # for one that only confines itself
-MOST_THREADS, THREADS_STEP = 8192, 16  # of the user, whatever runs beside a task; how exactly they are counted
+MAX_USER_THREADS, THREADS_STEP = 8192, 16  # of the user, whatever runs beside a task; how exactly they are counted
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
     *(resource.RLIMIT_MEMLOCK, resource.RLIMIT_MSGQUEUE),
@@ -54,27 +54,27 @@ _libc = ctypes.CDLL(None, use_errno=True)  # opened here: a fork that is confine
 
 
 def environment(given: Mapping[str, str]) -> dict[str, str]:
-    """What a confined process may know of an environment: nothing of the service's settings or keys."""
+    """Return the variables that a confined process may see: none of the service's settings or keys."""
     return {name: value for name, value in given.items() if name.startswith(KEPT_VARIABLES)}
 
 
 def set_name(name: str) -> None:
-    """What this process is called in lists of processes, which show the beginning of it."""
+    """Set the name of this process in process lists, which show its first 15 bytes."""
     _libc.prctl(calls.SET_NAME, name.encode(), 0, 0, 0)
 
 
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:
-    """Let the system send this process the signal when its parent has ended, however that ended."""
+    """Have the system send this process a signal when its parent ends, for whatever reason."""
     _libc.prctl(SET_PARENT_DEATH_SIGNAL, number, 0, 0, 0)
     if os.getppid() != parent:  # it has ended just before
         os.kill(os.getpid(), number)
 
 
 def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[str]:
-    """Confine this process, for good; returns the LAYERS that the system does not offer.
+    """Confine this process irreversibly. Returns the LAYERS that the system lacks.
 
-    memory_bytes: more than it has; cpu_s: seconds of a core until it ends by SIGPROF; threads: that it may start, give
-    or take THREADS_STEP; parent: with which it ends.
+    memory_bytes: beyond its present size; cpu_s: seconds of a core until SIGPROF ends it; threads: that it may start,
+    give or take THREADS_STEP; parent: process that it ends with.
     """
     is_other = os.geteuid() != 0 or _become_nobody()
     most_threads = _threads_of_user() + threads
@@ -98,9 +98,9 @@ def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[
 
 
 def absent_layers() -> list[str]:
-    """The layers that this system does not offer, found out by a fork of this process, which has one thread still.
+    """Return the layers that this system lacks, tried in a fork. Call it while this process has a single thread.
 
-    Raises SandboxError if it cannot be confined at all.
+    Raises SandboxError if the fork cannot be confined at all.
     """
     told, tell = os.pipe()
     parent = os.getpid()
@@ -121,13 +121,11 @@ def absent_layers() -> list[str]:
 
 
 class SandboxError(Exception):
-    """The sandbox cannot be set up, or lacks a layer that must not be missing; one sentence."""
+    """The sandbox cannot be set up, or lacks a required layer; one sentence."""
 
 
 def check_layers(*, required: bool) -> list[str]:
-    """Sentences on what the system does not offer, and on root. Raises SandboxError if a layer that is required is
-    missing.
-    """
+    """Return warnings about missing layers and about root. Raises SandboxError if a required layer is missing."""
     layers = absent_layers()
     absent = " and ".join(layers)
     if absent and required:
@@ -138,12 +136,12 @@ def check_layers(*, required: bool) -> list[str]:
 
 
 def _threads_of_user() -> int:
-    """How many threads the user of this process has, or up to THREADS_STEP more.
+    """Return the number of threads of this process's user, or up to THREADS_STEP more.
 
-    The system limits those of a user, not of a process, and tells how many there are only by refusing the next one.
+    The system limits threads by user, not by process, and reveals their number only by refusing the next one.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
-    end = MOST_THREADS if hard == resource.RLIM_INFINITY else min(hard, MOST_THREADS)
+    end = MAX_USER_THREADS if hard == resource.RLIM_INFINITY else min(hard, MAX_USER_THREADS)
     for limit in range(THREADS_STEP, end, THREADS_STEP):
         resource.setrlimit(resource.RLIMIT_NPROC, (limit, hard))
         one_more = threading.Thread(target=int)

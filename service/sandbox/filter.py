@@ -45,7 +45,7 @@ CALL_AT, ARCHITECTURE_AT, ARGUMENTS_AT = 0, 4, 16  # in struct seccomp_data
 
 @dataclass(frozen=True)
 class Check:
-    """An argument, 64 bits, of which the masked lower half is to be a value, and the upper half nothing."""
+    """A test of a 64-bit argument: its masked lower half equals a value, and its upper half is zero."""
 
     argument: int
     value: int
@@ -68,7 +68,7 @@ Step = tuple[int, int, int, int]  # code, steps to skip if true, steps to skip i
 
 
 def steps(machine: str, process: int) -> list[Step]:
-    """The filter for a process of that number on a machine, as platform.machine() names it. Raises KeyError."""
+    """Return the filter for a process number and a machine, as platform.machine() names it. Raises KeyError."""
     architecture = ARCHITECTURES[machine]
     place = list(ARCHITECTURES).index(machine)
     checks = _checks(process)
@@ -102,5 +102,5 @@ def _checked(check: Check) -> list[Step]:
 
 
 def program(machine: str, process: int) -> bytes:
-    """The filter as the kernel reads it. Raises KeyError for a machine of another architecture."""
+    """Return the filter as the kernel reads it. Raises KeyError for a machine of another architecture."""
     return b"".join(struct.pack("=HBBI", *step) for step in steps(machine, process))

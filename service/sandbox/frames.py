@@ -34,9 +34,9 @@ FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than bot
 PICTURE_BYTES_PER_PIXEL = 4  # PNG of noise, one pixel wide; JPEG of thin noise takes more, which the first MB covers
 FORMAT_BYTES = 256  # the start of a file, which tells its format
 MAX_SENTENCE_LENGTH = 1000
-FEW_FRAMES = 3  # Begun, the outcome, Ended
+MAX_FRAMES = 3  # Begun, the outcome, Ended
 # An encode sends 10 trace points and a preview a second, and may run for longer than its time limit.
-ENCODE_FRAMES, ENCODE_FRAMES_PER_S = 1000, 30
+MAX_ENCODE_FRAMES, MAX_ENCODE_FRAMES_PER_S = 1000, 30
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
 PICTURE_THREADS = 2
@@ -192,7 +192,7 @@ class Task(Model):
     @property
     def max_frames(self) -> int:
         """Number of frames that it may send."""
-        return FEW_FRAMES
+        return MAX_FRAMES
 
     @property
     def max_threads(self) -> int:
@@ -263,7 +263,7 @@ class Encode(Task):
 
     @property
     def max_frames(self) -> int:
-        return ENCODE_FRAMES + int(ENCODE_FRAMES_PER_S * self.request.time_limit_s)
+        return MAX_ENCODE_FRAMES + int(MAX_ENCODE_FRAMES_PER_S * self.request.time_limit_s)
 
     def check(self, result: Result[Any]) -> None:
         super().check(result)

@@ -1,4 +1,4 @@
-"""What the tasks do, in a process of their own that is confined: a file comes in, messages go out."""
+"""The tasks, each done in a confined process: a file comes in, messages go out."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ DECODER_THREADS = {
 
 
 class Answer:
-    """A task's end of its socket, and its client's request that it end early."""
+    """A task's end of its socket, and its client's request to end early."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -86,15 +86,13 @@ class Answer:
 
 
 def set_threads(count: int) -> None:
-    """How many threads a task computes on, none of which is started before it needs them."""
+    """Set the number of threads that a task computes on. None is started before it is needed."""
     sgmethod.set_threads(count)
     cv2.setNumThreads(count)
 
 
 def warm_up() -> None:
-    """Import and set up all that tasks need, which can open no file any more. No thread may be left: a fork would not
-    have it.
-    """
+    """Import and set up all that tasks need, since they can open no file. No thread may remain: forks would lack it."""
     set_threads(1)
     _import_all(sgmethod.__path__, "sgmethod.")
     Image.preinit()
@@ -111,20 +109,20 @@ def warm_up() -> None:
 
 
 def warm_fork() -> None:
-    """Touch the memory that every picture takes, before somebody waits for one.
+    """Touch the memory that every picture takes, before a client waits for one.
 
-    What is freed within a task is used again: to get it from the system each time took 2.4 of the 6.0 ms of the PNG of
+    Freed memory is reused within a task: getting it from the system each time took 2.4 of the 6.0 ms of the PNG of
     768x512.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:  # another C library than glibc may have none
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
-    Drawing.of(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
+    Drawing.from_options(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
 
 
 def prepare(task: frames.Task) -> None:
-    """Import what is too large to have in memory for all."""
+    """Import what is too large to keep in memory for all tasks."""
     if isinstance(task, frames.Encode) and task.request.profile != "rd":
         tiny_encode(task.request.profile)
 
@@ -139,7 +137,7 @@ def _import_all(path: Any, prefix: str) -> None:
 
 @cache
 def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
-    """The tiny picture as a bitstream."""
+    """Encode the tiny picture."""
     from sgmethod.codec import encode
 
     # The others have no effort, and no smaller files.
@@ -149,7 +147,7 @@ def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
 
 
 def perform(task: frames.Task, file: bytes, answer: Answer) -> None:
-    """Do the task and send its result, or why there is none."""
+    """Do the task and send its result or its refusal."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -179,7 +177,7 @@ def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
 
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
     info = sgmethod.info(file, task.max_gaussians)  # equal ones take an eighth of a byte each
-    drawing = Drawing.of(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
+    drawing = Drawing.from_options(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
     answer.send_result(None, drawing.draw(file))
 
 

@@ -1,4 +1,4 @@
-"""Source images and bitstreams in a bucket that speaks S3, for workers on several machines."""
+"""Source images and bitstreams in an S3 bucket, for workers on several machines."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _as_os_errors() -> Iterator[None]:
 
 
 def _in_words(text: str) -> str:
-    """One line of the library's error, which has its cause, if at all, some twenty lines further down."""
+    """Return the library's error as one line. Its cause, if given, is some twenty lines further down."""
     for word, hint in HINTS.items():
         if word in text:
             return hint
@@ -59,7 +59,7 @@ def _in_words(text: str) -> str:
 
 
 def _check_environment() -> None:
-    """Raises OSError for an AWS_ variable on which the library would panic, or which it would misunderstand."""
+    """Raise OSError for an AWS_ variable that would make the library panic, or that it would misread."""
     for name, value in os.environ.items():
         if not name.startswith("AWS_"):
             continue
@@ -78,7 +78,7 @@ def _is_address(text: str) -> bool:
 
 
 class BucketStorage:
-    """Storage in a bucket, beneath a prefix if the address has one.
+    """Storage in a bucket, beneath a prefix if the URL has one.
 
     url: s3://bucket/prefix. Endpoint, region and credentials come from the usual AWS_ variables.
     """

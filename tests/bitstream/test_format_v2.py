@@ -27,7 +27,6 @@ from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
 from tests.bitstream.test_format_v1 import TEXT, rows, table
-from tests.definitions import drawing
 
 GOLDEN = golden(2)
 PARTS = (0.01, 0.1, 0.25, 0.5, 0.77, 0.99)
@@ -50,8 +49,8 @@ def test_the_limits_in_the_text() -> None:
         f"until it is less than 8; at most {plain.MOST_RAW_BITS}.",
         rf"refuse \|v\| > {plain.MOST_V} * 2^h or 2 \|r\| > {plain.MOST_R} * 2^h",
         f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.LEAST_COLOUR_STEP):g})",
-        f"ratio = minor / ({drawing.NARROWEST} * {drawing.NARROWEST})",
-        f"the largest l from 1 to {drawing.MAX_LEVEL} with",
+        f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
+        f"the largest l from 1 to {native.MAX_LEVEL} with",
         f"Square patches, {plain.PATCH} pixels wide,",
         f"columns = ceil(width / {plain.PATCH}) rows = ceil(height / {plain.PATCH})",
         f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
@@ -68,7 +67,7 @@ def test_the_version_and_the_views_in_the_text() -> None:
     assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
     assert f"/ ({1 / PIXEL_VARIANCE:g} kept)" in text
     assert f"OX = floor(left * sx) mod {MAX_COORDINATE} " in text
-    assert MAX_COORDINATE % 2**drawing.MAX_LEVEL == 0
+    assert MAX_COORDINATE % 2**native.MAX_LEVEL == 0
     assert f"C = 3: kept = {variance(native.CUTOFF_V2):.4f}" in text
     assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 

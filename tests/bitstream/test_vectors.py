@@ -15,7 +15,6 @@ from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
-from tests.definitions import drawing
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}
@@ -24,6 +23,7 @@ NAMES = pytest.mark.parametrize("name", FILES)
 
 @NAMES
 def test_the_plain_decoder_finds_the_same(name: str) -> None:
+    drawing = pytest.importorskip("tests.definitions.drawing", reason="the definition of levels needs PyTorch")
     file, of = plain_decoder_v2.read(bytes.fromhex(FILES[name]["bytes"])), FILES[name]
     h = file.header
     flags = h.grey, h.upright, bool(file.codes), file.alpha is not None, h.is_short

@@ -129,9 +129,9 @@ def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path,
         return result.status
 
     ours, others = f"{socket.gethostname()}:17", f"{socket.gethostname()}0:17"
-    table.sign(others)
+    table.register(others)
     assert status() == 1
-    table.sign(ours)
+    table.register(ours)
     assert status() == 0
     change(table, "UPDATE workers SET seen_at = seen_at - 20 WHERE name = ?", ours)
     assert status() == 1

@@ -2,8 +2,8 @@
 
 import { ask, jobPath } from "../api.js";
 import { $, element, refill } from "../parts.js";
-import { save } from "../taking.js";
-import { trouble } from "../telling.js";
+import { save } from "../download.js";
+import { trouble } from "../status.js";
 import { withoutSuffix } from "../words.js";
 
 const FILES = { webp: "lossless WebP", avif: "AVIF" };

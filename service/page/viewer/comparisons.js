@@ -16,13 +16,13 @@ const BETTER_SSIM = 0.002;
 const worker = new Remote("static/viewer/comparisons_worker.js");
 let last = Promise.resolve();
 
-/** Measures a picture's file and encodes it with other codecs; `told` is called after each. One picture at a time. */
-export function measure(item, told) {
-  last = last.then(() => measureNow(item, told)).catch((error) => console.warn(error.message));
+/** Measures a picture's file and encodes it with other codecs; `changed` is called after each. One picture at a time. */
+export function measure(item, changed) {
+  last = last.then(() => measureNow(item, changed)).catch((error) => console.warn(error.message));
   return last;
 }
 
-async function measureNow(item, told) {
+async function measureNow(item, changed) {
   if (!item.original || !item.decoded) return;
   const { width, height } = item.decoded;
   if (item.original.width !== width || item.original.height !== height) return;
@@ -32,14 +32,14 @@ async function measureNow(item, told) {
     worker.ask("original", { image: item.original }),
     worker.ask("measure", { image: item.decoded }),
   ]);
-  told();
+  changed();
   for (const [name, type, suffix] of CODECS) {
     const other = await worker
       .ask("encode", { type, bytes, least: (1 - NEAR) * bytes })
       .then((made) => made ?? fetched(item, suffix))
       .catch((error) => ({ lacking: error.message }));
     item.others = { ...item.others, [name]: other };
-    told();
+    changed();
   }
 }
 

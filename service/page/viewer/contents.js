@@ -27,9 +27,9 @@ export function fillContents(file) {
   fillContents.shown = file;
   const share = (bytes) => `${((100 * bytes) / file.bytes).toFixed(bytes < file.bytes / 100 ? 1 : 0)} %`;
   const rows = contentsOf(file).map(([name, bytes, words]) => {
-    const told = [`${name} `, element("span", { className: "quiet small" }, words)];
+    const label = [`${name} `, element("span", { className: "quiet small" }, words)];
     const figures = [element("td", {}, size(Math.round(bytes))), element("td", {}, share(bytes))];
-    return element("tr", {}, element("th", { scope: "row" }, ...told), ...figures);
+    return element("tr", {}, element("th", { scope: "row" }, ...label), ...figures);
   });
   $("contents").querySelector("tbody").replaceChildren(...rows);
 }

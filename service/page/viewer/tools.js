@@ -11,9 +11,9 @@ const overlays = () => [...document.querySelectorAll("[name=overlay]")];
 export class Tools {
   #viewer;
   #file = null;
-  #still = null; // when it is told no more how long a frame took
+  #still = null; // when it is label no more how long a frame took
 
-  /** changed: called when something else than the viewer has to be told. */
+  /** changed: called when something else than the viewer has to be label. */
   constructor(viewer, changed) {
     this.#viewer = viewer;
     this.changed = changed;

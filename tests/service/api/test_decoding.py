@@ -38,7 +38,7 @@ def test_png_is_lossless_and_whole(monkeypatch: pytest.MonkeyPatch, most: int) -
 @pytest.mark.parametrize("kind", ["jpg", "webp", "avif"])
 def test_lossy_files_are_close(kind: str) -> None:
     pixels = sgmethod.decode(PICTURE)
-    drawing = Drawing.of(PictureOptions(), kind, SIZE, NO_LIMIT)  # type: ignore[arg-type]
+    drawing = Drawing.from_options(PictureOptions(), kind, SIZE, NO_LIMIT)  # type: ignore[arg-type]
     file = drawing.draw(PICTURE)
     image = Image.open(io.BytesIO(file))
     assert image.get_format_mimetype() == MEDIA_TYPES[drawing.kind]
@@ -52,7 +52,9 @@ def test_lossy_files_are_close(kind: str) -> None:
 def test_boxes(region: str | None, box: tuple[int, int]) -> None:
     sides = {}
     for fit in ("contain", "cover", "crop"):
-        drawing = Drawing.of(PictureOptions(width=box[0], height=box[1], fit=fit, region=region), "png", SIZE, NO_LIMIT)  # type: ignore[arg-type]
+        drawing = Drawing.from_options(
+            PictureOptions(width=box[0], height=box[1], fit=fit, region=region), "png", SIZE, NO_LIMIT
+        )  # type: ignore[arg-type]
         height, width, _ = pixels_of(drawing.draw(PICTURE)).shape
         assert (drawing.width, drawing.height) == (width, height)
         sides[fit] = (width, height)
@@ -67,30 +69,32 @@ def test_a_crop_is_the_middle() -> None:
     """Of the picture at its own size, so that pixels can be compared."""
     whole = sgmethod.decode(PICTURE)
     width, height = SIZE[0] - 10, SIZE[1]
-    file = Drawing.of(PictureOptions(width=width, height=height, fit="crop"), "png", SIZE, NO_LIMIT).draw(PICTURE)
+    file = Drawing.from_options(PictureOptions(width=width, height=height, fit="crop"), "png", SIZE, NO_LIMIT).draw(
+        PICTURE
+    )
     np.testing.assert_array_equal(pixels_of(file), whole[:, 5:-5])
 
 
 def test_what_a_kind_of_file_cannot_hold() -> None:
     long = (16_384, 1)
-    assert Drawing.of(PictureOptions(), "png", long, NO_LIMIT).width == 16_384
+    assert Drawing.from_options(PictureOptions(), "png", long, NO_LIMIT).width == 16_384
     with pytest.raises(ViewError, match="16,383 per side"):
-        Drawing.of(PictureOptions(), "webp", long, NO_LIMIT)
+        Drawing.from_options(PictureOptions(), "webp", long, NO_LIMIT)
     with pytest.raises(ViewError, match="65,500 per side"):
-        Drawing.of(PictureOptions(), "jpg", (1, 65_501), NO_LIMIT)
+        Drawing.from_options(PictureOptions(), "jpg", (1, 65_501), NO_LIMIT)
 
 
 def test_entity_tags_tell_pictures_apart() -> None:
     queries = [{}, {"scale": 2}, {"region": "0,0,10,8"}, {"region": "0,1,10,8"}, {"region": "0,0,10,8", "scale": 2}]
-    drawings = [Drawing.of(PictureQuery.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
+    drawings = [Drawing.from_options(PictureQuery.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
     crop = {"width": 5, "height": 9, "fit": "crop"}
     pngs = ({"prefix": 0.5}, crop, {"texture": "0"}, {"texture": "0", "scale": 2})
     more = [("jpg", {}), ("jpg", {"quality": 50}), ("avif", {}), *(("png", options) for options in pngs)]
-    drawings += [Drawing.of(PictureOptions.model_validate(o), kind, SIZE, NO_LIMIT) for kind, o in more]
+    drawings += [Drawing.from_options(PictureOptions.model_validate(o), kind, SIZE, NO_LIMIT) for kind, o in more]
     tags = {drawing.etag(sha) for drawing in drawings for sha in ("a" * 64, "b" * 64)}
     assert len(tags) == 2 * len(drawings)
     doubled = (PictureOptions(width=2 * SIZE[0]), PictureOptions(scale=2.0))
-    same = [Drawing.of(options, "png", SIZE, NO_LIMIT) for options in doubled]
+    same = [Drawing.from_options(options, "png", SIZE, NO_LIMIT) for options in doubled]
     assert same[0].etag("a" * 64) == same[1].etag("a" * 64)
     assert all("," not in tag for tag in tags)  # lists of tags are split at commas
 

@@ -138,8 +138,8 @@ def test_figures(start_service: StartService) -> None:
     assert seen['sgmethod_requests_total{method="GET",route="none",status="404"}'] == 1
     assert (seen['sgmethod_decode_cache_total{found="yes"}'], seen["sgmethod_decode_seconds_count"]) == (2, 1)
     assert seen["sgmethod_decode_cache_bytes"] > 0
-    endings = {name: seen[f"sgmethod_jobs_{name}_total"] for name in ("finished", "failed", "retried", "cancelled")}
-    assert endings == {"finished": 1, "failed": 0, "retried": 0, "cancelled": 0}
+    outcomes = {name: seen[f"sgmethod_jobs_{name}_total"] for name in ("finished", "failed", "retried", "cancelled")}
+    assert outcomes == {"finished": 1, "failed": 0, "retried": 0, "cancelled": 0}
     assert seen["sgmethod_encode_seconds_count"] == seen['sgmethod_encode_seconds_bucket{le="+Inf"}'] == 1
     assert seen["sgmethod_job_table_up"] == 1
     assert seen['sgmethod_background_failures{process="web"}'] == 0

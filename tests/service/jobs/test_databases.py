@@ -52,7 +52,7 @@ def assert_delivers(jobs: PostgresJobTable) -> None:
         taken.release()
         return True
 
-    thread = threading.Thread(target=jobs.deliver, args=(run_next, stop))
+    thread = threading.Thread(target=jobs.dispatch, args=(run_next, stop))
     thread.start()
     for _ in range(3):
         submitted(jobs)
@@ -61,7 +61,7 @@ def assert_delivers(jobs: PostgresJobTable) -> None:
     stop.request()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-    assert jobs.census().jobs["running"] == 3
+    assert jobs.counts().jobs["running"] == 3
 
 
 def test_delivery(jobs: PostgresJobTable) -> None:
@@ -128,7 +128,7 @@ def test_a_standby_answers_but_takes_no_changes(url: str, jobs: PostgresJobTable
         other.execute(f"SELECT pg_terminate_backend(pid) {others}".encode(), [name])
     with pytest.raises(JobTableError, match="read-only"):
         jobs.check_writable()
-    assert jobs.census().notices == 0
+    assert jobs.counts().deliveries == 0
 
 
 def test_a_lock_that_is_held_is_no_read_only_disk(path: Path) -> None:

@@ -29,8 +29,8 @@ from benchmarks.harness.job_table import (
 )
 from service.errors import LimitError
 from service.jobs import table as table_module
-from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
 from service.jobs.job import Claim, EncodeResult
+from service.jobs.outcomes import BUCKETS_S, OUTCOMES, SECONDS, bucket
 from service.jobs.table import MAX_ATTEMPTS, JobTable
 from service.storage.files import source_key
 
@@ -210,16 +210,16 @@ def test_queue_length_counts_waiting_jobs_only(open_job_table: OpenTable) -> Non
 
 def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
     for failures, worker in enumerate(("one", "two", "one")):
-        table.sign(worker, failures)
-    workers = table.census().workers
-    assert table.census().failures == {"one": 2, "two": 1}
+        table.register(worker, failures)
+    workers = table.counts().workers
+    assert table.counts().failures == {"one": 2, "two": 1}
     assert sorted(workers) == ["one", "two"]
     assert all(-1 < seconds < 60 for seconds in workers.values())
-    table.sign_off("two")
-    assert list(table.census().workers) == ["one"]
+    table.unregister("two")
+    assert list(table.counts().workers) == ["one"]
     monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
-    table.sign("three")  # and workers that were silent for too long are forgotten
-    assert table.census().workers == {}
+    table.register("three")  # and workers that were silent for too long are forgotten
+    assert table.counts().workers == {}
 
 
 def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
@@ -230,18 +230,18 @@ def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
     submitted(table)
     assert table.finish(claimed(table), RESULT)
     for tried in (False, True):  # at once at first, and after a pause
-        assert table.due_notice("http://a.example") is not None
-        assert table.due_notice("http://a.example") is None
-        change(table, "UPDATE notices SET ended_at = ended_at + ?, due_at = due_at + ?", 1000, 1000)
-        assert table.due_notice("http://a.example") is not None, tried
-        assert table.due_notice("http://a.example") is None
-        change(table, "UPDATE notices SET due_at = ended_at")
-    table.sign("gone")
-    table.sign("alive")
+        assert table.due_delivery("http://a.example") is not None
+        assert table.due_delivery("http://a.example") is None
+        change(table, "UPDATE deliveries SET ended_at = ended_at + ?, due_at = due_at + ?", 1000, 1000)
+        assert table.due_delivery("http://a.example") is not None, tried
+        assert table.due_delivery("http://a.example") is None
+        change(table, "UPDATE deliveries SET due_at = ended_at")
+    table.register("gone")
+    table.register("alive")
     change(table, "UPDATE workers SET seen_at = seen_at + ?", 1000)
-    assert table.census().silent_s is None
-    table.sign("alive")
-    assert list(table.census().workers) == ["alive"]
+    assert table.counts().silent_s is None
+    table.register("alive")
+    assert list(table.counts().workers) == ["alive"]
     with table._connection() as db:
         assert db.execute("SELECT count(*) AS number FROM workers").fetchone()["number"] == 1
 
@@ -265,26 +265,26 @@ def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, k
     done, failed, crashing = (table.submit(new(owner="ann"))[0] for _ in range(3))
     size = done.image.size_bytes
     kept = size if kept_s else 0
-    assert table.census().stored_bytes == 3 * size
+    assert table.counts().stored_bytes == 3 * size
     claims = {claim.job_id: claim for claim in (claimed(table) for _ in range(3))}
     for _ in range(2):  # as after a commit whose answer was lost
         assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
     table.fail(claims[failed.id], REFUSED)
-    assert table.census().stored_bytes == size + 7 + 2 * kept
+    assert table.counts().stored_bytes == size + 7 + 2 * kept
     table.fail(claims[crashing.id], CRASH)
-    assert table.census().stored_bytes == size + 7 + 2 * kept  # it is tried again
+    assert table.counts().stored_bytes == size + 7 + 2 * kept  # it is tried again
     while (claim := table.claim("w")) is not None:
         table.fail(claim, CRASH)
-    assert table.census().stored_bytes == 7 + 3 * kept
+    assert table.counts().stored_bytes == 7 + 3 * kept
     images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
     assert table.needed_keys() == {*images, "bitstreams/x"}
     for job in (done, done, failed, crashing):
         table.source_removed(job.id)
-    assert (table.census().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
+    assert (table.counts().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
     table.source_removed(table.submit(new())[0].id)  # which waits
-    assert table.census().stored_bytes == 7 + size
+    assert table.counts().stored_bytes == 7 + size
     table.remove(done.id)
-    assert table.census().stored_bytes == size
+    assert table.counts().stored_bytes == size
 
 
 def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
@@ -297,9 +297,9 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     assert table.fail(claimed(table), REFUSED)
     for job_id in (done, crashed, refused, cancelled):
         table.remove(job_id)
-    totals = table.census().totals
-    counts = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
-    assert {name: totals.get(name, 0) for name in ENDINGS} == counts
+    totals = table.counts().totals
+    counted = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
+    assert {name: totals.get(name, 0) for name in OUTCOMES} == counted
     assert sum(totals.get(bucket(most), 0) for most in BUCKETS_S) == 1
     assert totals[SECONDS] >= 0
 

@@ -234,7 +234,7 @@ def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     state = {"state": "queued", "position": 3}
     known = f"[[{took}, [1, 2]], [[], [1]], [{took}, []]]"
     said = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
-    words = page.imported("watching.js", said)
+    words = page.imported("progress.js", said)
     waiting = "Waiting: in the queue, 2 before it"
     assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
     assert page.imported("words.js", "[0.2, 59.7, 119.7].map(it.seconds)") == ["1 s", "1 min 0 s", "2 min 0 s"]

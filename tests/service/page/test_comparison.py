@@ -112,10 +112,10 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert not page.is_seen("#chart-card")
     page.cancel()
     for limit, left in ((60, 8), (5, 3)):
-        said = page.imported("watching.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
+        said = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
         assert said == f"Fitting 250 Gaussians, about {left} s left"
     fitted = {**JOB, "progress": 1, "trace": [{**POINT, "step": 100, "steps": 100}]}
-    last = page.imported("watching.js", f"it.stateOf({json.dumps(fitted)}, false)")
+    last = page.imported("progress.js", f"it.stateOf({json.dumps(fitted)}, false)")
     assert last == {"words": "Writing and measuring the file", "done": None}  # seconds, for a large picture
 
 
@@ -123,7 +123,7 @@ def test_the_curve_stays_within_its_axes(page: Chromium, web: Service) -> None:
     page.open_page(web)
     for psnrs in ([15.9, 30.4, 26.0], [26.02, 26.05, 26.04], [7, 12, 44.9], [30, 30, 30]):
         trace = [{"seconds": at, "psnr": psnr, "bytes": 900, "phase": "joint"} for at, psnr in enumerate(psnrs)]
-        page.imported("watching.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
+        page.imported("progress.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
         lines, points, labels = page.run("""
             const all = (kind) => [...document.querySelectorAll(`#chart ${kind}`)];
             return [

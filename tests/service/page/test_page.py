@@ -25,7 +25,7 @@ def test_the_main_road(each_browser: Page, service: Service) -> None:
     page.open_page(service)
     page.run("document.getElementById('effort').value = '1'")
     page.give("drop", SMALL, "my disc.png")
-    page.says("my disc.png is done", "#said")
+    page.says("my disc.png is done", "#announcement")
     page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#others"))

@@ -15,19 +15,19 @@ from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
 from service.api import app
 from service.keys import KeyRing, digest
-from service.process.loops import Rounds, StopSignal, failures
+from service.process.loops import PeriodicThread, StopSignal, failures
 
 
 def test_rounds_go_on() -> None:
     """As those that sweep, sign, notify, and fill the queue of the engine again."""
     until, done, before = StopSignal(), threading.Event(), failures.total()
-    rounds = Rounds("testing", failing(done.set, RuntimeError("nobody foresaw this")), 0.01, until)
-    rounds.start()
+    thread = PeriodicThread("testing", failing(done.set, RuntimeError("nobody foresaw this")), 0.01, until)
+    thread.start()
     try:
-        wait_until(lambda: done.is_set() or not rounds.is_alive())
+        wait_until(lambda: done.is_set() or not thread.is_alive())
     finally:
         until.request()
-        rounds.join(PATIENCE_S)
+        thread.join(PATIENCE_S)
     assert done.is_set()
     assert failures.total() == before + 1
 
@@ -68,7 +68,7 @@ def test_what_comes_again_and_again_is_logged_once_a_minute(
     """A full disk filled the log, which lay on it."""
     now = 0.0
     monkeypatch.setattr(logs.time, "monotonic", lambda: now)
-    monkeypatch.setattr(logs, "_said", {})
+    monkeypatch.setattr(logs, "_last_logged", {})
     for now in (0.0, 1.0, 59.0, 60.0, 61.0):
         logs.log_seldom(logging.getLogger("disk"), "no room for %d", now)
         logs.log_seldom(logging.getLogger("disk"), "something else")

@@ -64,7 +64,7 @@ def test_pictures_are_those_of_the_codec(real: Sandbox, kind: Any) -> None:
     info = sgmethod.info(PICTURE)
     for options in (PictureOptions(), PictureOptions(scale=1.5, region="2,3,20,9")):
         made = asked(real, Draw(**LIMITS, options=options, file_kind=kind), PICTURE).file
-        assert made == Drawing.of(options, kind, (info.width, info.height), 10**6).draw(PICTURE)
+        assert made == Drawing.from_options(options, kind, (info.width, info.height), 10**6).draw(PICTURE)
 
 
 @pytest.mark.parametrize("kind", FORMATS)

@@ -92,7 +92,7 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
     monkeypatch.setattr(storage, "delete", delete)
     times = {"source_retention_s": AT_ONCE_S, "orphan_age_s": AT_ONCE_S}
     assert sweep(table, storage, retention_s=1000, **times) == Swept(0, 5, 2)
-    assert table.census().stored_bytes == IMAGE.size_bytes + 4 * 9
+    assert table.counts().stored_bytes == IMAGE.size_bytes + 4 * 9
     assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == Swept(4, 0, 3)
     assert table.page(10) == []
     assert stored(storage) == held
@@ -129,7 +129,7 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S, dry_run=True) == swept
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
         assert stored(storage) == {source_key(waiting)}
-    assert table.census().stored_bytes == 7 + IMAGE.size_bytes
+    assert table.counts().stored_bytes == 7 + IMAGE.size_bytes
     assert {job.id for job in table.page(10)} == {done, refused, waiting}
 
 

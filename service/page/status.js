@@ -1,4 +1,4 @@
-// What is said of a picture: its labels, its state, its row in the list.
+// What is words of a picture: its labels, its state, its row in the list.
 
 import { $, element, refill } from "./parts.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
@@ -8,7 +8,7 @@ export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
 /** For screen readers, and not more often than something really is new. */
 function say(words) {
-  if ($("said").textContent !== words) $("said").textContent = words;
+  if ($("announcement").textContent !== words) $("announcement").textContent = words;
 }
 
 export function trouble(words) {
@@ -61,7 +61,7 @@ export function showWork(item) {
   const trace = item.job?.tune === "psnr" ? item.trace : [];
   const end = item.state === "done" ? (item.job?.result?.psnr ?? null) : null;
   $("chart-card").hidden = !trace.length;
-  if (trace.length) import("./watching.js").then(({ drawTrace }) => drawTrace(trace, end));
+  if (trace.length) import("./progress.js").then(({ drawTrace }) => drawTrace(trace, end));
   $("figures-field").hidden = !item.decoded;
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }

@@ -1,6 +1,6 @@
 // How pictures come in, and within what budget they are encoded.
 
-import { local, remembered, session } from "./keeping.js";
+import { local, remembered, session } from "./storage.js";
 import { $ } from "./parts.js";
 import { expected, size, smaller } from "./words.js";
 

@@ -17,13 +17,13 @@ import pytest
 from benchmarks.harness.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
 from benchmarks.harness.processes import PATIENCE_S, wait_until
 from benchmarks.harness.service import FAKE_CODEC, StartService
-from service.jobs import endings
-from service.jobs.endings import Notice
+from service.jobs import outcomes
 from service.jobs.job import JobError
+from service.jobs.outcomes import Delivery
 from service.jobs.table import MAX_ATTEMPTS, JobTable
-from service.process.loops import Rounds, StopSignal
-from service.worker import notifying
-from service.worker.notifying import headers, send_next
+from service.process.loops import PeriodicThread, StopSignal
+from service.worker import webhooks
+from service.worker.webhooks import headers, send_next
 
 KEY = bytes(range(24))
 SECRET = f"whsec_{base64.b64encode(KEY).decode()}"
@@ -84,8 +84,8 @@ def ended(table: JobTable) -> str:
 
 def test_the_signature_of_the_standard() -> None:
     """The example that its libraries are tested with."""
-    notice = Notice("msg_p5jXN8AQM9LWM0D4loKWxJek", "", '{"test": 2432232314}')
-    named = headers(base64.b64decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"), notice, 1614265330)
+    delivery = Delivery("msg_p5jXN8AQM9LWM0D4loKWxJek", "", '{"test": 2432232314}')
+    named = headers(base64.b64decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"), delivery, 1614265330)
     assert named["webhook-signature"] == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
 
 
@@ -93,13 +93,13 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
     open_job_table: OpenTable, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is lost, nothing delivered is sent again, and another address does not wait."""
-    monkeypatch.setattr(endings, "FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr(endings, "LONGEST_PAUSE_S", 0.2)
-    monkeypatch.setattr(notifying, "ANSWER_S", 0.3)
+    monkeypatch.setattr(outcomes, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(outcomes, "LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr(webhooks, "ANSWER_S", 0.3)
     other = Receiver()
     table, stop = open_job_table(LONG_S, webhook_urls=f"{receiver.url},{other.url}"), StopSignal()
     sends = [partial(send_next, table, url, KEY) for url in (receiver.url, other.url)]
-    threads = [Rounds("notifying", send, 0.02, stop) for send in sends]
+    threads = [PeriodicThread("webhooks", send, 0.02, stop) for send in sends]
     for thread in threads:
         thread.start()
     jobs = []
@@ -109,10 +109,10 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
         before = len(receiver.tries)
         wait_until(lambda before=before: len(receiver.tries) >= before + 3)
         wait_until(lambda: {each["data"]["id"] for each in other.taken} == set(jobs))
-    assert table.census().notices == 3
+    assert table.counts().deliveries == 3
     assert receiver.taken == []
     receiver.behaves = "well"
-    wait_until(lambda: table.census().notices == 0)
+    wait_until(lambda: table.counts().deliveries == 0)
     assert sorted(each["data"]["id"] for each in receiver.taken) == sorted(jobs)
     stop.request()
     for thread in threads:
@@ -122,20 +122,20 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
 
 
 def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
-    """Done, refused, crashed too often; not what goes back into the queue. The notice outlives its job."""
+    """Done, refused, crashed too often; not what goes back into the queue. The delivery outlives its job."""
     table = open_job_table(LONG_S, webhook_urls="http://a,http://b")
     done = ended(table)
     refused = submitted(table)
     assert table.fail(claimed(table), JobError("refused", "it is no picture"))
     crashed = submitted(table)
     for _ in range(MAX_ATTEMPTS):
-        assert table.census().notices == 4
+        assert table.counts().deliveries == 4
         assert table.fail(claimed(table), CRASH)
-    assert table.census().notices == 6
+    assert table.counts().deliveries == 6
     table.remove(done)
     told = {}
-    while (notice := table.due_notice("http://a")) is not None:
-        told[notice.job_id] = json.loads(notice.body)
+    while (delivery := table.due_delivery("http://a")) is not None:
+        told[delivery.job_id] = json.loads(delivery.body)
     assert {job_id: body["type"] for job_id, body in told.items()} == {
         done: "job.done",
         refused: "job.failed",
@@ -143,25 +143,25 @@ def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
     }
     assert told[done]["data"]["sha256"] == RESULT.sha256
     assert told[refused]["data"]["error"] == {"code": "refused", "detail": "it is no picture"}
-    assert table.census().notices == 6  # none is said to be delivered
+    assert table.counts().deliveries == 6  # none is said to be delivered
 
 
 def test_an_address_that_was_corrected(open_job_table: OpenTable) -> None:
     """What waits for the old one goes to those that are named now. An operator who names none keeps it waiting."""
     table = open_job_table(LONG_S, webhook_urls="http://old,http://same")
     job_id = ended(table)
-    same = table.due_notice("http://same")
+    same = table.due_delivery("http://same")
     assert same is not None
-    table.notice_delivered(same)
-    assert open_job_table(LONG_S).forward_notices() == 0
+    table.delivered(same)
+    assert open_job_table(LONG_S).forward_deliveries() == 0
     corrected = open_job_table(LONG_S, webhook_urls="http://new")
-    assert (corrected.forward_notices(), corrected.forward_notices()) == (1, 0)
-    assert table.due_notice("http://old") is None
-    new = corrected.due_notice("http://new")
+    assert (corrected.forward_deliveries(), corrected.forward_deliveries()) == (1, 0)
+    assert table.due_delivery("http://old") is None
+    new = corrected.due_delivery("http://new")
     assert new is not None
     assert (new.job_id, new.body) == (job_id, same.body)
-    corrected.notice_delivered(new)
-    assert corrected.census().notices == 0
+    corrected.delivered(new)
+    assert corrected.counts().deliveries == 0
 
 
 def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,18 +169,18 @@ def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch
     ended(table)
     pauses = []
     for _ in range(12):
-        notice = table.due_notice("http://a")
-        assert notice is not None
-        assert table.due_notice("http://a") is None
+        delivery = table.due_delivery("http://a")
+        assert delivery is not None
+        assert table.due_delivery("http://a") is None
         with table._transaction() as db:  # type: ignore[attr-defined]
-            pauses.append(db.execute("SELECT due_at - epoch() AS s FROM notices").fetchone()["s"])
-            db.execute("UPDATE notices SET due_at = 0, ended_at = ended_at - ?", (pauses[-1],))
+            pauses.append(db.execute("SELECT due_at - epoch() AS s FROM deliveries").fetchone()["s"])
+            db.execute("UPDATE deliveries SET due_at = 0, ended_at = ended_at - ?", (pauses[-1],))
     assert [round(pause, -1) for pause in pauses[:4]] == [10, 20, 40, 80]
     assert pauses[-1] == pytest.approx(3600, abs=60)
-    monkeypatch.setattr(endings, "KEPT_S", 0.0)
-    table.sign("w")
-    assert table.due_notice("http://a") is None
-    assert table.census().notices == 0
+    monkeypatch.setattr(outcomes, "KEPT_S", 0.0)
+    table.register("w")
+    assert table.due_delivery("http://a") is None
+    assert table.counts().deliveries == 0
 
 
 @pytest.mark.thorough

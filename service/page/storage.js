@@ -1,6 +1,6 @@
 // What a reload finds again: originals and opened files in the browser's database, the budget and the key.
 
-const MOST = 12;
+const MAX_KEPT = 12;
 const NAME = "sgmethod";
 
 function opened() {
@@ -23,7 +23,7 @@ export async function keep(id, file, name) {
     await finished(store.put({ id, file, name, at: Date.now() }));
     const all = await finished(store.getAll());
     all.sort((one, other) => other.at - one.at);
-    for (const old of all.slice(MOST)) store.delete(old.id);
+    for (const old of all.slice(MAX_KEPT)) store.delete(old.id);
   } catch {
     return;
   }
