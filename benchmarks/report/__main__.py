@@ -31,6 +31,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme": rate.readme_table,
     "rate": rate.codecs_table,
     "speed": speed.sizes_table,
+    "within-small": partial(speed.within_table, 0.4),
+    "within-large": partial(speed.within_table, 12),
     "growth-by-pixels": partial(speed.growth, "megapixels"),
     "growth-by-bytes": partial(speed.growth, "max_bytes"),
     "previews": previews.by_bytes,
