@@ -1,4 +1,4 @@
-"""What the paper's start and regularisation gain in floating point, over all pictures of a folder.
+"""Measure what the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
     python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
     python -m benchmarks.ablation gained JSON...    a table of what was measured
