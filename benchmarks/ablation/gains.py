@@ -228,7 +228,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
             if (row["table"], row["asked"]) == (name, asked):
                 by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
         for setting, levels in by.items():
-            gains = [db - by["random"][image] for image, db in levels.items() if image in by["random"]]
+            random = by.get("random", {})
+            gains = [db - random[image] for image, db in levels.items() if image in random]
             against = (
                 [number(mean(gains), "+.2f"), number(standard_error(gains), ".2f")] if setting != "random" else ["", ""]
             )
