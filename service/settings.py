@@ -112,7 +112,7 @@ class Settings(BaseSettings):
     )
 
     require_sandbox: bool = Field(
-        default=False, description="refuse to start where the system cannot confine what reads uploads"
+        default=False, description="refuse to start where the system cannot confine processes that read uploads"
     )
 
     # Retention and quotas.

@@ -121,7 +121,7 @@ class Authentication:
         name = _name_in(host or "")
         # Simple probes use HTTP/1.0 without a Host; browsers always send one.
         if host is not None and not {"*", name} & self._host_names and _address_in(name) is None:
-            raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
+            raise ProblemError(421, "the service does not answer to this host name; SG_HOST_NAMES may list it")
         if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
             return
         if origin.partition("://")[2] != host:

@@ -118,7 +118,7 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
         case OSError():
             return _unreachable("the storage", "storage", error)
         case _:  # The server logs the traceback; the client gets no details.
-            return ProblemError(500, "an error of the service; it has been logged")
+            return ProblemError(500, "an internal error, which has been logged")
 
 
 def _invalid_parameters(error: RequestValidationError) -> ProblemError:

@@ -224,7 +224,7 @@ class ClientTasks:
             raise ProblemError(422, f"the image cannot be read: {error}") from error
 
     async def trouble(self, patience_s: float) -> str:
-        """Return why the sandbox does no tasks; empty if it did one recently, or does one now."""
+        """Return why the sandbox is not working; empty if it did a task recently, or does one now."""
         async with self._trying:
             if time.monotonic() >= self._next_trial:
                 try:

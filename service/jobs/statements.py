@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 # {number}: the type of an automatic row number, which depends on the database.
 SCHEMA = """
 CREATE TABLE workers (

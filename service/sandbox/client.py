@@ -156,7 +156,7 @@ class RunningTask:
             except ConnectionError:
                 messages = self._taken(b"")
             except FrameError as error:
-                return Crashed(detail=f"it spoke nonsense: {error}")
+                return Crashed(detail=f"it sent an invalid message: {error}")
             if messages:
                 return messages[0]
 

@@ -116,7 +116,7 @@ def absent_layers() -> list[str]:
         absent = pipe.read()
     _, status = os.waitpid(child, 0)
     if status:
-        raise SandboxError("what reads uploads cannot be confined on this system")
+        raise SandboxError("processes that read uploads cannot be confined on this system")
     return list(filter(None, absent.split(", ")))
 
 
@@ -131,7 +131,7 @@ def check_layers(*, required: bool) -> list[str]:
     if absent and required:
         raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
-    root = "the service runs as root" + "; what reads uploads runs as nobody" * (LAYERS[-1] not in layers)
+    root = "the service runs as root" + "; the processes that read uploads run as nobody" * (LAYERS[-1] not in layers)
     return missing + [root] * (os.geteuid() == 0)
 
 

@@ -122,7 +122,7 @@ class Worker:
             try:
                 return self._follow(running, attempt)
             except frames.FrameError as error:
-                return JobError("crashed", f"the encoder spoke nonsense: {error}")
+                return JobError("crashed", f"the encoder sent an invalid message: {error}")
 
     def _source(self, attempt: Attempt) -> BinaryIO:
         """Open the image, and wait up to MISSING_S for it to appear in the storage.

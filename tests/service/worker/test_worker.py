@@ -315,4 +315,4 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
     job = job_of(table, claim.job_id)
     assert job.error is not None
     assert (job.state, job.error.code) == ("failed", "crashed")
-    assert job.error.detail.startswith("the encoder spoke nonsense: a frame")
+    assert job.error.detail.startswith("the encoder sent an invalid message: a frame")
