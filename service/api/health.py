@@ -20,8 +20,8 @@ from service.jobs.job import Counts
 log = logging.getLogger(__name__)
 
 VERSION = version("sgmethod")
-STALLED_LEASES = 4  # for which jobs may wait without a sign of life from any worker
-PATIENCE_S = 2.0  # a table that takes longer is no better than none
+STALLED_LEASES = 4  # for which jobs may wait while no worker reports
+PATIENCE_S = 2.0  # a table that takes longer counts as unavailable
 
 
 async def live() -> models.HealthView:

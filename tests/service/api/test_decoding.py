@@ -13,7 +13,6 @@ import sgmethod
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.pictures import pixels_of
 from service.api.cache import PictureCache
-from service.api.pictures import PictureQuery
 from service.api.problems import ProblemError
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
@@ -86,7 +85,7 @@ def test_what_a_kind_of_file_cannot_hold() -> None:
 
 def test_entity_tags_tell_pictures_apart() -> None:
     queries = [{}, {"scale": 2}, {"region": "0,0,10,8"}, {"region": "0,1,10,8"}, {"region": "0,0,10,8", "scale": 2}]
-    drawings = [Drawing.from_options(PictureQuery.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
+    drawings = [Drawing.from_options(PictureOptions.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
     crop = {"width": 5, "height": 9, "fit": "crop"}
     pngs = ({"prefix": 0.5}, crop, {"texture": "0"}, {"texture": "0", "scale": 2})
     more = [("jpg", {}), ("jpg", {"quality": 50}), ("avif", {}), *(("png", options) for options in pngs)]

@@ -290,7 +290,7 @@ def test_a_source_that_is_gone(
         assert worker.run_one()
     job = job_of(table, claim.job_id)
     assert job.error is not None
-    assert (job.state, job.error.detail) == ("failed", "the source image is gone")
+    assert (job.state, job.error.detail) == ("failed", "the source image is missing")
     assert not worker.run_one()
 
 
