@@ -16,11 +16,11 @@ import pillow_heif
 import pytest
 from PIL import Image
 
-from benchmarks.harness import profiles
 from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, of_profile
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
+from tests.io import profiles
 from tests.io.odd_files import bmp, chunk, clap, gif, heif, mirrored, png, tiff, turned
 
 W, H = 32, 24

@@ -13,18 +13,18 @@ from typing import Any, NoReturn
 
 import pytest
 
-from benchmarks.harness import browser as browser_module
 from benchmarks.harness import nginx, postgres_server
-from benchmarks.harness.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.job_table import LONG_S, OpenTable, open_table
 from benchmarks.harness.nginx import Nginx
 from benchmarks.harness.postgres_server import PostgresServer, find_binaries
 from benchmarks.harness.processes import Outcome
-from benchmarks.harness.s3_server import S3Server
 from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 from service.__main__ import main
 from service.jobs.table import JobTable
+from tests.service import browser as browser_module
+from tests.service.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
+from tests.service.s3_server import S3Server
 
 
 def _missing(required: str, hint: str) -> NoReturn:

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.harness.browser import Chromium, bytes_of
 from benchmarks.harness.pictures import SLOW, SMALL
 from benchmarks.harness.processes import wait_until
 from benchmarks.harness.service import Service
+from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough

@@ -10,12 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.harness.browser import Chromium, Page
 from benchmarks.harness.data import golden_path
 from benchmarks.harness.pictures import SLOW, SMALL
 from benchmarks.harness.processes import encoder_of, wait_until
 from benchmarks.harness.service import Service, StartService
 from service.keys import digest
+from tests.service.browser import Chromium, Page
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 

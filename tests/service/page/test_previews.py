@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import sgmethod
-from benchmarks.harness.browser import Chromium, Page
 from benchmarks.harness.data import JAVASCRIPT, STATIC, golden
 from benchmarks.harness.processes import run, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
+from tests.service.browser import Chromium, Page
 from tests.service.page.steps import assert_as_python, assert_open_to_all
 
 SIZE = 96  # of the longer side, pixels

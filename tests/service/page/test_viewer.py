@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from benchmarks.harness.browser import Chromium, bytes_of
 from benchmarks.harness.data import golden
 from benchmarks.harness.pictures import page_of_text
 from benchmarks.harness.processes import wait_until
 from benchmarks.harness.service import Service
+from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough

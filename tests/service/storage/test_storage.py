@@ -20,10 +20,10 @@ import pytest
 
 from benchmarks.harness.nginx import make_certificate
 from benchmarks.harness.processes import failing
-from benchmarks.harness.s3_server import S3Server
 from service.storage import bucket
 from service.storage.bucket import BucketStorage
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
+from tests.service.s3_server import S3Server
 
 JOB = "0123456789abcdef" * 2
 A_MOMENT_S = -5.0  # what was stored just now is older than this, whatever the server's clock

@@ -28,10 +28,10 @@ from benchmarks.harness.processes import (
     wait_until,
     worker_of,
 )
-from benchmarks.harness.s3_server import S3Server
 from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService, assert_problem
 from service.api.context import PROBE_THREADS, WORK_THREADS
 from service.storage.bucket import SILENCE
+from tests.service.s3_server import S3Server
 
 pytestmark = pytest.mark.thorough
 
