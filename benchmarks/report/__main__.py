@@ -20,7 +20,7 @@ from benchmarks.flat import flat
 from benchmarks.harness.data import ROOT
 from benchmarks.machine import RESULTS
 from benchmarks.perceptual import local
-from benchmarks.report import previews, rate, scenes, seen, service, speed, stability
+from benchmarks.report import paper, previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 from sgmethod.io.files import write_atomically
@@ -56,6 +56,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
         "PSNR against seconds, means over the pictures of each size",
         [partial(speed.draw, megapixels=size) for size in (0.4, 12)],
     ),
+    "paper": ("Gaussians by structure", "before coding, means of 12 pictures and standard errors", [paper.draw]),
     "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
     "seen": (
         "What people see",
