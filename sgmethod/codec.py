@@ -195,7 +195,7 @@ def encode(
     if budget is DEFAULT_BUDGET:
         budget = default_budget(width, height, smallest_file(settings, has_alpha=channels == 4))
     deadline_settings = settings.deadline if isinstance(settings, RdSettings) else None
-    deadline = Deadline(clock, limit_s, width * height, deadline_settings)
+    deadline = Deadline.from_limit(clock, limit_s, width * height, deadline_settings)
     recorder = Recorder(clock, on_progress, on_preview)
     if isinstance(settings, RdSettings):
         data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)

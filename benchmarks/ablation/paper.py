@@ -85,7 +85,7 @@ def measure(
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
     tuner = Tuner(gaussians, level, settings, budget if settings.bits_by_budget else None, seed)
     schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
-    schedule.run(Deadline(clock), Recorder(clock), tuner.step)
+    schedule.run(Deadline.from_limit(clock), Recorder(clock), tuner.step)
     stream = tuner.stream("paper")
     seconds = time.perf_counter() - began
     data = container.serialise(stream)
@@ -106,4 +106,4 @@ def _fitted(
     pixels, clock = pixels_of(path, middle), Clock()
     level = level_of(pixels, Kernels())
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(seed))
-    return level, fit(level, start, settings, Recorder(clock), Deadline(clock))[0]
+    return level, fit(level, start, settings, Recorder(clock), Deadline.from_limit(clock))[0]

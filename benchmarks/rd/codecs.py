@@ -68,6 +68,6 @@ class Sg:
         """The file of a fixed quantum, which is no budget."""
         settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
         objective = Objective.from_pixels(pixels, self.tune, settings.objective)
-        rate, deadline = RateControl(settings, size, quantum), Deadline(clock, None, size, settings.deadline)
+        rate, deadline = RateControl(settings, size, quantum), Deadline.from_limit(clock, None, size, settings.deadline)
         request = Request(objective, rate, deadline, backend_on(None), settings, Recorder(clock))
         return container.serialise(rd.encode(request)[0])

@@ -67,7 +67,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
         "the worst error of kernels by the Gaussians' ratio of axes, and the limit",
         [partial(stability.draw, rule=rule) for rule in (stability.VALUE, stability.GRADIENT)],
     ),
-    "service": ("The service", "others' worst p99 under each attack", [service.draw]),
+    "service": ("The service", "p99 of other clients under each attack", [service.draw]),
 }
 APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 

@@ -99,7 +99,7 @@ def growing() -> dict[str, float]:
 
 
 def median(value: float | list[float]) -> float:
-    """Of repeated measurements, or the single one."""
+    """The median of repeated measurements, or the only one."""
     return statistics.median(value) if isinstance(value, list) else value
 
 

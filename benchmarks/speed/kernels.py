@@ -41,11 +41,11 @@ def fitted(pixels: Pixels, n: int, steps: int) -> Gaussians:
     """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest."""
     settings, clock = replace(PAPER, fit_steps=steps), Clock()
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
-    return fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline(clock))[0]
+    return fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline.from_limit(clock))[0]
 
 
 def jobs_on(gaussians: Gaussians) -> dict[str, Callable[[int], object]]:
-    """What is timed, by name; each takes an instruction set."""
+    """The functions to time, by name. Each takes an instruction set."""
     image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
     upstream = np.random.default_rng(0).standard_normal(image.shape, np.float32)
     gradients = Gaussians.empty(len(gaussians)).arrays

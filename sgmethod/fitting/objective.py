@@ -12,7 +12,7 @@ from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
-from sgmethod.fitting.moving_target import ExaggeratedTarget, MovingTarget, OvershootingTarget
+from sgmethod.fitting.moving_target import ExaggeratedTarget, FitTarget, OvershootingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians, Pixels
@@ -62,14 +62,14 @@ class Objective:
         """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
         return Objective.from_pixels(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
 
-    def moving_target(self, target: Target, spacing: int, background: int) -> MovingTarget:
+    def moving_target(self, target: Target, spacing: int, background: int) -> FitTarget:
         """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
-            return OvershootingTarget(target, background, self.settings.moving)
+            return OvershootingTarget.from_target(target, background, self.settings.moving)
         shrink = self.settings.moving.shrink // spacing
         if self.replaces_grain and shrink > 1:
-            return ExaggeratedTarget(target, shrink, self.settings.moving)
-        return MovingTarget(target)
+            return ExaggeratedTarget.from_target(target, shrink, self.settings.moving)
+        return FitTarget(target, target)
 
     def hidden_by(self, effort: Effort) -> int:
         """Coarser sizes whose gains can hide a place of growth: few if the target moves, as coarse errors persist."""

@@ -89,7 +89,7 @@ def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
     n, steps = max(pixels // 300, 1), 0
     tried: dict[int, tuple[float, StreamV1]] = {}
     for attempt in range(PSNR_ATTEMPTS):
-        part = replace(request, deadline=request.deadline.part((attempt + 1) / PSNR_ATTEMPTS))
+        part = replace(request, deadline=request.deadline.at((attempt + 1) / PSNR_ATTEMPTS))
         stream, taken = run(part, n, None)
         steps += taken
         tried[n] = (psnr(draw(stream.scene()), request.pixels), stream)
@@ -107,7 +107,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     image /= 255
     level = level_of(request.pixels, request.backend)
     start = place(image, n, s.start, np.random.default_rng(request.seed))
-    fitted, fit_steps = fit(level, start, s, recorder, request.deadline.part_from_now(FIT_SHARE))
+    fitted, fit_steps = fit(level, start, s, recorder, request.deadline.after(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)
     schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate, s.patience)
     steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)

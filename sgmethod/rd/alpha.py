@@ -39,7 +39,7 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
     rate, source = request.rate.beside_alpha(layer, error), np.dstack([pixels, alpha])
     found: list[tuple[float, StreamV2]] = []
     for _ in deadline.tries(request.settings.alpha.tries):
-        stream, taken = pipeline.encode(replace(colours, rate=rate, deadline=deadline.part(1.0)))
+        stream, taken = pipeline.encode(replace(colours, rate=rate, deadline=deadline.at(1.0)))
         steps += taken
         stream = replace(stream, alpha=layer)
         missing = request.rate.missing_db(stream, source)
@@ -53,12 +53,12 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
 def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, float, int]:
     """Encode the alpha plane; return it, the error of a file with exact colours, and the steps it took."""
     s, steps = request.settings, 0
-    rate, deadline = request.rate.for_alpha(), request.deadline.part(s.alpha.time)
+    rate, deadline = request.rate.for_alpha(), request.deadline.at(s.alpha.time)
     objective, recorder = Objective.from_alpha(alpha, s.objective), Recorder(request.recorder.clock)
     settings = replace(s, effort=replace(s.effort, rounds=(0,)))
     plane = replace(request, objective=objective, settings=settings, recorder=recorder, with_shear=True)
     for _ in deadline.tries(s.alpha.tries):
-        layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.part(1.0)))
+        layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.at(1.0)))
         steps += taken
         error = _error(np.dstack([pixels, draw_whole(layer)[..., 0]]), np.dstack([pixels, alpha]))
         if request.rate.allows_alpha(error):

@@ -86,7 +86,7 @@ class ExactFit:
         steps = self.steps or round(EXACT.share_of_steps * rate.steps(RD))
         settings = exact_schedule(steps)
         objective = Objective.from_pixels(pixels, "psnr", settings.objective)
-        request = Request(objective, rate, Deadline(clock), backend, settings, Recorder(clock), self.seed)
+        request = Request(objective, rate, Deadline.from_limit(clock), backend, settings, Recorder(clock), self.seed)
         pyramid = request.pyramid()
         return Plan(request, within_pixels(settings, pyramid), pyramid)
 

@@ -43,7 +43,7 @@ def level(image: FloatArray) -> Level:
 
 
 def unlimited() -> Deadline:
-    return Deadline(SlowClock())
+    return Deadline.from_limit(SlowClock())
 
 
 def recorder(tick: float = 1.0, seen: Callable[[TracePoint], None] | None = None) -> Recorder:
@@ -123,13 +123,14 @@ def test_the_rate_falls_from_one_to_the_last() -> None:
 def test_a_time_limit_shortens_the_schedule() -> None:
     rates: list[float] = []
     clock = SlowClock()
-    done = Schedule("fit", 10**9, 0.03, PATIENCE).run(Deadline(clock, 2.0), Recorder(clock), falling(rates))
+    done = Schedule("fit", 10**9, 0.03, PATIENCE).run(Deadline.from_limit(clock, 2.0), Recorder(clock), falling(rates))
     assert 10 < done == len(rates) < 201
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
     assert rates == sorted(rates, reverse=True)
     for limit_s in (1e-9, -5.0):  # which has passed
-        assert Schedule("fit", 1000, 0.03, PATIENCE).run(Deadline(SlowClock(), limit_s), recorder(), falling()) == 1
+        deadline = Deadline.from_limit(SlowClock(), limit_s)
+        assert Schedule("fit", 1000, 0.03, PATIENCE).run(deadline, recorder(), falling()) == 1
 
 
 def test_a_fit_that_no_longer_improves_ends_early() -> None:

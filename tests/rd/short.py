@@ -62,7 +62,12 @@ def requested(
     objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
     return Request(
-        objective, rate, deadline or Deadline(clock), backend or Kernels(), settings, recorder or Recorder(clock)
+        objective,
+        rate,
+        deadline or Deadline.from_limit(clock),
+        backend or Kernels(),
+        settings,
+        recorder or Recorder(clock),
     )
 
 
@@ -76,6 +81,6 @@ def begun(request: Request) -> tuple[Plan, State]:
 
 def stage_of(plan: Plan, steps: int, at: float = 0.0) -> Stage:
     """A stage of `steps` steps that has reached this part of the first run."""
-    pace = Deadline(Clock()).pace(steps)
+    pace = Deadline.from_limit(Clock()).pace(steps)
     pace.progress = at
     return Stage(pace, plan.times(0), at, 1.0)

@@ -52,9 +52,9 @@ def test_bytes_are_kept_to_and_used(soft: bool, tune: str) -> None:
     pixels = seen_through(soft)
     encoded = encode(pixels, bytes=1200, tune=tune)
     assert 0.95 * 1200 < len(encoded.data) <= 1200
-    said = info(encoded.data)
-    assert 50 < said.bits["alpha"] / 8 < 700
-    assert sum(said.bits.values()) == 8 * len(encoded.data)
+    fields = info(encoded.data)
+    assert 50 < fields.bits["alpha"] / 8 < 700
+    assert sum(fields.bits.values()) == 8 * len(encoded.data)
     decoded = decode(encoded.data)
     assert decoded.shape == pixels.shape
     assert encoded.stats.psnr == pytest.approx(psnr(on_backgrounds(decoded), on_backgrounds(pixels)))
@@ -194,7 +194,7 @@ def test_only_what_is_clamped_may_overshoot() -> None:
     level[:, 10:20], level[:, 20:] = 128, 255
     grey = np.repeat(level[..., None], 3, 2)
     original = target_of(grey)
-    moving = OvershootingTarget(original, 0, RD.objective.moving)
+    moving = OvershootingTarget.from_target(original, 0, RD.objective.moving)
     for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
         moving = moving.moved(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
         target = moving.now[0] / TARGET_WHITE

@@ -79,8 +79,8 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed; and a first state."""
     clock = WorkClock()
     spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
-    reserve_s = 1 - Deadline(clock, 1.0).left_s()
-    deadline = Deadline(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
+    reserve_s = 1 - Deadline.from_limit(clock, 1.0).left_s()
+    deadline = Deadline.from_limit(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
     request = requested(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
@@ -122,7 +122,7 @@ def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
     steps = []
     for prepared_s in (0.0, 6.0):
         clock = SlowClock()
-        deadline = Deadline(clock, 1e-9)
+        deadline = Deadline.from_limit(clock, 1e-9)
         clock.now += prepared_s
         steps.append(sum(1 for pace in deadline.runs([1000, 400]) for _ in pace.until(1.0)))
     assert steps[0] < 3

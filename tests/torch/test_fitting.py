@@ -133,7 +133,7 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(ExactFit, "of", fails)
+    monkeypatch.setattr(ExactFit, "fit", fails)
     seen: list[float] = []
     for pictures in (BATCH, BATCH[:1]):
         with pytest.raises(MemoryError):

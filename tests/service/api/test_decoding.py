@@ -99,7 +99,7 @@ def test_entity_tags_tell_pictures_apart() -> None:
 
 
 class Maker:
-    """Makes files, whose names tell how long they are, when it is told to. made: all names so far."""
+    """Makes files, whose names tell how long they are, on demand. made: all names so far."""
 
     def __init__(self, cache: PictureCache) -> None:
         self.cache = cache
@@ -150,7 +150,7 @@ def test_a_refusal_is_one_clients_own() -> None:
 
 
 def test_a_refusal_of_one_who_has_gone() -> None:
-    """Those who joined have the file made anew: nobody is left who would remove what failed."""
+    """Those who joined have the file made anew: no one is left to remove what failed."""
 
     async def scenario() -> None:
         cache, may_fail = PictureCache(10), asyncio.Event()
@@ -173,17 +173,17 @@ def test_a_refusal_of_one_who_has_gone() -> None:
 
 
 def test_a_refusal_that_is_for_all() -> None:
-    """What is gone for one is gone for those who wait with it."""
+    """What is deleted for one is deleted for those who wait with it."""
 
     async def scenario() -> None:
         cache, made = PictureCache(10), []
 
-        async def gone() -> bytes:
+        async def deleted() -> bytes:
             made.append(1)
             await asyncio.sleep(0)
             raise ProblemError(410, "the image has been deleted")
 
-        answers = await asyncio.gather(*(cache.get_or_make("a", gone) for _ in range(500)), return_exceptions=True)
+        answers = await asyncio.gather(*(cache.get_or_make("a", deleted) for _ in range(500)), return_exceptions=True)
         assert {type(answer) for answer in answers} == {ProblemError}
         assert len(made) == 1
 
@@ -191,7 +191,7 @@ def test_a_refusal_that_is_for_all() -> None:
 
 
 def test_a_file_is_made_once_for_all_who_wait() -> None:
-    """Whoever asked first may go; when all have gone, nothing goes on."""
+    """Whoever asked first may leave; when all have left, nothing goes on."""
 
     async def scenario() -> None:
         maker = Maker(PictureCache(10))

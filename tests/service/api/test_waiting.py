@@ -97,9 +97,9 @@ def test_places_to_wait_or_watch(start_service: StartService) -> None:
     def wait_for(taken: int) -> None:
         wait_until(lambda: web.figures()["sgmethod_streams"] == taken)
 
-    with web.connect() as gone:
+    with web.connect() as lost:
         head = f"Host: localhost\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}\r\n\r\n"
-        gone.sendall(b"POST /encode?wait=300 HTTP/1.1\r\n" + head.encode() + SMALL)
+        lost.sendall(b"POST /encode?wait=300 HTTP/1.1\r\n" + head.encode() + SMALL)
         wait_for(taken=1)
     wait_for(taken=0)
     (job,) = web.client.get("/jobs").json()["jobs"]
@@ -116,7 +116,7 @@ def test_places_to_wait_or_watch(start_service: StartService) -> None:
 
 @pytest.mark.thorough
 def test_a_job_table_that_goes_away_meanwhile(start_service: StartService) -> None:
-    """The image was accepted: who is told to come back later would submit it again."""
+    """The image was accepted: a client that gets Retry-After would submit it again."""
     web = start_service("web")
 
     def ask() -> httpx.Response:

@@ -303,8 +303,8 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
         for _ in range(4):
             _, (number, file), _, _ = socket.recv_fds(sandbox, MAX_TASK_BYTES, 2)
             os.close(file)
-            with socket.socket(fileno=number) as told:
-                told.sendall(b"nonsense")
+            with socket.socket(fileno=number) as other:
+                other.sendall(b"nonsense")
 
     encoder = threading.Thread(target=answer)
     encoder.start()
