@@ -240,7 +240,7 @@ def test_a_long_silence_does_not_fill_the_log(
 ) -> None:
     clock = [1000.0]
     monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(logs, "_said", {})
+    monkeypatch.setattr(logs, "_last_logged", {})
     table.lost_answers = 1000
     attempt = Attempt(table, storage, claim, stop)
     for _ in range(100):
