@@ -1,4 +1,4 @@
-"""Which files of a folder are pictures to measure with, and pictures of any size made from them."""
+"""The pictures of a folder, and pictures of any size made from them."""
 
 from __future__ import annotations
 

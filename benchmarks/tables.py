@@ -1,4 +1,4 @@
-"""Means and Markdown tables, for what a command prints and for the pages of results."""
+"""Means and Markdown tables, for commands and for the pages of results."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def mean(values: Sequence[float | None]) -> float | None:
 
 
 def standard_error(values: Sequence[float]) -> float | None:
-    """That of the mean; None for fewer than two values."""
+    """The standard error of the mean; None for fewer than two values."""
     return statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
 
 
 def number(value: float | None, form: str) -> str:
-    """With the digits of a format, or a dash. A loss that rounds to nothing has no sign."""
+    """Format a number, or return a dash for None. A negative number that rounds to zero has no sign."""
     if value is None:
         return MISSING
     rounded = format(value, form)

@@ -39,26 +39,26 @@ def main() -> int:
     Exit status: 0 after a requested end, 2 for a bad setting, 1 for other trouble, 130 for Ctrl-C before anything runs.
     """
     arguments = _parser().parse_args()
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # which is inherited: ignored, children leave no status
-    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # inherited; if ignored, children leave no status
+    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until the command sets its own handler
     try:
         settings = Settings()
         set_up_logging()
     except ValidationError as error:
         _warn(map(_fault_in_words, error.errors()))
         return BAD_SETTING
-    except SgError as error:  # the kernels are missing, which count the cores
+    except SgError as error:  # the kernels, which count the cores, are missing
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
     supervisor = getattr(arguments, "supervisor", None)
     if supervisor is not None:
         end_with(supervisor, signal.SIGTERM)
-    else:  # a process of "serve" need not say it again
+    else:  # "serve" has printed it already
         _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
     try:
         run: Callable[[Settings, argparse.Namespace], int | None] = arguments.run
         return run(settings, arguments) or 0
-    except BrokenPipeError:  # of `check | head`: nobody reads the rest
+    except BrokenPipeError:  # as in `check | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return TROUBLE
     except (OSError, JobTableError, MissingPackagesError, SandboxError, SgError) as error:
@@ -72,7 +72,7 @@ def main() -> int:
 def _fault_in_words(fault: ErrorDetails) -> str:
     field = str(fault["loc"][0]) if fault["loc"] else ""
     what = fault["msg"].removeprefix("Value error, ")
-    if fault["type"] == "string_pattern_mismatch":  # nobody should have to read a regular expression
+    if fault["type"] == "string_pattern_mismatch":  # whose message is a regular expression
         what = f"not a value of this setting ({Settings.model_fields[field].description})"
     return f"SG_{field.upper()}: {what}" if field else what
 
@@ -134,7 +134,7 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     given = arguments.socket
     with _sandbox(settings, arguments) as requests:
         listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
-        if not settings.storage_url:  # uploads on their way lie where they will be stored: /tmp may be small
+        if not settings.storage_url:  # temporary files of uploads go where they will be stored, since /tmp may be small
             tempfile.tempdir = str(settings.data_dir.resolve() / UNFINISHED)
         run_web(settings, Sandbox(requests), absent, listen)
 

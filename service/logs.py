@@ -9,9 +9,9 @@ from contextvars import ContextVar
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 SELDOM_S = 60.0
 
-# Of the request that is being answered. Tasks and threads that are started for it inherit it.
+# The id of the current request, inherited by the tasks and threads that it starts.
 request_id: ContextVar[str] = ContextVar("request_id", default="")
-_last_logged: dict[str, float] = {}  # when, by message (monotonic seconds)
+_last_logged: dict[str, float] = {}  # monotonic seconds by message
 
 
 def set_up_logging() -> None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 import sgmethod
 from sgmethod.errors import ViewError
@@ -96,17 +96,6 @@ def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn:
     return as_large(encoded, size)
 
 
-def matching(pattern: str, detail: str) -> AfterValidator:
-    """Return a validator like Field(pattern=...), whose error is a sentence instead of the pattern."""
-
-    def checked(text: str | None) -> str | None:
-        if text is not None and re.fullmatch(pattern, text) is None:
-            raise ValueError(detail)
-        return text
-
-    return AfterValidator(checked)
-
-
 class PictureOptions(BaseModel):
     """The part of a picture to draw, and its size: in the query of a request, and in a task."""
 
@@ -120,7 +109,6 @@ class PictureOptions(BaseModel):
     ] = "contain"
     region: Annotated[
         str | None,
-        matching(REGION, "give four whole numbers of pixels: x,y,width,height"),
         Field(
             json_schema_extra={"pattern": REGION},
             description="x,y,width,height: decode only this part, in pixels of the picture",
@@ -130,6 +118,13 @@ class PictureOptions(BaseModel):
     prefix: Annotated[float, Field(gt=0, le=1, description="fraction of the file to decode; less is coarser")] = 1.0
     texture: Annotated[bool, Field(description="draw the file's synthesised texture")] = True
     quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
+
+    @field_validator("region")
+    @classmethod
+    def _region_is_four_numbers(cls, text: str | None) -> str | None:
+        if text is not None and re.fullmatch(REGION, text) is None:  # Field(pattern=...) would answer with the pattern
+            raise ValueError("give four whole numbers of pixels: x,y,width,height")
+        return text
 
     @model_validator(mode="after")
     def _fits_together(self) -> PictureOptions:

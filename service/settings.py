@@ -24,10 +24,10 @@ from sgmethod.threads import MAX_THREADS
 
 MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
-LONGEST_S = 86_400.0  # what the system and both databases can surely count
-LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the end is a date
+LONGEST_S = 86_400.0  # small enough for the system and both databases
+LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MAX_WORKERS = 64  # processes of one machine
-UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
+UPLOADS_OF_ROOM = 4  # with less space than this many of the largest uploads, the disk counts as full
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
@@ -50,7 +50,7 @@ def unknown_settings(names: Iterable[str]) -> list[str]:
 class Settings(BaseSettings):
     """The operator's settings, checked once at the start."""
 
-    # No operator has reason to change these.
+    # One value suits everybody.
     max_streams: ClassVar[int] = 200
     max_waiting_decodes: ClassVar[int] = 64
 
@@ -112,10 +112,10 @@ class Settings(BaseSettings):
     )
 
     require_sandbox: bool = Field(
-        default=False, description="refuse to start where the system cannot confine what reads uploads"
+        default=False, description="refuse to start where the system cannot confine processes that read uploads"
     )
 
-    # What is kept.
+    # Retention and quotas.
     source_retention_s: float = Field(
         default=3600.0,
         ge=0,
@@ -136,7 +136,7 @@ class Settings(BaseSettings):
         default="",
         pattern=r"^(|https?://[^/,\s][^,\s]*(,\s*https?://[^/,\s][^,\s]*)*)$",
         repr=False,
-        description="addresses, separated by commas, that are told when a job ends",
+        description="addresses, separated by commas, that receive a webhook when a job ends",
     )
     webhook_secret: SecretStr = Field(
         default=SecretStr(""), description="what signs webhooks: whsec_ and at least 24 bytes in base64"
@@ -197,7 +197,7 @@ class Settings(BaseSettings):
     @field_validator("max_pixels")
     @classmethod
     def _images_can_be_read(cls, pixels: int) -> int:
-        most = ImageLimits().max_pixels  # asks the kernels, whose absence must not break the import of this module
+        most = ImageLimits().max_pixels  # here, since it needs the kernels, which may be missing at import
         if pixels > most:
             raise ValueError(f"SG_MAX_PIXELS must be at most {most}: no larger image is read")
         return pixels

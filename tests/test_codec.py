@@ -198,7 +198,7 @@ def test_few_steps_still_give_a_picture(profile: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "warnings"),
     [
         ({"source_bytes": 1000}, []),
         ({"source_bytes": 999}, ["the file is larger than its source: 1,000 bytes, source 999"]),
@@ -211,12 +211,12 @@ def test_few_steps_still_give_a_picture(profile: str) -> None:
         ({"gaussians": 0, "psnr": math.inf}, []),  # a picture of one colour
     ],
 )
-def test_what_may_not_be_expected_of_a_file_is_said(changes: dict[str, Any], said: list[str]) -> None:
+def test_warnings(changes: dict[str, Any], warnings: list[str]) -> None:
     stats = replace(Stats(1000, 0.5, 31.234, None, 51.26, 9, 60, 1.0, 128, 96, "rd", "psnr", 5), **changes)
-    assert stats.warnings == said
+    assert stats.warnings == warnings
     figures = stats.to_dict()
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
-    assert figures["warnings"] == said
+    assert figures["warnings"] == warnings
 
 
 def test_the_figures_know_the_source_and_the_miss(tmp_path: Path) -> None:

@@ -209,7 +209,7 @@ def default_dtype(kind: torch.dtype) -> Iterator[None]:
     torch.set_default_dtype(kind)
     try:
         yield
-        assert torch.get_default_dtype() == kind  # as the program has told it
+        assert torch.get_default_dtype() == kind  # as the program has set it
     finally:
         torch.set_default_dtype(torch.float32)
 

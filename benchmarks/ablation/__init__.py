@@ -1,1 +1,1 @@
-"""What the parts of profile paper are worth: python -m benchmarks.ablation"""
+"""Measure the parts of profile paper: python -m benchmarks.ablation"""

@@ -1,4 +1,4 @@
-"""What the parts of profile paper are worth: the tables of the paper's ablations.
+"""Measure the parts of profile paper, as the tables of the paper's ablations do.
 
     python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions] [--most 6]
                                   [--pictures kodim05] [--seeds 3] [--fit-steps 2000] [--tune-steps 1000]

@@ -1,4 +1,4 @@
-"""What the paper's start and regularisation gain in floating point, over all pictures of a folder.
+"""Measure what the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
     python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
     python -m benchmarks.ablation gained JSON...    a table of what was measured
@@ -228,7 +228,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
             if (row["table"], row["asked"]) == (name, asked):
                 by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
         for setting, levels in by.items():
-            gains = [db - by["random"][image] for image, db in levels.items() if image in by["random"]]
+            random = by.get("random", {})
+            gains = [db - random[image] for image, db in levels.items() if image in random]
             against = (
                 [number(mean(gains), "+.2f"), number(standard_error(gains), ".2f")] if setting != "random" else ["", ""]
             )

@@ -1,4 +1,4 @@
-"""What each setting of the paper's tables is worth against the first, with the standard error over pictures."""
+"""Tables of each setting's gain over the baseline, with the standard error over pictures."""
 
 from __future__ import annotations
 

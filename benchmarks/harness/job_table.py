@@ -89,14 +89,14 @@ def what_all_say(target: Callable[..., None], number: int, *arguments: Any) -> l
     """What processes that start together put into their queue."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])  # else each process loads everything anew
-    said = context.SimpleQueue()
-    processes = [context.Process(target=target, args=(*arguments, said)) for _ in range(number)]
+    results = context.SimpleQueue()
+    processes = [context.Process(target=target, args=(*arguments, results)) for _ in range(number)]
     for process in processes:
         process.start()
     for process in processes:
         process.join()
         assert process.exitcode == 0
     heard = []
-    while not said.empty():
-        heard.append(said.get())
+    while not results.empty():
+        heard.append(results.get())
     return heard

@@ -55,7 +55,7 @@ def failing(works: Callable[..., T], *errors: Exception) -> Callable[..., T]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a command ended, and what it said."""
+    """How a command ended, and what it printed."""
 
     status: int
     stdout: str

@@ -136,7 +136,7 @@ class Service(ServiceProcess):
         return str(answer.json()["id"])
 
     def accepted_slow(self, seconds: float = 100) -> str:
-        """The id of a new job that takes about so many seconds; far longer than any test waits, unless told."""
+        """The id of a new job that takes about so many seconds; far longer than any test waits, by default."""
         return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
 
     def job(self, job_id: str) -> dict[str, Any]:

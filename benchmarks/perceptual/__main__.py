@@ -1,4 +1,6 @@
-"""What people see, over a folder of pictures: python -m benchmarks.perceptual --images FOLDER --weights FOLDER
+"""Measure metrics that are designed to agree with people.
+
+    python -m benchmarks.perceptual --images FOLDER --weights FOLDER [--bpp 0.1,0.25]
 
 For each picture and rate: a file tuned for the eye, and AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, libavif's default)
 at the best quality that takes no more bytes, if there is one. Prints means of each as CSV. Needs the extra "benchmark",
@@ -46,7 +48,7 @@ def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wa
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.perceptual", description="What people see, in figures.")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--weights", type=Path, required=True, help="folder of the networks' weights")
     parser.add_argument("--bpp", type=numbers, default="0.1,0.25", help="rates, each an upper limit for every file")

@@ -30,26 +30,15 @@ class Networks:
     """
 
     def __init__(self, weights: Path) -> None:
-        """Load the weights from a folder. Raises OSError, and ValueError for wrong files."""
-        try:
-            # np.load() of a path leaves a damaged file open.
-            with (
-                (weights / "lpips_alexnet.npz").open("rb") as file,
-                (weights / "lpips_vgg16.npz").open("rb") as other,
-                np.load(file) as alex,
-                np.load(other) as vgg,
-            ):
-                self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
-                self._vgg = [self._layer(vgg, f"VGG16_0.Conv_{i}") for i in range(13)]
-                self._linear = [torch.from_numpy(alex[f"NetLinLayer_{i}.Conv_0.kernel"]) for i in range(5)]
-            dists = torch.load(weights / "dists_alpha_beta.pt", map_location="cpu", weights_only=True)
-            alpha, beta = dists["alpha"].flatten(), dists["beta"].flatten()
-            whole, channels = alpha.sum() + beta.sum(), [3, 64, 128, 256, 512, 512]
-            self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
-        except (OSError, MemoryError):
-            raise
-        except Exception as error:  # of NumPy, zipfile, pickle or torch, for a damaged file
-            raise ValueError(f"{weights} has the wrong weights: {error}") from error
+        """Load the weights from a folder. Raises OSError where a file is missing."""
+        with np.load(weights / "lpips_alexnet.npz") as alex, np.load(weights / "lpips_vgg16.npz") as vgg:
+            self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
+            self._vgg = [self._layer(vgg, f"VGG16_0.Conv_{i}") for i in range(13)]
+            self._linear = [torch.from_numpy(alex[f"NetLinLayer_{i}.Conv_0.kernel"]) for i in range(5)]
+        dists = torch.load(weights / "dists_alpha_beta.pt", map_location="cpu", weights_only=True)
+        alpha, beta = dists["alpha"].flatten(), dists["beta"].flatten()
+        whole, channels = alpha.sum() + beta.sum(), [3, 64, 128, 256, 512, 512]
+        self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
         self._source: Pixels | None = None
         self._alex_seen: list[Tensor] = []
         self._vgg_seen: list[Tensor] = []
@@ -61,16 +50,12 @@ class Networks:
     @torch.no_grad()
     def __call__(self, picture: Pixels, source: Pixels) -> dict[str, float]:
         """Measure "lpips" and "dists" of pictures [H, W, 3] with sides of at least LPIPS_SIDE pixels."""
-        lpips = self.lpips(picture, source)
-        self._vgg_seen = self._vgg_seen or list(self._vgg16(_tensor(source)))
-        return {"lpips": lpips, "dists": self._dists(self._vgg_seen, self._vgg16(_tensor(picture)))}
-
-    @torch.no_grad()
-    def lpips(self, picture: Pixels, source: Pixels) -> float:
-        """Measure LPIPS only, which is faster."""
         if self._source is not source:
-            self._source, self._alex_seen, self._vgg_seen = source, list(self._alexnet(_tensor(source))), []
-        return self._lpips(self._alex_seen, self._alexnet(_tensor(picture)))
+            self._source, x = source, _tensor(source)
+            self._alex_seen, self._vgg_seen = list(self._alexnet(x)), list(self._vgg16(x))
+        x = _tensor(picture)
+        lpips, dists = self._lpips(self._alex_seen, self._alexnet(x)), self._dists(self._vgg_seen, self._vgg16(x))
+        return {"lpips": lpips, "dists": dists}
 
     def _lpips(self, first: Iterable[Tensor], second: Iterable[Tensor]) -> float:
         found = torch.zeros(())

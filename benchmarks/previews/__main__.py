@@ -23,7 +23,7 @@ from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, add_options, named_in
-from benchmarks.previews.codecs import CODECS, Made
+from benchmarks.previews.codecs import ALL_CODECS, CODECS, Made
 from benchmarks.rd.baselines import package
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
@@ -52,7 +52,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=10**6)
     parser.add_argument("--bytes", type=integers, default=BYTES, help="of a file at most")
-    parser.add_argument("--codecs", type=some_of(CODECS, "codec"), default=[*CODECS], help=f"of {', '.join(CODECS)}")
+    parser.add_argument(
+        "--codecs", type=some_of(ALL_CODECS, "codec"), default=[*CODECS], help=f"of {', '.join(ALL_CODECS)}"
+    )
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
     parser.add_argument("--seen-bytes", type=integers, default=SEEN, help="bytes at which the networks look")
     parser.add_argument("--out", type=Path, default=RUNS / "previews.json")
@@ -66,7 +68,7 @@ def main() -> None:
         for most in sorted(options.bytes):
             for codec in options.codecs:
                 key = {"codec": codec, "image": path.name}
-                if record.has(**key, max_bytes=most) or (made := CODECS[codec](pixels, most)) is None:
+                if record.has(**key, max_bytes=most) or (made := ALL_CODECS[codec](pixels, most)) is None:
                     continue
                 if not record.has(**key, bytes=made.bytes):
                     found = measured(made, pixels, networks if most in options.seen_bytes else None)

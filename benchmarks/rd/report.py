@@ -19,7 +19,7 @@ from benchmarks.tables import mean
 
 @dataclass(frozen=True)
 class Row:
-    """One picture through one codec at one rate; the fields of the JSON."""
+    """The result of one picture, codec and rate; the fields of the JSON."""
 
     codec: str
     max_bpp: float | None  # None where one quality was asked for
@@ -46,7 +46,7 @@ class Row:
 
     @property
     def key(self) -> tuple[str, float, str]:
-        """What no other row has."""
+        """The values that identify the row."""
         return self.codec, self.aim, self.image
 
 
@@ -69,7 +69,7 @@ TITLES = {
 
 
 def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
-    """Bjontegaard's difference in rate, in percent: what test needs more (or, below 0, less) than anchor.
+    """Bjontegaard's difference in rate, in percent: how much more test needs than anchor; negative if it needs less.
 
     The mean over the qualities that both reach of the difference in log rate, each curve interpolated by piecewise
     cubic Hermite polynomials. None where they share no quality, or a curve has one point or falls.
@@ -79,7 +79,7 @@ def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
 
 
 def bd_psnr(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
-    """How many dB test is better than anchor, on average over the log rates that both reach."""
+    """Bjontegaard's difference in quality: dB by which test is better, averaged over the log rates that both reach."""
     return _mean_gap(*([(math.log10(rate), db) for rate, db in sorted(points)] for points in (anchor, test)))
 
 
@@ -127,13 +127,13 @@ def against(rows: Sequence[Row], codec: str, anchor: str) -> float | None:
 
 
 def against_cool_chic(rows: Sequence[Row], codec: str) -> float | None:
-    """The same against the points that Cool-Chic published for each picture."""
+    """Like against(), for the points that Cool-Chic published for each picture."""
     images = dict.fromkeys(row.image for row in rows)
     return mean_rate({image: published.cool_chic().get(Path(image).stem, []) for image in images}, rows, codec)
 
 
 def mean_rate(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str) -> float | None:
-    """The same against points by picture."""
+    """The mean of BD-rates against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
     return mean([bd_rate(anchors[image], points(rows, codec, image)) for image in images])
 

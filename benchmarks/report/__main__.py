@@ -20,7 +20,7 @@ from benchmarks.flat import flat
 from benchmarks.harness.data import ROOT
 from benchmarks.machine import RESULTS
 from benchmarks.perceptual import local
-from benchmarks.report import previews, rate, scenes, seen, service, speed, stability
+from benchmarks.report import paper, previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 from sgmethod.io.files import write_atomically
@@ -31,6 +31,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme": rate.readme_table,
     "rate": rate.codecs_table,
     "speed": speed.sizes_table,
+    "within-small": partial(speed.within_table, 0.4),
+    "within-large": partial(speed.within_table, 12),
     "growth-by-pixels": partial(speed.growth, "megapixels"),
     "growth-by-bytes": partial(speed.growth, "max_bytes"),
     "previews": previews.by_bytes,
@@ -54,6 +56,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
         "PSNR against seconds, means over the pictures of each size",
         [partial(speed.draw, megapixels=size) for size in (0.4, 12)],
     ),
+    "paper": ("Gaussians by structure", "before coding, means of 12 pictures and standard errors", [paper.draw]),
     "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
     "seen": (
         "What people see",
@@ -65,7 +68,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
         "the worst error of kernels by the Gaussians' ratio of axes, and the limit",
         [partial(stability.draw, rule=rule) for rule in (stability.VALUE, stability.GRADIENT)],
     ),
-    "service": ("The service", "others' worst p99 under each attack", [service.draw]),
+    "service": ("The service", "p99 of other clients under each attack", [service.draw]),
 }
 APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 

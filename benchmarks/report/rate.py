@@ -95,7 +95,7 @@ def codecs_table() -> str:
 
 
 def readme_table() -> str:
-    """What the codec wins and loses at BPP, with the best of each row in bold; and the versions of other codecs."""
+    """The README's table at BPP, with the best of each row in bold, and the versions of other codecs."""
     lines = []
     for title, (name, form, best_of, tuned, factor) in README_ROWS.items():
         values = [average()[codecs[tuned], BPP][name] or 0 for codecs in README_CODECS.values()]

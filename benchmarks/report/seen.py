@@ -1,16 +1,16 @@
-"""What people see: metrics that follow the eye, beside AVIF at the same bytes."""
+"""Metrics that are designed to agree with people, compared with AVIF at the same size."""
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Sequence
 from typing import Any
 
 from benchmarks import published
 from benchmarks.perceptual import local
-from benchmarks.perceptual.means import BETTER_IF_LOWER, means, worse
 from benchmarks.rd.report import TITLES
 from benchmarks.report.plots import style
-from benchmarks.report.results import rows
+from benchmarks.report.results import Row, rows
 from benchmarks.tables import number, table
 
 SETS = {"kodak": "Kodak", "photographs": "other photographs"}
@@ -26,6 +26,26 @@ FORMS = {"bytes": ",.0f", "psnr": ".2f", "ssimulacra2": ".1f", "wasserstein": ".
 FORMS |= {"lpips": ".3f", "dists": ".3f"} | dict.fromkeys(local.FIGURES, ".2f")
 TABLE = ("bytes", "psnr", "ssimulacra2", "lpips", "dists", "wasserstein", "spread_luma_fine", "kurtosis_luma_fine")
 BPP = 0.25
+BETTER_IF_LOWER = ("lpips", "dists", "wasserstein")
+
+
+def means(rows: Sequence[Row], bpp: float) -> dict[str, Row]:
+    """Means by kind of file, over the pictures that have both."""
+    mine = [row for row in rows if row["max_bpp"] == bpp]
+    there = {row["image"] for row in mine if row["kind"] == "avif"}
+    found: dict[str, Row] = {}
+    for kind in KINDS:
+        these = [row for row in mine if row["kind"] == kind and row["image"] in there]
+        known = {name: [row[name] for row in these if row[name] is not None] for name in ("texture", *FORMS)}
+        found[kind] = {name: statistics.fmean(values) for name, values in known.items()}
+    return found
+
+
+def worse(rows: Sequence[Row], bpp: float) -> tuple[int, int]:
+    """In how many pictures our file is behind AVIF's in SSIMULACRA 2, and of how many."""
+    found = {(row["image"], row["kind"]): row["ssimulacra2"] for row in rows if row["max_bpp"] == bpp}
+    both = [image for image, kind in found if kind == "visual" and (image, "avif") in found]
+    return sum(found[image, "visual"] < found[image, "avif"] for image in both), len(both)
 
 
 def means_table(wanted: Sequence[str] = TABLE) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, load, rows, seconds
 from benchmarks.speed.growth import exponent, growth_table
-from benchmarks.tables import MISSING, table
+from benchmarks.tables import MISSING, number, table
 
 SIZES = {0.4: "convergence/kodak", 2: "convergence/2-megapixels", 12: "convergence/12-megapixels"}
 METHODS = {
@@ -23,6 +23,15 @@ METHODS = {
     ("jpegxl", "7"): "JPEG XL, effort 7",
     ("webp", "4"): "WebP, method 4",
     ("jpeg", "0"): "JPEG",
+}
+SECONDS = {0.4: (0.03, 0.1, 0.3, 1, 3, 10, 60), 12: (1, 3, 10, 30, 100, 300)}
+WITHIN = {
+    "rd": "`rd`, tuned for PSNR",
+    "rd visual": "`rd`, tuned for the eye (the default)",
+    "paper": "`paper`",
+    "avif": "AVIF, `tune=psnr`",
+    "jpegxl": "JPEG XL",
+    "webp": "WebP",
 }
 DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
@@ -90,7 +99,7 @@ def growing() -> dict[str, float]:
 
 
 def median(value: float | list[float]) -> float:
-    """Of repeated measurements, or the single one."""
+    """The median of repeated measurements, or the only one."""
     return statistics.median(value) if isinstance(value, list) else value
 
 
@@ -107,3 +116,14 @@ def draw(axes: Any, megapixels: float) -> None:
         lows.append(max(db for _, db in points))
     label = f"seconds, {megapixels:g} megapixels"
     axes.set(xscale="log", xlabel=label, ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None))
+
+
+def within_table(megapixels: float) -> str:
+    """The best PSNR of each method whose encode takes at most so many seconds, means over the pictures of one size."""
+    lines = []
+    for method, name in WITHIN.items():
+        settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
+        found = [m for setting in settings if (m := at(megapixels, method, setting))]
+        best = [max((m["psnr"] for m in found if m["seconds"] <= s), default=None) for s in SECONDS[megapixels]]
+        lines.append([name, *(number(psnr, ".1f") for psnr in best)])
+    return table(" | ".join(["", *(f"{s:g} s" for s in SECONDS[megapixels])]), lines)

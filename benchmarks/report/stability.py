@@ -15,13 +15,13 @@ SETS = ("kernels", "fits", "strict")
 VALUE, GRADIENT = "error of a pixel, over", "error of a gradient against"
 # The rules of extreme numbers and bad starts, by how they begin in the JSON.
 RULES = {
-    VALUE: "A pixel drawn by a kernel, against float64",
-    GRADIENT: "A gradient, against float64, up to a ratio of axes of 1,000",
+    VALUE: "Pixels drawn by the kernels agree with float64",
+    GRADIENT: "Gradients agree with float64, for ratios of axes up to 1,000",
     "dB that the file is worse": "A fit from a bad start ends no worse than it began, nor than a single colour",
-    "bytes above the budget": "A budget of very few or very many bytes is kept, or refused with an error",
+    "bytes above the budget": "A budget of very few or very many bytes is kept, or refused with a clear error",
     "encodes that np.errstate": "No encode fails when warnings and NumPy's underflow are errors",
     "dB between the best": "Ten seeds of one encode give the same quality",
-    "dB lost from the first": "Ten generations, each encoded from the one before, keep their PSNR",
+    "dB lost from the first": "Ten encodes in a row, each of the picture decoded before, keep the PSNR",
 }
 
 

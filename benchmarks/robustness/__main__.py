@@ -1,4 +1,4 @@
-"""Whether results stay sound where pictures are hard to code, numbers extreme and starts bad.
+"""Check the codec with hard pictures, extreme numbers and bad starts.
 
 python -m benchmarks.robustness stiff [--help]       pictures that are hard to code, each rule and where it breaks
 python -m benchmarks.robustness extremes [--help]    extreme Gaussians, bad starts, impossible budgets

@@ -79,7 +79,7 @@ def cases(side: int, seeds: int, generations: int) -> Cases:
 
 
 def starts(profile: str) -> dict[str, Patch]:
-    """What may be wrong with the first Gaussians."""
+    """Ways in which the first Gaussians may be wrong."""
 
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
         def placed(*arguments: Any) -> Gaussians:
@@ -136,7 +136,7 @@ def worse(
     settings: Settings | None = None,
     limit_s: float | None = None,
 ) -> Found:
-    """How far the file is below the start of its own fit, and below a picture of one colour."""
+    """Measure by how much the file is worse than the start of its fit, or than a single colour."""
     with patched():
         encoded = encode(pixels, budget, profile, tune=tune, settings=settings, time_limit_s=limit_s)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
@@ -154,13 +154,13 @@ def beyond(pixels: Pixels, count: int) -> Found:
 
 
 def spread(pixels: Pixels, seeds: int) -> Found:
-    """How far seeds of the same encode are apart in PSNR."""
+    """Measure the spread of PSNR over seeds of the same encode."""
     found = [encode(pixels, Budget("bpp", BPP), tune="psnr", seed=seed).stats.psnr for seed in range(seeds)]
     return max(found) - min(found), f"{min(found):.2f} to {max(found):.2f} dB"
 
 
 def lost(pixels: Pixels, generations: int) -> Found:
-    """How much PSNR repeated encodes lose against the first picture."""
+    """Measure how much PSNR is lost when each encode gets the picture decoded before."""
     shown, found = pixels, []
     for _ in range(generations):
         shown = decode(encode(shown, Budget("bpp", BPP), tune="psnr").data)

@@ -102,7 +102,7 @@ def outside(distance: float) -> Gaussians:
 
 
 def largest() -> Gaussians:
-    """What the coarsest file of the largest picture makes of numbers that are too large for it."""
+    """Numbers that are too large, as the coarsest file of the largest picture stores them."""
     side, n = native.MAX_SIDE, 6
     parameters = native.RdParameters(side, side, MAX_QUANTUM)
     means = np.array([(0, 0), (side, 0), (0, side), (side, side), (48, 32), (1e9, -1e9)], np.float32)
@@ -177,7 +177,7 @@ def exact_tensors(gaussians: Gaussians) -> list[Tensor]:
 
 
 def upstream() -> Tensor:
-    """What the picture is weighed with, [3, H, W]; rounded to float32, which the kernels get."""
+    """The gradient of the loss by the picture, [3, H, W]; rounded to float32 for the kernels."""
     return torch.from_numpy(np.random.default_rng(3).standard_normal((3, SIZE[1], SIZE[0]), np.float32)).double()
 
 

@@ -96,7 +96,7 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
 
 
 def not_finite(encoded: Encoded) -> int:
-    """How many numbers of the file's Gaussians are not finite."""
+    """Count the numbers of the file's Gaussians that are not finite."""
     gaussians = container.parse(encoded.data).scene().gaussians
     return sum(int(np.count_nonzero(~np.isfinite(values))) for values in gaussians.arrays)
 

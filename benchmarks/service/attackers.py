@@ -13,15 +13,17 @@ import itertools
 import json
 import os
 import resource
-import struct
 import sys
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 
+import numpy as np
+from PIL import Image
+
 from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.pictures import SMALL, saved
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"
@@ -35,8 +37,8 @@ Request = Callable[["Crowd", str], Awaitable[str]]
 
 @dataclass(frozen=True)
 class Attack:
-    """What attackers do. words: for a reader; at_once: how many do it, from how many addresses; request: what each does
-    again and again, whose answer is a status or a word."""
+    """An attack. words: its description; at_once: the number of attackers, and addresses that of their addresses;
+    request: makes the request that each repeats, and that returns a status or a word."""
 
     words: str
     at_once: int
@@ -117,15 +119,9 @@ def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
 
 
 def plain_tiff() -> bytes:
-    """A TIFF as large as an upload may be, with nothing wrong in it."""
-    side = 4600
-    pixels = side * side * 3
-    tags = [
-        *((256, 4, 1, side), (257, 4, 1, side), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 2)),
-        *((273, 4, 1, 8 + 2 + 10 * 12 + 4), (277, 3, 1, 3), (278, 4, 1, side), (279, 4, 1, pixels), (284, 3, 1, 1)),
-    ]
-    head = struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags)
-    return head + struct.pack("<I", 0) + os.urandom(1 << 20) * (pixels // (1 << 20)) + bytes(pixels % (1 << 20))
+    """An ordinary TIFF, almost as large as an upload may be."""
+    pixels = np.random.default_rng(0).integers(0, 256, (4600, 4600, 3), np.uint8)
+    return saved(Image.fromarray(pixels), "TIFF")
 
 
 def large_pictures() -> Request:

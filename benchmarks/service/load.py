@@ -1,4 +1,4 @@
-"""How fast the service answers while it encodes.
+"""Measure how fast the service answers while it encodes.
 
     python -m benchmarks.service load [--seconds 30] [--out FILE]
 
@@ -23,7 +23,7 @@ from benchmarks.service.pictures import made_picture
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 LIVE_RATE = 20.0
-AT_MOST_MS = {"GET /decode/ID.png": {"p50_ms": 12.0, "p99_ms": 40.0}, "GET /livez": {"p99_ms": 20.0}}
+LIMITS_MS = {"GET /decode/ID.png": {"p50_ms": 12.0, "p99_ms": 40.0}, "GET /livez": {"p99_ms": 20.0}}
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ def measure(case: Case, image: bytes, seconds: float) -> dict[str, Any]:
             series = under_load(service, job, case, seconds)
         finally:
             assert service.stop() == 0
-    spreads = dict(zip(AT_MOST_MS, series, strict=True))
+    spreads = dict(zip(LIMITS_MS, series, strict=True))
     met = all(
-        found["failed"] == 0 and all(found[name] <= most for name, most in AT_MOST_MS[request].items())
+        found["failed"] == 0 and all(found[name] <= most for name, most in LIMITS_MS[request].items())
         for request, found in spreads.items()
     )
     return {
@@ -96,7 +96,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RUNS / "service" / "load.json")
     options = parser.parse_args()
     image = made_picture(*SIZE)
-    settings = {"picture": "a made picture", "size": list(SIZE), "seconds": options.seconds, "at_most_ms": AT_MOST_MS}
+    settings = {"picture": "a made picture", "size": list(SIZE), "seconds": options.seconds, "at_most_ms": LIMITS_MS}
     record = Record(options.out, "benchmarks.service load", settings)
     for case in CASES:
         if not record.has(case=case.name):

@@ -1,4 +1,4 @@
-"""How the time of an encode grows with the pixels, and with the bytes, beside AVIF.
+"""Measure how the time of an encode grows with the pixels and with the bytes, compared with AVIF.
 
     python -m benchmarks.speed growth --images FOLDER [--most 3] [--megapixels 0.75,1.5,3,6,12] [--at-bytes 10000]
                                       [--bytes 500,2000,10000,50000,200000] [--at-megapixels 12] [--repeats 3]
@@ -104,7 +104,7 @@ def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
         above = f" ({size:,.0f} bytes)" if size is not None and size > last[0]["max_bytes"] else ""
         lines.append([name, *cells, number(power, ".2f"), number(mean([row["psnr"] for row in last]), ".2f") + above])
     unit = "MP" if axis == "megapixels" else "bytes"
-    titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "grows with the power", "PSNR at the last"]
+    titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "exponent", "PSNR in the last column"]
     return table(" | ".join(titles), lines)
 
 

@@ -45,7 +45,7 @@ def fitted(pixels: Pixels, n: int, steps: int) -> Gaussians:
 
 
 def jobs_on(gaussians: Gaussians) -> dict[str, Callable[[int], object]]:
-    """What is timed, by name; each takes an instruction set."""
+    """The functions to time, by name. Each takes an instruction set."""
     image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
     upstream = np.random.default_rng(0).standard_normal(image.shape, np.float32)
     gradients = Gaussians.empty(len(gaussians)).arrays

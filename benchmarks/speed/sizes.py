@@ -38,7 +38,7 @@ def row(paths: Sequence[Path], megapixels: float, bpp: float, repeats: int) -> d
 
 
 def alone(function: Callable[..., dict[str, Any]], *arguments: object) -> dict[str, Any]:
-    """What a function returns in a process of its own."""
+    """Run a function in a process of its own and return its result."""
     with get_context("spawn").Pool(1) as pool:
         return pool.apply(function, arguments)
 

@@ -50,7 +50,7 @@ FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
-KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
+KEEP_ALIVE_S = 75  # longer than a proxy keeps connections, so that it does not send a request as one closes
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class PageFiles(StaticFiles):
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context: Context = app.state.context
-    # What exists now stays. Each search of it for garbage held the loop for 70 ms.
+    # Objects that exist now are permanent. Searching them for garbage blocked the loop for 70 ms.
     gc.collect()
     gc.freeze()
     reloading = asyncio.create_task(_reload_keys(context))
@@ -114,8 +114,8 @@ def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], liste
     )
     server = uvicorn.Server(config)
     for number in (signal.SIGTERM, signal.SIGINT):
-        # These handlers hold until uvicorn sets its own, and again when it has stopped and raises the signal once
-        # more. An end that was asked for is no failure.
+        # Used until uvicorn sets its own handlers, and when it raises the signal again after stopping: a requested end
+        # is not a failure.
         signal.signal(number, server.handle_exit)
     server.run(sockets=[listen()])
 
@@ -127,9 +127,9 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         version=VERSION,
         description="Encode photographs as 2D Gaussians, and decode them.",
         lifespan=_lifespan,
-        docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours
+        docs_url=None,  # both pages load scripts from other hosts, which our policy forbids
         redoc_url=None,
-        redirect_slashes=False,  # it would repeat whatever host the client named
+        redirect_slashes=False,  # a redirect would repeat the client's Host
     )
     context = app.state.context = Context(
         settings,
@@ -144,7 +144,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         metrics,
     )
     install_problem_handlers(app)
-    # The gate does the work; this is how the document says so.
+    # Authentication checks the key; this documents it.
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
     app.mount("/static/sgmethod", PageFiles(packages=[("sgmethod", "javascript/src")]))  # the decoder and <sg-img>
     app.mount("/static", PageFiles(directory=STATIC))
@@ -171,9 +171,9 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
             allow_origins=listed(settings.cors_origins),
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
             allow_headers=[
-                *("Authorization", "Idempotency-Key", "If-None-Match", "Prefer", "X-Request-Id"),
+                *("Authorization", "Idempotency-Key", "If-None-Match", "X-Request-Id"),
                 *("traceparent", "tracestate"),  # which a page with OpenTelemetry sends with every request
             ],
-            expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],
+            expose_headers=["ETag", "Location", "Retry-After", "X-Request-Id"],
         )
     return RequestLog(app, context.metrics)

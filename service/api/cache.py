@@ -9,7 +9,7 @@ from typing import Any
 
 from service.api.problems import ProblemError
 
-GONE = 410  # for all who ask; other refusals may be for one client alone, or for one of two jobs with equal files
+DELETED = 410  # applies to every client; other refusals may be for one client, or for one of two jobs with equal files
 
 
 class _Making:
@@ -35,7 +35,7 @@ class PictureCache:
     async def get_or_make(self, etag: str, make: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
         """Return the file from memory, or from `make`.
 
-        Concurrent requests for one file share one call of `make`, which is cancelled when all of them have gone away.
+        Concurrent requests for one file share one call of `make`, which is cancelled when none of them waits any more.
         If it refuses the request that started it, the others try again in their own names.
         """
         while True:
@@ -50,7 +50,7 @@ class PictureCache:
             try:
                 file = await asyncio.shield(making.task)
             except ProblemError as refusal:
-                if is_mine or refusal.status == GONE:
+                if is_mine or refusal.status == DELETED:
                     raise
             else:
                 self._put(etag, file)

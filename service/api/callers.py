@@ -18,10 +18,10 @@ from service.api.requests import header_line
 from service.keys import KeyRing, Link
 from service.settings import Settings, listed
 
-# A page must load before a person can give it a key, and probes have none.
+# The page loads before a user can enter a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", PAGE, "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
-NETWORK_BITS = 64  # of an IPv6 address, which tell customers apart; the rest is each customer's own
+NETWORK_BITS = 64  # of an IPv6 address, which identify a customer's network
 UNKNOWN = "unknown"
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
@@ -112,16 +112,16 @@ class Authentication:
         if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
             return Caller(address)
         scheme, _, key = (header_line(Headers(scope=scope), "authorization") or "").partition(" ")
-        # A key that comes with a link stands for itself: if it is not known, the link does not help.
+        # A key takes precedence over a link: an unknown key fails even on a valid link.
         return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
 
     def _check_site(self, headers: Headers, method: str) -> None:
         """Raise ProblemError 421 for an unknown host name, or 403 for a change requested by another site."""
         host, origin = headers.get("host"), headers.get("origin")
         name = _name_in(host or "")
-        # Plain probes speak HTTP/1.0 and name no host; browsers always do.
+        # Simple probes use HTTP/1.0 without a Host; browsers always send one.
         if host is not None and not {"*", name} & self._host_names and _address_in(name) is None:
-            raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
+            raise ProblemError(421, "the service does not answer to this host name; SG_HOST_NAMES may list it")
         if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
             return
         if origin.partition("://")[2] != host:

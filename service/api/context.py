@@ -77,7 +77,7 @@ class Context:
             log.warning("%s cannot be removed yet: %s", key, error)
 
 
-# As plain functions, these would wait for one of the threads that files of the page are read in.
+# Async, since plain functions would wait for a thread of the pool that serves the page's files.
 async def _context(request: Request) -> Context:
     context: Context = request.app.state.context
     return context

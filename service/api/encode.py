@@ -15,7 +15,7 @@ from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
-from service.api.pictures import PictureQuery, bitstream, open_image, picture
+from service.api.pictures import bitstream, open_image, picture
 from service.api.problems import FOR_NOW, ProblemError
 from service.api.requests import (
     FORM_TYPE,
@@ -31,6 +31,7 @@ from service.api.requests import (
 )
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.jobs.job import Job, NewJob, SourceImage, new_job_id
+from service.pictures import PictureOptions
 from service.storage.files import source_key
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
@@ -42,12 +43,6 @@ PARAMETERS: list[dict[str, Any]] = [
         "in": "header",
         "description": "the same key again answers with the job it first made",
         "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
-    },
-    {
-        "name": "Prefer",
-        "in": "header",
-        "description": "`wait=30` is the same as the query parameter; what cannot be read is ignored",
-        "schema": {"type": "string"},
     },
     *({"name": name, "in": "query", "schema": schema} for name, schema in OPTION_SCHEMAS.items()),
 ]
@@ -144,7 +139,7 @@ def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) 
     if free_bytes is not None and free_bytes < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
     context.storage.put(source_key(new.id), image)
-    try:  # if the table fails, the image stays for the sweep: the row may have been written anyway
+    try:  # after an error of the table, the image stays for the sweep: the row may have been written
         job, is_new = context.table.submit(new)
     except (LimitError, KeyReusedError):
         context.discard(source_key(new.id))
@@ -165,7 +160,6 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int, cli
     headers = {"Location": view.status_url, **NEVER_STORED}
     file = None
     if wait_s and not context.streams.is_full(client):
-        headers["Preference-Applied"] = f"wait={wait_s}"
         try:
             file = await _file_within(request, context, job, wait_s, client)
         except ProblemError as problem:
@@ -192,5 +186,5 @@ async def _file_within(request: Request, context: Context, job: Job, wait_s: int
         status = 422 if ended.error.code == "refused" else 500
         raise ProblemError(status, ended.error.detail, code=ended.error.code, id=ended.id)
     if wants_picture(request):
-        return await picture(ended, accepted_format(request), PictureQuery(), context, request)
+        return await picture(ended, accepted_format(request), PictureOptions(), context, request)
     return await bitstream(ended, context, request)

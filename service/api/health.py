@@ -20,8 +20,8 @@ from service.jobs.job import Counts
 log = logging.getLogger(__name__)
 
 VERSION = version("sgmethod")
-STALLED_LEASES = 4  # for which jobs may wait without a sign of life from any worker
-PATIENCE_S = 2.0  # a table that takes longer is no better than none
+STALLED_LEASES = 4  # for which jobs may wait while no worker reports
+PATIENCE_S = 2.0  # a table that takes longer counts as unavailable
 
 
 async def live() -> models.HealthView:
@@ -46,8 +46,8 @@ async def ready(context: UseContext) -> models.HealthView:
             detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
     if trouble := await context.tasks.trouble(PATIENCE_S):
-        log.error("the sandbox does no tasks: %s", trouble)
-        raise ProblemError(503, "the sandbox does no tasks, without which no image is read", reason="sandbox")
+        log.error("the sandbox is not working: %s", trouble)
+        raise ProblemError(503, "the sandbox is not working, so images cannot be read", reason="sandbox")
     return models.HealthView(status="ok", version=VERSION)
 
 

@@ -25,8 +25,8 @@ from service.storage.files import source_key
 log = logging.getLogger(__name__)
 
 LONGEST_LINK_S = 7 * 86_400
-EVENTS_POLL_S = 0.5  # workers write progress down as often
-FIRST_POLL_S, POLL_S = 0.05, 0.2  # soon at first, since a small picture takes less than the latter
+EVENTS_POLL_S = 0.5  # as often as workers report progress
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
 class PageQuery(Parameters):
@@ -91,7 +91,7 @@ async def _one_stream(context: UseContext, caller: UseCaller) -> AsyncIterator[N
 StreamPlace = Annotated[None, Depends(_one_stream)]
 
 
-# The place comes first: too many streams are refused before a job is looked up.
+# The place is first, so that a stream too many is refused before the job is looked up.
 async def events(_place: StreamPlace, job: KnownJob, context: UseContext) -> AsyncIterator[ServerSentEvent]:
     """Send server-sent events.
 
@@ -174,8 +174,8 @@ async def remove(job: KnownJob, context: UseContext) -> Response:
     """Cancel the job if it is not done, and delete everything stored for it."""
     removed = await context.write(context.table.remove, job.id)
     if removed is not None:
-        # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
+        # A worker that runs it loses its claim at the next heartbeat, and removes its own files.
         await context.store(context.discard, source_key(removed.id))
         if removed.result is not None:
             await context.store(context.discard, removed.result.bitstream_key)
-    return Response(status_code=204)  # without a body, and so without a type of it
+    return Response(status_code=204)  # a Response, since JSON would have a Content-Type

@@ -38,7 +38,7 @@ class _TableFigures(Collector):
     def collect(self) -> Iterator[Metric]:
         counts = self.counts
         yield GaugeMetricFamily("sgmethod_job_table_up", "Whether the job table answers.", counts is not None)
-        failed = "Failures of background work that nobody foresaw, since the process started."
+        failed = "Unexpected failures of background work since the process started."
         by_process = {"web": failures.total(), **(counts.failures if counts else {})}
         yield _gauges("sgmethod_background_failures", failed, "process", by_process.items())
         if counts is None:
@@ -111,7 +111,7 @@ class Metrics:
 
     def note(self, scope: Scope, status: int, seconds: float) -> None:
         """Count a request when its response begins, by its route."""
-        # Labels come from fixed sets: what a client makes up must not fill the memory.
+        # Labels come from fixed sets, so that clients cannot create metrics without limit.
         route = getattr(scope.get("route"), "path", "none")
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.requests.labels(method, route, status).inc()

@@ -17,7 +17,7 @@ from service.logs import request_id
 log = logging.getLogger("access")
 
 ID_HEADER = "X-Request-Id"
-RESPONSE_HEADERS = {  # unless an answer sets them itself
+RESPONSE_HEADERS = {  # defaults
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
@@ -42,7 +42,7 @@ class RequestLog:
         given = Headers(scope=scope).get(ID_HEADER, "")
         name = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
         method, path, state = scope["method"], scope["path"], scope.setdefault("state", {})
-        if method == "HEAD" and not path.endswith("/events"):  # streams of events do not end
+        if method == "HEAD" and not path.endswith("/events"):  # event streams never end
             scope = {**scope, "method": "GET"}  # the server sends no body
         status, size, started = 0, 0, time.monotonic()
 

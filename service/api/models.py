@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.jobs.job import Job, JobError, JobState, JsonObject, Priority
 from service.settings import Settings
 
-# Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
+# Progress at the start and the end of each phase; each counts its own steps.
 PHASES = {
     "start": (0.0, 0.0),
     "fit": (0.0, 0.6),
@@ -19,7 +19,7 @@ PHASES = {
     "joint": (0.0, 1.0),  # profile rd does both at once
     "done": (1.0, 1.0),
 }
-MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and again
+MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches repeatedly
 
 Figure = float | int | str | None
 
@@ -183,7 +183,7 @@ def _members(job: Job, settings: Settings) -> JsonObject:
         "image_expires_at": None if job.finished_at is None else job.finished_at + settings.source_retention_s,
         "result": {name: value for name, value in stats.items() if name != "notes"} if job.result else None,
         "notes": stats.get("notes", []),
-        # A queued job can carry the error of its last crash, which is no concern of the client's yet.
+        # A queued job may have the error of its last crash, which clients do not need.
         "error": job.error if job.state == "failed" else None,
     }
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
-import re
 import time
 from collections.abc import Callable, Coroutine
 from email.utils import formatdate
 from typing import Annotated, Any, BinaryIO
-from urllib.parse import quote
 
 from fastapi import Query, Request, Response
 from pydantic import Field
@@ -39,7 +37,6 @@ from service.pictures import (
     Drawing,
     PictureFormat,
     PictureOptions,
-    matching,
 )
 from service.sandbox.client import RefusedError
 from service.sandbox.frames import PreviewFigures
@@ -49,29 +46,8 @@ from sgmethod.errors import BitstreamError
 log = logging.getLogger(__name__)
 
 LATE_S = 60.0
-MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: equal ones take an eighth of a byte each
+MAX_GAUSSIANS = 1_000_000  # of a posted bitstream, where equal ones take an eighth of a byte each
 MIN_PREVIEW_BYTES, MAX_PREVIEW_BYTES = 12, 4096
-# No slashes, control characters or ends of lines, and no dot first: systems hide such files.
-FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
-
-
-class PictureQuery(PictureOptions):
-    """Query parameters of a picture: the part to draw, and a file name."""
-
-    download: Annotated[
-        str | None,
-        matching(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
-        Field(json_schema_extra={"pattern": FILE_NAME}, description="file name to save the picture under"),
-    ] = None
-
-    def disposition(self) -> dict[str, str]:
-        """Return the header that makes a browser save the file; none without a name."""
-        if self.download is None:
-            return {}
-        plain = re.sub(r'[^ -~]|["\\%]', "_", self.download)
-        # Browsers take the name in full; the other is for clients that do not know it (RFC 6266, appendix D).
-        full = "" if plain == self.download else f"; filename*=UTF-8''{quote(self.download, safe='')}"
-        return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
 
 
 class PreviewQuery(Parameters):
@@ -83,14 +59,14 @@ class PreviewQuery(Parameters):
 
 
 async def picture(
-    job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, kind: PictureFormat, query: Annotated[PictureOptions, Query()], context: UseContext, request: Request
 ) -> Response:
     """Return the decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
     result = _result_of(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     drawing = Drawing.from_options(query, kind, size, context.settings.max_pixels)
     pixels = math.prod(drawing.view.size(*size))
-    headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context), **query.disposition()}
+    headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context)}
 
     async def made() -> bytes:
         with await context.store(_open_bitstream, context, job, result) as file:
@@ -105,7 +81,7 @@ async def picture(
 
 
 async def picture_as_accepted(
-    job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, query: Annotated[PictureOptions, Query()], context: UseContext, request: Request
 ) -> Response:
     """Return the decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
     answer = await picture(job, accepted_format(request), query, context, request)
@@ -131,7 +107,7 @@ async def _remembered(
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
-async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseContext, request: Request) -> Response:
+async def picture_of_body(query: Annotated[PictureOptions, Query()], context: UseContext, request: Request) -> Response:
     """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
     answer = await picture_of_body_as(accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
@@ -139,14 +115,14 @@ async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseC
 
 
 async def picture_of_body_as(
-    kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+    kind: PictureFormat, query: Annotated[PictureOptions, Query()], context: UseContext, request: Request
 ) -> Response:
     """Decode the bitstream in the body. Nothing is stored."""
     async with body_as_file(request) as upload:
         client = request.state.caller.client
         drawing = context.tasks.draw(client, upload.file, query, kind, max_gaussians=MAX_GAUSSIANS)
         file = await while_client_waits(request, drawing)
-    return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
+    return Response(file, headers=NEVER_STORED, media_type=MEDIA_TYPES[kind])
 
 
 async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Response:
@@ -205,7 +181,7 @@ async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext,
     size = int(_result_of(job).stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
-    check_image_kept(job, context)  # what was made of it goes with it, from memory too
+    check_image_kept(job, context)  # also refuses a cached file
     headers = {"ETag": f'"{job.id}-comparison.{kind}"', **_kept(request, job, context, _image_until(job, context))}
 
     async def made() -> bytes:
@@ -254,7 +230,7 @@ def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryI
     try:
         return context.storage.open(result.bitstream_key)
     except FileNotFoundError as error:
-        if context.table.get(job.id) is None:  # removed while we looked
+        if context.table.get(job.id) is None:  # removed meanwhile
             raise no_such_job() from None
         raise _late(job.finished_at) or _damaged(job, error) from error
 
@@ -269,7 +245,7 @@ def _late(stored_at: float | None) -> ProblemError | None:
 
     A store that replicates may have the file in a moment.
     """
-    if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # ahead: the clock was put back since
+    if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # far ahead: the clock was set back
         return None
     detail = "the storage does not have this file yet"
     return ProblemError(503, detail, reason="storage", headers=RETRY_AFTER)
@@ -288,7 +264,7 @@ def _kept(request: Request, job: Job, context: Context, image_until: float | Non
     """
     ends = [end for end in (request.state.caller.link_expires, image_until) if end is not None]
     most_s = min([LONGEST_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])
-    # Private, because an id is a secret that shared caches should not keep.
+    # Private, because the URL contains a secret id, which shared caches should not store.
     headers = {"Cache-Control": f"private, max-age={most_s}, immutable"}
     if (removed := models.expires_at(job, context.settings)) is not None:
         ends.append(removed)

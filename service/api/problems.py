@@ -39,13 +39,13 @@ PROBLEM: dict[str, Any] = {
 }
 FOR_NOW = (429, 503)  # refusals that say when to ask again
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
-FULL_DISK = ("disk is full", "No space left")  # words of SQLite, and of the system and PostgreSQL
-# What figures and logs call a refusal, unless it has a word of its own.
+FULL_DISK = ("disk is full", "No space left")  # in messages of SQLite, and of the system and PostgreSQL
+# The reason in metrics, logs and the type of a problem, unless the problem names its own.
 REASONS = {
     **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
-    **{410: "gone", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
+    **{410: "deleted", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
 }
-REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
+REFUSAL = "refusal"  # the attribute of request.state that holds the reason
 
 
 class ProblemError(Exception):
@@ -74,7 +74,7 @@ def refused(request: Request, problem: ProblemError) -> Response:
     """Build the response for a problem, and note its reason in the state of the request."""
     setattr(request.state, REFUSAL, problem.reason)
     title = HTTPStatus(problem.status).phrase
-    scope = request.scope  # below a mount, root_path is the mount's own
+    scope = request.scope  # within a mount, root_path includes the mount's path
     kind = f"{scope.get('app_root_path', scope.get('root_path', ''))}{PAGE}#{problem.reason}"
     document = {"type": kind, "title": title, "status": problem.status, "detail": problem.detail}
     headers = {"Cache-Control": "no-store", **problem.headers}
@@ -96,7 +96,7 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
     match error:
         case ProblemError():
             return error
-        case BudgetError() | ViewError() | TaskError() | KeyReusedError():  # say what is wrong with the request
+        case BudgetError() | ViewError() | TaskError() | KeyReusedError():  # whose messages describe the request
             return ProblemError(422, str(error))
         case LimitError():
             return ProblemError(429, str(error), reason=error.reason, headers=RETRY_AFTER)
@@ -117,8 +117,8 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
             return _unreachable("the sandbox", "sandbox", error)
         case OSError():
             return _unreachable("the storage", "storage", error)
-        case _:  # The server logs the traceback; the client learns nothing of the inside.
-            return ProblemError(500, "an error of the service; it has been logged")
+        case _:  # The server logs the traceback; the client gets no details.
+            return ProblemError(500, "an internal error, which has been logged")
 
 
 def _invalid_parameters(error: RequestValidationError) -> ProblemError:

@@ -20,17 +20,16 @@ from service.pictures import MEDIA_TYPES, PictureFormat
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE = "multipart/form-data"
 LONGEST_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
-MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # by old clients that accept something else
+MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # old clients write the left-hand form
 # Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
 
-IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # of a form, and of the query; the others are options
-MAX_FIELDS, MAX_FIELD_BYTES = 20, 1 << 10  # whose refusal counts in kB
-MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes to a temporary file
-MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
+IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # all other fields are options
+MAX_FIELDS, MAX_FIELD_BYTES = 20, 1 << 10  # limits of a form; its parser reports them in kB
+MEMORY_BYTES = 1 << 20  # of a body; larger ones go to a temporary file
+MAX_WAIT_S = 50  # by default, proxies give up on an answer that has not begun after 60 s
 
-_PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IGNORECASE)
 _WEIGHT = re.compile(r"[01](\.[0-9]{0,3})?|\.[0-9]{1,3}")
 _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 T = TypeVar("T")
@@ -95,21 +94,18 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
 async def wanted_wait_s(
     request: Request,
     wait: Annotated[
-        int | None,
+        int,
         Query(
             ge=0,
             le=999_999,
             description=f"seconds to wait for the file; 202 after that, and after {MAX_WAIT_S} seconds at the latest",
         ),
-    ] = None,
+    ] = 0,
 ) -> int:
     """Return how many seconds the client would wait; 0 by default.
 
     Raises ProblemError 406 if it would wait for a picture in a format that is not available.
     """
-    if wait is None:
-        preferred = _PREFER.search(header_line(request.headers, "prefer") or "")  # RFC 7240
-        wait = int(preferred[1]) if preferred else 0
     if wait and wants_picture(request):
         accepted_format(request)
     return min(wait, MAX_WAIT_S)
@@ -152,7 +148,7 @@ async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, 
         images = form.getlist(IMAGE_FIELD)
         if len(images) != 1 or not isinstance(images[0], UploadFile):
             raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
-        # As one file is allowed, and the image is one, the others are texts.
+        # Only one file is allowed, and that is the image, so the others are texts.
         texts = [(name, str(value)) for name, value in form.multi_items() if name != IMAGE_FIELD]
         yield images[0], _in_query(request) + texts
 

@@ -31,12 +31,12 @@ from service.settings import Settings
 from sgmethod.io.formats import is_read
 
 RETRY_SOON = {"Retry-After": "1"}
-# The header of a photograph takes milliseconds and little memory. What takes more was made to.
+# Reading the header of a photograph takes milliseconds and little memory. A file that takes more is hostile.
 HEADERS_AT_ONCE, MAX_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
-HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
-WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases before it tells a size; it touches neither
-KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # for which a trial is not repeated: anybody may ask for one
+HEADER_MEMORY_BYTES = 256 << 20  # besides the file itself
+WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases to read the size, and touches neither
+KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # results of a trial are cached, since anyone may request one
 
 
 class Turns:
@@ -90,13 +90,13 @@ class Turns:
         except asyncio.CancelledError:
             if place.cancelled():
                 self._forget(client, place)
-            else:  # it came at the same moment
+            else:  # admitted at the same moment
                 self._leave(client)
             raise
 
     def _forget(self, client: str, place: asyncio.Future[None]) -> None:
         line = self._lines.get(client)
-        if line and place in line:  # or it was passed over already
+        if line and place in line:  # else _admit() has removed it
             line.remove(place)
             if not line:
                 del self._lines[client]
@@ -116,7 +116,7 @@ class Turns:
             place = line.popleft()
             if line:
                 self._lines[client] = line
-            if not place.cancelled():  # its task may be about to leave
+            if not place.cancelled():  # its client may be about to leave
                 place.set_result(None)
                 self._running[client] += 1
 
@@ -168,7 +168,7 @@ class ClientTasks:
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
         self._trying = asyncio.Lock()
         self._next_trial, self._trouble = 0.0, ""
-        self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
+        self._limits: dict[str, Any] = {  # of tasks that decode
             "memory_bytes": settings.job_memory_bytes // 4,
             "cpu_s": settings.decode_time_s,
             "max_pixels": settings.max_pixels,
@@ -195,7 +195,7 @@ class ClientTasks:
         task = Draw(**{**self._limits, **limits}, options=options, file_kind=kind)
         began = time.perf_counter()
         made = (await self._ask(self._drawings, client, file, task)).file
-        self._metrics.decode_seconds.observe(time.perf_counter() - began)  # a refusal took no time
+        self._metrics.decode_seconds.observe(time.perf_counter() - began)  # refusals are not counted
         return made
 
     async def compare(self, client: str, file: BinaryIO, kind: ComparisonFormat, size: int, pixels: int) -> bytes:
@@ -224,7 +224,7 @@ class ClientTasks:
             raise ProblemError(422, f"the image cannot be read: {error}") from error
 
     async def trouble(self, patience_s: float) -> str:
-        """Return why the sandbox does no tasks; empty if it did one recently, or does one now."""
+        """Return why the sandbox is not working; empty if it did a task recently, or does one now."""
         async with self._trying:
             if time.monotonic() >= self._next_trial:
                 try:

@@ -28,12 +28,12 @@ log = logging.getLogger(__name__)
 
 QUEUE = "encode"
 TASK = "encode_next"
-# The engine forgets a notification that comes while it fetches; it looks by itself as often as this.
+# The engine misses a notification that arrives while it fetches, so it also polls.
 POLL_S = 1.0
 TOP_UP_S = 1.0
 INSIST_S = 2.0
 PAUSE_AFTER_TROUBLE_S = 1.0
-PATIENCE_S = 5.0  # for a database that is being restarted
+PATIENCE_S = 5.0  # for a database that restarts
 
 SCHEMA: str = SchemaManager.get_schema()
 
@@ -49,7 +49,7 @@ class Engine:
         self._conninfo = conninfo
         self._lease_s = lease_s
         self._session = session
-        logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # it logs tracebacks of what is one line here
+        logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # its tracebacks are one line here
         self._deferrer = App(connector=SyncPsycopgConnector()).open(pool)
 
     def defer(self, connection: psycopg.Connection[psycopg.rows.DictRow]) -> None:
@@ -67,7 +67,7 @@ class Engine:
         while not stop.requested:
             try:
                 asyncio.run(self._serve(run_next, stop))
-            except asyncio.CancelledError:  # how _serve ends when it is to stop
+            except asyncio.CancelledError:  # raised by _cancel_on()
                 continue
             except (ProcrastinateException, psycopg.Error) as error:
                 log.warning("the queue engine is unreachable: %s", in_words(error))
@@ -76,7 +76,7 @@ class Engine:
 
     async def _serve(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
         """Work until stopping is requested, which cancels this, or until the database is lost."""
-        # Without these limits it would wait for minutes after an outage, and before it stops during one.
+        # Without these limits it would wait for minutes after an outage, and before stopping during one.
         connector = PsycopgConnector(
             conninfo=self._conninfo,
             configure=self._configure,
@@ -87,7 +87,7 @@ class Engine:
         )
         app = App(connector=connector)
         app.task(name=TASK, queue=QUEUE)(run_next)
-        # It hears what the engine could not write down, such as the end of a token that another worker has by now.
+        # The handler receives errors such as the end of a token that another worker has taken over.
         asyncio.get_running_loop().set_exception_handler(_log)
         _cancel_on(stop)
         async with app.open_async():

@@ -19,15 +19,15 @@ OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed", "queued": "retried"}
 BUCKETS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float("inf"))
 SECONDS = "encode_seconds"
-# The pause before the next try is as long as the delivery has waited so far, and a bit: each is twice the one before.
+# Each pause is about as long as the delivery has waited until then, and so doubles.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0
-KEPT_S = 3 * 86_400.0  # for which a delivery is tried
+KEPT_S = 3 * 86_400.0  # retry time of a delivery
 
 ADD = """
 INSERT INTO totals VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET amount = totals.amount + excluded.amount
 """
 ADD_DELIVERY = "INSERT INTO deliveries VALUES (?, ?, ?, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING"
-# Due too if it is put off for longer than it ever is: then the clock was put back.
+# Also due if its pause is longer than any: the clock was set back.
 DUE = """
 WITH clock AS MATERIALIZED (SELECT epoch() AS now)
 SELECT job, body, due_at, now - ended_at AS age_s FROM deliveries, clock

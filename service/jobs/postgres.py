@@ -24,13 +24,13 @@ from service.process.loops import StopSignal
 from service.settings import Settings
 
 NUMBER = "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"
-# The database's clock: those of several machines differ.
+# The database's clock, because clocks of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-# Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
-# stopped within a transaction must not hold its locks for ever. PgBouncer refuses these as startup parameters.
+# Our tables and the engine's have their own schemas. A worker that is stopped within a transaction must not keep its
+# locks. PgBouncer refuses these as startup parameters.
 SESSION = b"""
 SET search_path = sgmethod, sgmethod_engine;
 SET synchronous_commit = on;
@@ -41,7 +41,7 @@ CONNECT: dict[str, str | int] = {
     "keepalives_idle": 10,
     "tcp_user_timeout": 15_000,
     "application_name": "sgmethod",
-    "client_encoding": "utf8",  # from a database in SQL_ASCII, text would come as bytes
+    "client_encoding": "utf8",  # else a database in SQL_ASCII would return text as bytes
 }
 CONNECTIONS = 8
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
@@ -82,7 +82,7 @@ class PostgresJobTable(JobTable):
         super().__init__(settings)
         try:
             conninfo = make_conninfo(url, **CONNECT)
-        except psycopg.Error:  # its message may hold the password
+        except psycopg.Error:  # its message may contain the password
             raise JobTableError("SG_DATABASE_URL cannot be read; its password must be percent-encoded") from None
         try:
             with _translated_errors():
@@ -90,8 +90,8 @@ class PostgresJobTable(JobTable):
         except JobTableError as error:
             variables = ["SG_DATABASE_URL", *sorted(name for name in os.environ if name.startswith("PG"))]
             raise JobTableError(f"{', '.join(variables)}: {error}") from error
-        logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # each try to reconnect is a warning
-        # Each connection is checked when it is taken, so one that a restart has broken is not used.
+        logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # it logs a warning for each try to reconnect
+        # Each connection is checked when it is taken, since a restart of the database breaks it.
         self._pool = ConnectionPool(
             conninfo,
             kwargs={"autocommit": True, "row_factory": dict_row},
@@ -99,7 +99,7 @@ class PostgresJobTable(JobTable):
             min_size=1,
             max_size=CONNECTIONS,
             timeout=PATIENCE_S,
-            reconnect_timeout=PATIENCE_S,  # else the pauses between its tries double up to minutes
+            reconnect_timeout=PATIENCE_S,  # else pauses between tries grow to minutes
             check=ConnectionPool.check_connection,
             open=True,
             connection_class=psycopg.Connection[DictRow],
@@ -112,7 +112,7 @@ class PostgresJobTable(JobTable):
         session_id = "SELECT pg_backend_pid()"
         with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
             before = other.execute(session_id).fetchone()
-            # Begins a transaction. A pooler in transaction mode gives it the session that `other` has just left.
+            # This begins a transaction, which a pooler in transaction mode runs in the session that `other` just left.
             db.execute(SESSION)
             if other.execute(session_id).fetchone() != before:
                 raise JobTableError("the pooler is in transaction mode; let it pool sessions, or connect directly")
@@ -126,7 +126,7 @@ class PostgresJobTable(JobTable):
             if written == 0:
                 db.execute(f"{EPOCH} {SCHEMA.format(number=NUMBER)}".encode())
             if versions.get("engine") != procrastinate.__version__:
-                # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
+                # Tokens are recreated from the table, so an upgrade of the engine starts with empty tables.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")
                 db.execute("CREATE SCHEMA sgmethod_engine")
                 db.execute("SET LOCAL search_path = sgmethod_engine")
@@ -163,7 +163,7 @@ class PostgresJobTable(JobTable):
         lease_s = self._settings.lease_s
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
-                return  # another worker is at it
+                return  # another worker is doing it
             rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
             for _ in range(rows - self._engine.waiting()):
                 self._wake(db)

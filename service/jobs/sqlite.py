@@ -27,7 +27,7 @@ class SqliteJobTable(JobTable):
     def __init__(self, path: Path, settings: Settings) -> None:
         super().__init__(settings)
         self._path = path
-        self._file: tuple[int, int] | None = None  # which one the idle connections are to
+        self._file: tuple[int, int] | None = None  # device and inode of the file that the idle connections have open
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
         path.touch(mode=0o600)
         self._follow_file()
@@ -47,7 +47,7 @@ class SqliteJobTable(JobTable):
         """Reopen a file that was replaced: writes to the old one would be lost with its last reader."""
         try:
             found = self._path.stat()
-        except OSError as error:  # SQLite would make an empty file
+        except OSError as error:  # else SQLite would create an empty file
             raise JobTableError(f"{self._path}: {error.strerror}") from error
         file = (found.st_dev, found.st_ino)
         if file == self._file:
@@ -58,11 +58,11 @@ class SqliteJobTable(JobTable):
             self._set_up()
         except JobTableError:
             self.close()
-            self._file = None  # it is set up when it is next asked for
+            self._file = None  # so that the next call sets it up
             raise
 
     def _connect(self, patience_s: float = BUSY_TIMEOUT_S) -> sqlite3.Connection:
-        # A connection serves one thread at a time, though not always the same one.
+        # A connection serves one thread at a time, but not always the same one.
         db = sqlite3.connect(self._path, timeout=patience_s, isolation_level=None, check_same_thread=False)
         db.row_factory = sqlite3.Row
         db.create_function("epoch", 0, time.time)
@@ -83,7 +83,7 @@ class SqliteJobTable(JobTable):
         except sqlite3.Error as error:
             if db is not None:
                 db.close()
-            # SQLite calls it an I/O error that there is no room for its shared memory.
+            # SQLite reports a full disk as an I/O error if its shared memory does not fit.
             words = "disk is full" if "SHMSIZE" in getattr(error, "sqlite_errorname", "") else error
             raise JobTableError(f"{self._path}: {words}") from error
         except BaseException:
@@ -97,7 +97,7 @@ class SqliteJobTable(JobTable):
         """Provide a transaction that holds the write lock from the start, so that none fails half-way."""
         with self._connection() as db:
             db.execute("BEGIN IMMEDIATE")
-            with db:  # which commits, or takes everything back
+            with db:  # commits, or rolls back
                 yield db
 
     def _alone(self, db: Database) -> None:
@@ -114,7 +114,7 @@ class SqliteJobTable(JobTable):
     def check_writable(self) -> None:
         self._follow_file()
         try:
-            # A new one: the idle ones are from before the disk became read-only. BEGIN IMMEDIATE succeeds even there.
+            # A new connection: idle ones may predate a disk's change to read-only, where BEGIN IMMEDIATE succeeds.
             with closing(self._connect(0.0)) as db:
                 db.execute("DELETE FROM workers WHERE 0")
         except sqlite3.Error as error:

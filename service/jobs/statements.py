@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-SCHEMA_VERSION = 1
-# {number} stands for how each database numbers rows.
+SCHEMA_VERSION = 2
+# {number}: the type of an automatic row number, which depends on the database.
 SCHEMA = """
 CREATE TABLE workers (
     name     TEXT PRIMARY KEY,
@@ -76,14 +76,14 @@ SELECT jobs.*, CASE WHEN state = 'queued' THEN (
     AND (waiting.priority = 'bulk', waiting.number) <= (jobs.priority = 'bulk', jobs.number)
 ) END AS position FROM jobs
 """
-# For many jobs at once. To count the place of each by itself takes 0.1 s a page where thousands wait.
+# For a page of jobs: counting the position of each separately takes 0.1 s a page when thousands wait.
 SELECT_JOBS = """
 WITH waiting AS (
     SELECT number, row_number() OVER (ORDER BY priority = 'bulk', number) AS position FROM jobs WHERE state = 'queued'
 )
 SELECT jobs.*, waiting.position FROM jobs LEFT JOIN waiting USING (number)
 """
-# Owners take turns by what they have running just now, however many jobs of theirs wait.
+# Owners take turns by the number of their running jobs, however many are queued.
 CLAIM = """
 UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
     lease_until = epoch() + ?
@@ -111,7 +111,7 @@ DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_byte
 PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
-# A lease that was not renewed in time, or is longer than any because the clock was put back.
+# A lease that was not renewed in time, or is too long because the clock was set back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
 LOST = "WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
 

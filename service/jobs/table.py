@@ -42,11 +42,11 @@ log = logging.getLogger(__name__)
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
-# When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
+# A worker that was silent for half of its lease is watched for the other half before it counts as lost.
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
-FORGOTTEN_S = 900.0  # a worker silent for longer is no longer listed
-AHEAD_S = 2.0  # a sign of life from further ahead is one from before the clock was put back
+FORGOTTEN_S = 900.0  # a worker that is silent for longer is removed
+AHEAD_S = 2.0  # a report from further ahead was made before the clock was set back
 
 
 class JobTable(ABC):
@@ -225,7 +225,7 @@ class JobTable(ABC):
         Interactive jobs come before bulk jobs; among equals the owner with the fewest running jobs, then the owner
         served longest ago, then the oldest job.
         """
-        if self.queued() == 0:  # asked several times a second: look before taking a lock
+        if self.queued() == 0:  # called several times a second, so check before taking a lock
             return None
         with self._transaction() as db:
             self._alone(db)
@@ -237,7 +237,7 @@ class JobTable(ABC):
             try:
                 request, image = json.loads(row["request"]), json.loads(row["image"])
                 return Claim(row["id"], row["attempt"], EncodeRequest(**request), SourceImage(**image))
-            except TypeError:  # without a field that is not understood, this would encode something else
+            except TypeError:  # an unknown field, which must not be ignored
                 self._fail(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
                 return None
 
@@ -278,7 +278,7 @@ class JobTable(ABC):
             if job is not None:
                 self._conclude(db, job)
                 return True
-            # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
+            # A commit that succeeded may be reported as failed; then the repeated call must succeed.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
             return row is not None and row["result"] == text
 

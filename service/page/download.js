@@ -1,4 +1,4 @@
-// Take away: the file, pictures of any size, lines to do it again, and a link.
+// Downloads: the file, pictures of any size, commands to repeat the encode, and a link.
 
 import { MOST_PIXELS, MOST_SCALE } from "./sgmethod/drawing.js";
 import { choices, drawn, hasKey, json } from "./api.js";
@@ -7,7 +7,7 @@ import { size, withoutSuffix } from "./words.js";
 
 const IN_BROWSER = { png: "image/png", jpg: "image/jpeg", webp: "image/webp" };
 
-/** Let the browser download a file; what to say of it. */
+/** Let the browser download a file, and return a sentence. */
 export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -24,17 +24,17 @@ const widths = ([width, height]) => [
   Math.floor(Math.min(MOST_SCALE * width, Math.sqrt((MOST_PIXELS * width) / height))),
 ];
 
-/** Let a picture be saved in widths that it can have. */
+/** Limit the width field to the possible widths. */
 export function offerWidths(size) {
   $("width").value = size[0];
   [$("width").min, $("width").max] = widths(size);
 }
 
-/** Save a picture of some width: drawn here if it is opaque and the browser can write it, else by the service. */
+/** Save a picture, drawn here if it is opaque and the browser can write the format, else by the service. */
 export async function savePicture(item, kind, width, draw) {
   const [whole] = item.size;
   const [least, most] = widths(item.size);
-  if (!(width >= least && width <= most)) throw new Error(`the width must lie between ${least} and ${most} pixels.`);
+  if (!(width >= least && width <= most)) throw new Error(`the width must be between ${least} and ${most} pixels.`);
   const type = IN_BROWSER[kind];
   let blob = null;
   if (item.file && type && !item.file.alpha) {
@@ -47,7 +47,7 @@ export async function savePicture(item, kind, width, draw) {
   return save(blob, `${withoutSuffix(item.name)}${width === whole ? "" : `-${width}`}.${kind}`);
 }
 
-/** Lines that make this file again, or fetch it. */
+/** Fill in the commands that make this file again, or fetch it. */
 export function fillLines(item) {
   const { href: service } = new URL(".", location);
   const file = `${withoutSuffix(item.name)}.sg`.replace(/[^\w.-]/g, "_");

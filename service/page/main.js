@@ -1,4 +1,4 @@
-// The page: what is shown, and what happens when something is clicked.
+// The page: its pictures, and its buttons.
 
 import { fillContents } from "./viewer/contents.js";
 import { openGpu } from "./viewer/gpu.js";
@@ -15,7 +15,7 @@ import { size } from "./words.js";
 
 const items = []; // in the order in which they came
 let current = null;
-let entered = null; // what the address stands for
+let entered = null; // the picture in the address
 let address = location.hash.slice(1); // as far as the page has followed it
 let onLeft = "Original";
 
@@ -38,7 +38,7 @@ function changed(item) {
   if (item === current) refresh(item);
 }
 
-/** Bring everything up to date with the picture that is shown. */
+/** Update the page for the current picture. */
 function refresh(item) {
   const { original, decoded, file, soFar } = item;
   const isNewlyDecoded = item.drawn?.decoded !== decoded;
@@ -84,9 +84,9 @@ function refresh(item) {
   sayRate(item);
 }
 
-/** The address names the picture, for a reload and for going back. */
+/** Put the picture into the address, for reloading and going back. */
 function enter(item) {
-  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere is followed
+  if (!item.place || location.hash.slice(1) !== address) return; // the user is going elsewhere
   if (address !== item.place) {
     history[!entered || entered === item ? "replaceState" : "pushState"](null, "", `#${item.place}`);
     address = item.place;
@@ -94,7 +94,7 @@ function enter(item) {
   entered = item;
 }
 
-/** The picture without its texture, once it is drawn. */
+/** The picture without its texture; with it until the other is drawn. */
 function smoothOf(item) {
   if (!item.smooth) {
     item.smooth = item.decoded; // until then
@@ -114,7 +114,7 @@ function refreshRows() {
 }
 
 function remove(item) {
-  if (item.busy) item.cancel(Boolean(item.source)); // another's job goes on
+  if (item.busy) item.cancel(Boolean(item.source)); // a job of another person goes on
   items.splice(items.indexOf(item), 1);
   if (item === current && items.length) show(items.at(-1));
   if (item !== current) item.close();
@@ -152,7 +152,7 @@ async function give(files) {
       trouble(refusals.join(" "));
       continue;
     }
-    // A sample makes room, which nobody gave.
+    // A sample makes way for a picture of the user's own.
     const first = items.findIndex((item) => item.sample);
     const removed = first >= 0 ? items.splice(first, 1)[0] : null;
     const item = added(file.name || "pasted.png");
@@ -180,13 +180,13 @@ async function again() {
   const item = added(current.name);
   const { source, format } = current;
   item.format = format;
-  item.state = "sending"; // before a second click
+  item.state = "sending"; // so that a second click has no effect
   show(item);
   await item.setOriginal(source);
   if (item.busy) item.encode(budget());
 }
 
-/** What the address names. */
+/** Show the picture in the address. */
 function begin() {
   const wanted = location.hash.slice(1);
   address = wanted;
@@ -211,7 +211,7 @@ function begin() {
   }
 }
 
-/** To the clipboard, also where the page came by plain HTTP. */
+/** Copy to the clipboard, also on pages loaded by plain HTTP. */
 async function copy(text) {
   if (navigator.clipboard) return navigator.clipboard.writeText(text);
   const area = element("textarea", { value: text });
@@ -262,7 +262,7 @@ $("snippet").addEventListener("click", () => take(copyHtml));
 $("show-wall").addEventListener("click", async () => (await import("./wall/wall.js")).showWall($("wall")));
 addEventListener("hashchange", begin);
 
-/** Once the empty page has been painted, which WebGL and workers would hold up. */
+/** Start after the empty page has been painted, which WebGL and workers would delay. */
 requestAnimationFrame(() =>
   setTimeout(() => {
     begin();

@@ -1,4 +1,4 @@
-// A job on its way: place in the queue, seconds left, and the error against time.
+// The progress of a job: place in the queue, seconds left, and the chart of the fit.
 
 import { $ } from "./parts.js";
 import { count, decibels, seconds, size } from "./words.js";
@@ -6,7 +6,7 @@ import { count, decibels, seconds, size } from "./words.js";
 const [WIDTH, HEIGHT] = [560, 240];
 const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
 
-/** A new element of a drawing. */
+/** A new SVG element. */
 function shape(tag, attributes, text = "") {
   const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -14,7 +14,7 @@ function shape(tag, attributes, text = "") {
   return made;
 }
 
-/** A round step, of which about `most` fit into a range. */
+/** A round step that divides a range into about `most` parts. */
 function stepOf(range, most) {
   const rough = range / most || 1;
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -27,10 +27,10 @@ function ticks(low, high, step) {
   return found;
 }
 
-/** The trace as a drawing with axes. `end`: the PSNR of the finished file, a point of its own. */
+/** Draw the trace as a chart. end: the PSNR of the finished file, drawn as a dot. */
 export function drawTrace(trace, end = null) {
   const chart = $("chart");
-  // The last points are of the file's rounded numbers; the file itself has its own dot.
+  // The last points are measured after rounding, as is the file, which has its own dot.
   const points = trace.filter((point) => point.psnr !== null && point.phase !== "done");
   $("chart-card").hidden = points.length < 2;
   if (points.length < 2) return;
@@ -62,7 +62,7 @@ export function drawTrace(trace, end = null) {
   chart.replaceChildren(...parts);
 }
 
-/** Why the curve falls, if it does: what was taken beyond the budget is given back. */
+/** Explain why the curve falls, if it does. */
 function wordsOf(points) {
   const most = Math.max(...points.map(({ bytes }) => bytes));
   const last = points.at(-1).bytes;
@@ -73,15 +73,15 @@ function wordsOf(points) {
   );
 }
 
-/** Seconds between two jobs of the queue: what the last ones took, by as many at a time as are running; null if nothing is
- * known of that. */
+/** Estimate the seconds between two jobs of the queue from the last jobs and the number of running ones; null if
+ * unknown. */
 export function paceOf(done, running) {
   if (!done.length || !running.length) return null;
   const took = done.map((job) => (Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000);
   return took.reduce((sum, one) => sum + one) / took.length / running.length;
 }
 
-/** What a job is doing, in words, and how much of it is done, from 0 to 1; null where that is not known. */
+/** Describe what a job is doing, and its progress from 0 to 1; null if unknown. */
 export function stateOf(job, stopping, paceS = null) {
   if (job.state === "queued") {
     const ahead = job.position - 1;

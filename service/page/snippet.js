@@ -1,11 +1,11 @@
-// HTML that holds a picture and the decoder that draws it.
+// HTML with a picture and the decoder that draws it.
 
 import { ask } from "./api.js";
 import { withoutSuffix } from "./words.js";
 
 const SOURCES = ["models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
-/** HTML that shows a picture from its .sg file, and needs no other file. The picture's name is its label. */
+/** HTML that shows a picture from its .sg file, without other files. The label is the picture's name. */
 export async function snippetOf(item) {
   const sources = await Promise.all(SOURCES.map(async (name) => (await ask(`static/sgmethod/${name}.js`)).text()));
   const decoder = sources

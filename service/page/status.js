@@ -1,4 +1,4 @@
-// What is words of a picture: its labels, its state, its row in the list.
+// The status of a picture: its labels, its progress, its row in the list.
 
 import { $, element, refill } from "./parts.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
@@ -6,7 +6,7 @@ import { closeness, count, decibels, size, smaller } from "./words.js";
 const SHARED = "Shared: the original is not part of the link, so there is nothing to compare with.";
 export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
-/** For screen readers, and not more often than something really is new. */
+/** Announce something new to screen readers, once. */
 function say(words) {
   if ($("announcement").textContent !== words) $("announcement").textContent = words;
 }
@@ -22,8 +22,8 @@ function label(id, seen, name, ...words) {
   $(id).replaceChildren(element("b", {}, name), ...words.filter(Boolean).map((text) => element("span", {}, text)));
 }
 
-/** The labels on the picture; leftName: what is on the left; part: bytes of the file that are drawn, 0 for all; smooth:
- * whether its texture is left out. */
+/** Show the labels on the picture. leftName: the file on the left; part: bytes of the file that are drawn, 0 for all;
+ * smooth: without texture. */
 export function showLabels(item, leftName, isLeft, part, smooth) {
   const other = item.others?.[leftName];
   if (other && isLeft) label("left-label", true, leftName, size(other.bytes));
@@ -44,7 +44,7 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
 
 const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$/.test(words) ? "" : "."}`;
 
-/** How far its job is, and how the fit went, in PSNR if it was tuned for that. */
+/** Show the progress of its job, and the chart of the fit if it was tuned for PSNR. */
 export function showWork(item) {
   $("work").hidden = !item.busy && !TITLES[item.state];
   $("work").classList.toggle("bad", item.state === "failed");
@@ -66,7 +66,7 @@ export function showWork(item) {
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }
 
-/** How the file came out, for people. */
+/** The result in a sentence. */
 function outcomeOf({ sg, originalBytes, measured }) {
   if (!originalBytes) return "";
   const words = `${smaller(originalBytes, sg.length)} than the original`;
@@ -91,7 +91,7 @@ function stateInShort({ state, sg, done }) {
   return short[state] ?? "";
 }
 
-/** One row for each picture; show and remove are called with the one that is clicked. */
+/** Fill the list of pictures. show, remove: called with the picture that is clicked. */
 export function showRows(items, current, show, remove) {
   $("rows-card").hidden = items.length < 2;
   const rows = items.map((item) => {

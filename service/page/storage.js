@@ -1,4 +1,4 @@
-// What a reload finds again: originals and opened files in the browser's database, the budget and the key.
+// State that survives a reload: originals and opened files in the browser's database, the budget and the key.
 
 const MAX_KEPT = 12;
 const NAME = "sgmethod";
@@ -16,7 +16,7 @@ function finished(request) {
   });
 }
 
-/** Keep the original of a job, or an .sg file; the oldest go. A browser that keeps nothing is no error. */
+/** Store the original of a job, or an .sg file, and drop the oldest. Errors of the browser are ignored. */
 export async function keep(id, file, name) {
   try {
     const store = (await opened()).transaction("originals", "readwrite").objectStore("originals");
@@ -29,7 +29,7 @@ export async function keep(id, file, name) {
   }
 }
 
-/** What was kept under an id: { file, name }, or undefined. */
+/** Load what was stored under an id: { file, name }, or undefined. */
 export async function kept(id) {
   try {
     return await finished((await opened()).transaction("originals").objectStore("originals").get(id));
@@ -38,7 +38,7 @@ export async function kept(id) {
   }
 }
 
-/** The browser's storages; plain objects where site data are blocked. */
+/** The browser's storages, or plain objects where site data is blocked. */
 export const [local, session] = ["localStorage", "sessionStorage"].map((name) => {
   try {
     return window[name] ?? {};

@@ -1,4 +1,4 @@
-// How pictures come in, and within what budget they are encoded.
+// Choosing pictures, and the budget of an encode.
 
 import { local, remembered, session } from "./storage.js";
 import { $ } from "./parts.js";
@@ -6,7 +6,7 @@ import { expected, size, smaller } from "./words.js";
 
 const AIMS = { bytes: ["Bytes", 20000], psnr: ["dB", 32] };
 
-/** Call `given` with the files, however they come. */
+/** Call `given` with files that are chosen, dropped or pasted. */
 export function listen(given) {
   $("choose").addEventListener("click", () => $("file").click());
   $("file").addEventListener("change", () => {
@@ -48,7 +48,7 @@ export function budget() {
   return { kind, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
 }
 
-/** Say what the slider means for a picture, or for any. */
+/** Describe the slider's value for a picture, or in general. */
 export function sayRate(item) {
   const byQuality = $("aim").value === "quality";
   $("rate-name").textContent = byQuality ? "How good" : "File size";

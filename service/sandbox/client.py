@@ -35,15 +35,15 @@ from sgmethod import errors
 log = logging.getLogger(__name__)
 
 READ_BYTES = 1 << 18
-# A task ends its process when it has had its seconds of a core. These are for a machine without any to spare.
+# A task's own limit counts processor time. This one is for machines with none to spare.
 PATIENCE_S = 60.0
-TRIES = 2  # a process may have died of something else than its task
+TRIES = 2  # a process may have died for another reason than its task
 EARLY_END = b"!"
 TINY_IMAGE = b"P6 1 1 255 rgb"
 MODULE = "service.sandbox.server"
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 ENDS_S = 2.0
-# A fork begins with no memory of its own: in pages of 2 MB, the picture of 768x512 takes 800 page faults, not 2,000.
+# A fork starts without memory of its own: with pages of 2 MB, a picture of 768x512 takes 800 page faults, not 2,000.
 HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 
 
@@ -76,7 +76,7 @@ class Sandbox:
             try:
                 message, descriptors = task.model_dump_json().encode(), [theirs.fileno(), file.fileno()]
                 socket.send_fds(self._requests, [message], descriptors, socket.MSG_DONTWAIT)
-            except OSError as error:  # as when it has not read for long
+            except OSError as error:  # as when its queue is full
                 ours.close()
                 raise SandboxUnavailableError(f"the sandbox takes no task: {error}") from error
         return RunningTask(task, ours)
@@ -156,13 +156,13 @@ class RunningTask:
             except ConnectionError:
                 messages = self._taken(b"")
             except FrameError as error:
-                return Crashed(detail=f"it spoke nonsense: {error}")
+                return Crashed(detail=f"it sent an invalid message: {error}")
             if messages:
                 return messages[0]
 
     def end_early(self) -> None:
         """Ask the task to end soon with what it has. Repeated calls have no effect."""
-        with contextlib.suppress(OSError):  # it has not heard what it was told, or has ended
+        with contextlib.suppress(OSError):  # it has ended, or has not read the last request
             self._connection.send(EARLY_END)
 
     def _received(self) -> bytes:
@@ -187,7 +187,7 @@ class SandboxProcess(Supervised):
 
     def __init__(self, threads: int) -> None:
         self.requests, self._served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        # Libraries read these when they are loaded. OpenBLAS's threads would be lost in forks.
+        # Libraries read these when they load. OpenBLAS has one thread, since forks would lose the others.
         variables = {**dict.fromkeys(THREAD_VARIABLES, str(threads)), "OPENBLAS_NUM_THREADS": "1"}
         number = self._served.fileno()
         command = [sys.executable, "-m", MODULE, str(number)]

@@ -26,14 +26,14 @@ from pathlib import Path
 
 from service.sandbox import filter as calls
 
-# Where programs and libraries are looked for, languages, memory, and the kernels of OpenBLAS, on which the last digit
-# of a fit depends. Not what may be a secret.
+# Paths of programs and libraries, languages, memory, and OpenBLAS's kernels, on which the last digit of a fit depends.
+# Any other variable may be a secret.
 KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES", "OPENBLAS_")
-LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may lack
+LAYERS = ("Landlock", "seccomp", "a user other than root")  # the layers that a system may lack
 NOBODY = 65_534
-LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use
-PROBE_BYTES = 16 << 20  # for one that only confines itself
-MAX_USER_THREADS, THREADS_STEP = 8192, 16  # of the user, whatever runs beside a task; how exactly they are counted
+LEEWAY_BYTES = 2 << 30  # of address space: libraries, stacks and arenas reserve more than they use
+PROBE_BYTES = 16 << 20  # for the fork of absent_layers()
+MAX_USER_THREADS, THREADS_STEP = 8192, 16  # all threads of the user; precision of the count
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
     *(resource.RLIMIT_MEMLOCK, resource.RLIMIT_MSGQUEUE),
@@ -66,7 +66,7 @@ def set_name(name: str) -> None:
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:
     """Have the system send this process a signal when its parent ends, for whatever reason."""
     _libc.prctl(SET_PARENT_DEATH_SIGNAL, number, 0, 0, 0)
-    if os.getppid() != parent:  # it has ended just before
+    if os.getppid() != parent:  # it ended before the call above
         os.kill(os.getpid(), number)
 
 
@@ -85,15 +85,15 @@ def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[
     _limit(
         {
             resource.RLIMIT_DATA: data + memory_bytes,
-            resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # whatever kind of memory it is
-            resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for one that does not listen to the timer
-            resource.RLIMIT_NPROC: most_threads,  # a bomb of threads would take those of all, and the system's memory
+            resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # memory of every kind
+            resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for a task that blocks the timer's signal
+            resource.RLIMIT_NPROC: most_threads,  # else one task could use up the user's threads
             **dict.fromkeys(NOTHING, 0),
         }
     )
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
-    end_with(parent)  # which a change of user takes back
-    seccomp = _refuse_calls()  # last, as it allows none of the above
+    end_with(parent)  # again: changing the user undid it
+    seccomp = _refuse_calls()  # last: it forbids the calls above
     return [name for name, holds in zip(LAYERS, (landlock, seccomp, is_other), strict=True) if not holds]
 
 
@@ -102,21 +102,21 @@ def absent_layers() -> list[str]:
 
     Raises SandboxError if the fork cannot be confined at all.
     """
-    told, tell = os.pipe()
+    read_end, write_end = os.pipe()
     parent = os.getpid()
     child = os.fork()
     if child == 0:
         try:
-            os.write(tell, ", ".join(confine(PROBE_BYTES, 1.0, 0, parent)).encode())
+            os.write(write_end, ", ".join(confine(PROBE_BYTES, 1.0, 0, parent)).encode())
             os._exit(0)
         finally:
             os._exit(1)
-    os.close(tell)
-    with os.fdopen(told) as pipe:
+    os.close(write_end)
+    with os.fdopen(read_end) as pipe:
         absent = pipe.read()
     _, status = os.waitpid(child, 0)
     if status:
-        raise SandboxError("what reads uploads cannot be confined on this system")
+        raise SandboxError("processes that read uploads cannot be confined on this system")
     return list(filter(None, absent.split(", ")))
 
 
@@ -131,7 +131,7 @@ def check_layers(*, required: bool) -> list[str]:
     if absent and required:
         raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
-    root = "the service runs as root" + "; what reads uploads runs as nobody" * (LAYERS[-1] not in layers)
+    root = "the service runs as root" + "; the processes that read uploads run as nobody" * (LAYERS[-1] not in layers)
     return missing + [root] * (os.geteuid() == 0)
 
 
@@ -166,7 +166,7 @@ def _become_nobody() -> bool:
         os.setgroups([])
         os.setresgid(NOBODY, NOBODY, NOBODY)
         os.setresuid(NOBODY, NOBODY, NOBODY)
-    except OSError:  # as in a container that knows no such user
+    except OSError:  # as in a container without this user
         return False
     return True
 

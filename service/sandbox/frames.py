@@ -269,7 +269,7 @@ class Encode(Task):
         super().check(result)
         if result.figures.bytes != len(result.file):
             raise FrameError("a file of another size than its figures say")
-        from sgmethod.bitstream.container import version_of  # needs the kernels, whose absence is told in one line
+        from sgmethod.bitstream.container import version_of  # needs the kernels, whose absence is reported at start
 
         try:
             version_of(result.file)

@@ -27,9 +27,9 @@ from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_th
 WAITING_FORKS = 2
 MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
-PAUSE_S = 0.25  # after a fork that ended before it had a task
-# Encodes behind all who answer, so that answers come at once while every core encodes: the least share that the system
-# gives. Pictures behind the web process, and before encodes, for which nobody waits.
+PAUSE_S = 0.25  # after a fork that ended without a task
+# Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
+# process and before encodes, since no request waits for an encode.
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
 
 _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
@@ -72,7 +72,7 @@ class Server:
                         return
                 elif key.fileobj is key.data.control:
                     self._reap(key.data)
-                elif key.data.answer is not None:  # it may have been closed since the events were read
+                elif key.data.answer is not None:  # another event of this round may have closed it
                     self._serve(key.data, key.data.answer)
 
     def _fork(self) -> None:
@@ -93,7 +93,7 @@ class Server:
                     os.waitpid(number, 0)
                     raise
                 self._waiting.append(fork)
-        except OSError as error:  # as where the system has no process or no memory to spare
+        except OSError as error:  # as when processes or memory run out
             print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
 
     def _take(self) -> bool:
@@ -112,7 +112,7 @@ class Server:
             fork = self._waiting.pop(0)
             try:
                 socket.send_fds(fork.control, [line], [answer.fileno(), file])
-            except OSError:  # it has died while it waited
+            except OSError:  # it died while it waited
                 continue
             fork.answer = answer
             self._selector.register(answer, selectors.EVENT_READ, fork)
@@ -147,7 +147,7 @@ class Server:
         if fork in self._waiting:
             self._waiting.remove(fork)
             print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
-            time.sleep(PAUSE_S)  # the next may end likewise
+            time.sleep(PAUSE_S)  # the next may end the same way
         if fork.answer is not None:
             self._tell_end(fork, fork.answer)
 
@@ -171,7 +171,7 @@ class Server:
 def _hung_up(connection: socket.socket) -> bool:
     """Whether the other end is closed. Reading nothing does not prove it, since a message may be empty."""
     poll = select.poll()
-    poll.register(connection, 0)  # a hang-up is told unasked
+    poll.register(connection, 0)  # a hang-up is always reported
     return bool(poll.poll(0))
 
 
@@ -184,7 +184,7 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
         set_name("waits for a task")
         os.nice(PICTURE_NICENESS)
         warm_fork()
-        held = socket.socket(fileno=control)  # until this process ends, which the sandbox learns by it
+        held = socket.socket(fileno=control)  # open until this process ends: that tells the sandbox
         line, descriptors, _, _ = socket.recv_fds(held, MAX_TASK_BYTES, 2)
         if line:
             answer, file = descriptors
@@ -210,7 +210,7 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
         os.close(file)
         prepare(task)
         missing = set(confine(task.memory_bytes, task.cpu_s, task.max_threads, parent)).difference(absent)
-        if missing:  # for this task alone, as where memory is short
+        if missing:  # it failed for this task alone, as when memory is short
             raise SandboxError(f"it was not confined by {' and '.join(sorted(missing))}")
         set_threads(task.threads)
         perform(task, data, to_client)
@@ -241,7 +241,7 @@ def _whole(file: int) -> bytes:
 
 def main() -> None:
     """Serve the socket that the command line names."""
-    # It ends with its clients, and a request that a task end may be too early.
+    # It ends with its clients; END_EARLY may arrive before a fork has a handler.
     for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
         signal.signal(number, signal.SIG_IGN)
     requests = socket.socket(fileno=int(sys.argv[1]))

@@ -29,13 +29,13 @@ from sgmethod.io.inputs import read_input
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
-ERROR_LENGTH = 300  # characters of an error that a client gets to read
+ERROR_LENGTH = 300  # characters of an error message sent to a client
 TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
 TINY_SIZE = (8, 8)
-# glibc's malloc.h. Memory of a picture that was made goes back to the system only beyond these.
+# glibc's malloc.h: thresholds above which freed memory returns to the system.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
-# What is for other places, or needs PyTorch or Triton.
+# Modules that tasks do not need, or that need PyTorch or Triton.
 NOT_IMPORTED = {
     f"sgmethod.{name}"
     for name in (
@@ -44,7 +44,7 @@ NOT_IMPORTED = {
     )
 }
 
-# What libraries import only when a picture asks for it.
+# Modules that libraries import only for some images.
 IMPORTED_LATE = (
     *(f"PIL.{name}" for name in ("ImageCms", "ImageColor", "ImageFilter", "ImagePalette", "MpoImagePlugin")),
     *(f"encodings.{name}" for name in ("ascii", "cp1252", "latin_1", "utf_16", "utf_16_be", "utf_16_le", "utf_32")),
@@ -52,7 +52,7 @@ IMPORTED_LATE = (
 )
 
 
-# Decoders of images would start a thread for each core, for each image.
+# These decoders would start one thread per core for each image.
 DECODER_THREADS = {
     "PIL.AvifImagePlugin": ("DEFAULT_MAX_THREADS", 1),
     "pillow_heif.options": ("DECODE_THREADS", 1),
@@ -97,7 +97,7 @@ def warm_up() -> None:
     _import_all(sgmethod.__path__, "sgmethod.")
     Image.preinit()
     for module in (*(module for module, _ in READERS.values()), *IMPORTED_LATE):
-        with contextlib.suppress(ImportError):  # of an extra
+        with contextlib.suppress(ImportError):  # in an extra that is not installed
             importlib.import_module(module)
     for module, (name, count) in DECODER_THREADS.items():
         if module in sys.modules:
@@ -115,7 +115,7 @@ def warm_fork() -> None:
     768x512.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:  # another C library than glibc may have none
+    if mallopt is not None:  # C libraries other than glibc lack it
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
     Drawing.from_options(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
@@ -140,7 +140,7 @@ def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
     """Encode the tiny picture."""
     from sgmethod.codec import encode
 
-    # The others have no effort, and no smaller files.
+    # Other profiles have no effort, and larger minimum files.
     effort, size = (1, 64) if profile == "rd" else (DEFAULT_EFFORT, 512)
     budget = Budget("bytes", size)
     return encode(TINY_PICTURE, budget, profile, tune=tune, effort=effort, time_limit_s=0.1).data
@@ -154,7 +154,7 @@ def perform(task: frames.Task, file: bytes, answer: Answer) -> None:
             PERFORM[type(task)](task, file, answer)
     except SgError as error:
         answer.send(frames.Refused(error=_name_of(error), detail=str(error)[: frames.MAX_SENTENCE_LENGTH]))
-    except MemoryError:  # another attempt would have no more of it
+    except MemoryError:  # another attempt would have the same limit
         answer.send(frames.Refused(error="MemoryError", detail="it exceeds the memory limit"))
 
 
@@ -176,7 +176,7 @@ def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
 
 
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
-    info = sgmethod.info(file, task.max_gaussians)  # equal ones take an eighth of a byte each
+    info = sgmethod.info(file, task.max_gaussians)  # equal Gaussians take an eighth of a byte each
     drawing = Drawing.from_options(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
     answer.send_result(None, drawing.draw(file))
 

@@ -19,7 +19,7 @@ from sgmethod.io.files import sync_folder, write_atomically
 
 log = logging.getLogger(__name__)
 
-UNFINISHED = "unfinished"  # files that are being written, and probes of whether they can be
+UNFINISHED = "unfinished"  # files that are being written, and probes
 FOLDERS = ("sources", "bitstreams", UNFINISHED)
 _KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}(\.preview)?\.sg")
 
@@ -115,9 +115,9 @@ class DiskStorage:
             (self._root / folder).stat()
         probe = self._path(f"{UNFINISHED}/{secrets.token_hex(16)}")
         try:
-            probe.touch(mode=0o600)  # which a disk refuses that has become read-only
+            probe.touch(mode=0o600)  # fails on a disk that has become read-only
         except OSError as error:
-            if error.errno != errno.ENOSPC:  # of which free_bytes() tells
+            if error.errno != errno.ENOSPC:  # a full disk, which free_bytes() reports
                 raise
         probe.unlink(missing_ok=True)
 
@@ -132,7 +132,7 @@ class DiskStorage:
                 try:
                     if is_key(key) and path.stat().st_mtime < oldest:
                         yield key
-                except FileNotFoundError:  # another process finished with it meanwhile
+                except FileNotFoundError:  # another process removed it meanwhile
                     continue
                 except OSError as error:
                     log.warning("%s cannot be looked at: %s", key, error)

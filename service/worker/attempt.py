@@ -26,10 +26,10 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
-PREVIEW_ENDS_S = 1.0  # which a folder takes at most; of a bucket, the sweep removes what comes later
-POINTS_APART = 1 / 200  # of the time so far, at least: a day of them is 2,500, whatever an encode sends
-HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
-PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
+PREVIEW_ENDS_S = 1.0  # enough for a folder; the sweep removes what a bucket stores later
+POINTS_APART = 1 / 200  # minimum distance as a share of the time since the start: at most 2,500 points a day
+HEARTBEAT_S = 0.5  # also how often clients see new progress
+PAUSE_AFTER_TROUBLE_S = 1.0  # after an error of the job table or the storage
 
 
 class ClaimLostError(Exception):
@@ -60,12 +60,12 @@ class Attempt:
         self._stop = stop
         self.claim = claim
         self.key = bitstream_key(claim.job_id, claim.attempt)
-        self.early_end_wanted = False  # with what there is
-        self._points: list[JsonObject] = []  # since the last beat
+        self.early_end_wanted = False  # requested by a client
+        self._points: list[JsonObject] = []  # since the last heartbeat
         self._sent = 0
         self._showing: threading.Thread | None = None
         self._shown = 0.0
-        self._late: JsonObject | None = None  # the last point, if it came too soon after the one before
+        self._late: JsonObject | None = None  # the last point, if it came too soon
         self._began = self._heard = time.monotonic()
         self._added = -math.inf
         self._next = self._heard + HEARTBEAT_S
@@ -92,7 +92,7 @@ class Attempt:
         self._showing.start()
 
     def _store_preview(self, bitstream: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody needs it
+        with contextlib.suppress(OSError):  # a preview is optional
             self._storage.put(preview_key(self.claim.job_id, self.claim.attempt), bitstream)
 
     def beat(self, *, now: bool = False) -> None:

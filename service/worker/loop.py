@@ -29,7 +29,7 @@ FOLLOW_S = 0.2  # how soon a request to stop is seen
 # A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
 MISSING_S = 15.0
 REGISTER_S = 2.0
-THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and signing off may fail
+THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and unregistering may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 
 
@@ -117,12 +117,12 @@ class Worker:
         try:
             source = self._source(attempt)
         except FileNotFoundError:
-            return JobError("crashed", "the source image is gone")
+            return JobError("crashed", "the source image is missing")
         with source, self._sandbox.start(self._task(attempt), source) as running:
             try:
                 return self._follow(running, attempt)
             except frames.FrameError as error:
-                return JobError("crashed", f"the encoder spoke nonsense: {error}")
+                return JobError("crashed", f"the encoder sent an invalid message: {error}")
 
     def _source(self, attempt: Attempt) -> BinaryIO:
         """Open the image, and wait up to MISSING_S for it to appear in the storage.

@@ -18,7 +18,7 @@ from service.jobs.table import JobTable
 log = logging.getLogger(__name__)
 
 POLL_S = 1.0
-ANSWER_S = 10.0  # how long an address may be silent
+ANSWER_S = 10.0  # timeout of a request
 
 
 def send_next(table: JobTable, address: str, secret: bytes) -> bool:
@@ -29,13 +29,13 @@ def send_next(table: JobTable, address: str, secret: bytes) -> bool:
     delivery = table.due_delivery(address)
     if delivery is None:
         return False
-    where = urlsplit(address).hostname  # the rest of an address may be a secret
+    where = urlsplit(address).hostname  # the rest of the URL may be a secret
     try:
         _post(address, headers(secret, delivery, int(time.time())), delivery.body.encode())
-    except (OSError, HTTPException, ValueError) as error:  # ValueError: a proxy with an address that cannot be one
+    except (OSError, HTTPException, ValueError) as error:  # ValueError: an invalid proxy URL
         log.warning("job %s: webhook to %s: %s", delivery.job_id, where, error)
         return True
-    table.delivered(delivery)  # if that fails it is sent once more, under the same id
+    table.delivered(delivery)  # if that fails, it is sent again with the same id
     log.info("job %s: webhook to %s delivered", delivery.job_id, where)
     return True
 

@@ -44,7 +44,8 @@ def run_preview(arguments: argparse.Namespace) -> int:
     if len(wanted) > 1:
         if arguments.alt is not None:
             raise CommandError(f"--alt describes one picture, and {len(wanted)} were given")
-        tally = Run[Outcome]().finish(outcomes(tasks_of(wanted), _preview, arguments), partial(_print, arguments))
+        print_in_turn = partial(_print_in_turn, arguments, [one.source for one in wanted], {})
+        tally = Run[Outcome]().finish(outcomes(tasks_of(wanted), _preview, arguments), print_in_turn)
         return SOME_FAILED if tally.failed else 0
     outcome = _preview(wanted[0], arguments)
     say_notes(outcome, arguments)
@@ -52,7 +53,16 @@ def run_preview(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print(arguments: argparse.Namespace, outcome: Outcome, _tally: Tally) -> None:
+def _print_in_turn(
+    arguments: argparse.Namespace, names: list[str], done: dict[str, list[Outcome]], outcome: Outcome, _tally: Tally
+) -> None:
+    """Print the outcomes whose turn it is, in the order of `names`. names, done: still to be printed, emptied here."""
+    done.setdefault(outcome.input, []).append(outcome)
+    while names and done.get(names[0]):
+        _print(arguments, done[names.pop(0)].pop())
+
+
+def _print(arguments: argparse.Namespace, outcome: Outcome) -> None:
     """Print a line for one of several pictures, with its name; a failure on stderr."""
     say_notes(outcome, arguments)
     if outcome.error:

@@ -41,7 +41,7 @@ def no_warnings() -> Iterator[None]:
 
 @pytest.fixture(params=["lists", "no lists"])
 def lists(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """With and without room in the lists of tiles."""
+    """With and without space in the lists of tiles."""
     monkeypatch.setattr(tiles, "PAIRS", 8 if request.param == "lists" else 0)
     return str(request.param)
 

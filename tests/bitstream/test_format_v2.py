@@ -41,7 +41,7 @@ def test_golden_files_are_as_they_were_made() -> None:
 def test_the_limits_in_the_text() -> None:
     """They are the plain decoder's, which the kernels have to agree with."""
     plain, text = plain_decoder_v2, " ".join(TEXT.split())
-    for said in (
+    for phrase in (
         f"one of them above 2^{plain.MOST_COLOUR.bit_length() - 1},",
         f"<= S < 2^(2 h + 1), {plain.MOST_EXPONENT})",
         f"u bits = min(max(h - 1, 0), {plain.MOST_U_BITS})",
@@ -56,7 +56,7 @@ def test_the_limits_in_the_text() -> None:
         f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
         f"a strength code for each patch, from 0 to {plain.MOST_STRENGTH}.",
     ):
-        assert said in text
+        assert phrase in text
     of_texture = native.TEXTURE_OCTAVES, native.TEXTURE_CELL, native.TEXTURE_STRENGTHS - 1
     assert of_texture == (plain.OCTAVES, plain.PATCH, plain.MOST_STRENGTH)
 

@@ -73,8 +73,8 @@ def test_our_decoder_finds_the_same(name: str) -> None:
     assert of.get("texture") == (None if stream.texture is None else stream.texture.tolist())
     assert_layer(stream, of)
     if stream.alpha is not None:
-        said = of["alpha"]["quantum"], tuple(of["alpha"]["background"])
-        assert said == (stream.alpha.quantum, stream.alpha.background)
+        fields = of["alpha"]["quantum"], tuple(of["alpha"]["background"])
+        assert fields == (stream.alpha.quantum, stream.alpha.background)
         assert_layer(stream.alpha, of["alpha"])
 
 

@@ -394,7 +394,7 @@ def test_progress_on_a_terminal() -> None:
     status, _, seen = on_terminal(*command, streams="stderr")
     assert status == 0
     first, *lines, last = seen.split(b"\r")
-    assert (first, last) == (b"", b"\x1b[K")  # the line is gone at the end
+    assert (first, last) == (b"", b"\x1b[K")  # the line is erased at the end
     assert len(lines) > 0
     shown = rb"\w+ +\[[#.]{24}\] +\d+%  [\d,]+ Gaussians  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K"
     assert all(re.fullmatch(shown, line) for line in lines)

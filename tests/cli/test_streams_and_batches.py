@@ -56,7 +56,7 @@ def test_standard_input_and_output() -> None:
 
 
 @pytest.mark.parametrize("arguments", [("decode", GOLDEN, "-"), ("info", GOLDEN)])
-def test_nobody_reads_standard_output(arguments: tuple[str, ...]) -> None:
+def test_a_closed_standard_output(arguments: tuple[str, ...]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     process = start(*arguments, stdout=writer, stderr=subprocess.PIPE)
@@ -271,17 +271,17 @@ def test_compare(run: Run) -> None:
     assert ran.err.startswith("sgmethod: bad.png: the file is not a PNG")
 
 
-def test_what_is_left_out_is_said(run: Run) -> None:
+def test_what_is_left_out_is_noted(run: Run) -> None:
     Image.new("RGBA", (64, 48), (10, 200, 30, 99)).save("input.png", compress_level=0)  # larger than its .sg files
     ran = run("encode", "input.png", "out.sg", "--gaussians", "9")
     assert (ran.status, ran.err) == (0, "")
-    said = "transparency is composited over white\n"
+    note = "transparency is composited over white\n"
     ran = run("encode", "input.png", "paper.sg", "--gaussians", "9", "--profile", "paper", "--time-limit", "0.3")
-    assert (ran.status, ran.err) == (0, f"sgmethod: note: input.png: {said}")
+    assert (ran.status, ran.err) == (0, f"sgmethod: note: input.png: {note}")
     assert run("encode", "input.png", "out.sg", "--gaussians", "9", "--quiet") == Ran(0, "", "")
     for kind, mode in (("png", "RGBA"), ("webp", "RGBA"), ("avif", "RGBA"), ("jpg", "RGB"), ("ppm", "RGB")):
         ran = run("decode", "out.sg", f"out.{kind}")
-        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: {SUFFIXES[f'.{kind}']} has no alpha channel: {said}"
+        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: {SUFFIXES[f'.{kind}']} has no alpha channel: {note}"
         assert (ran.status, ran.err) == (0, notes)
         picture = Image.open(f"out.{kind}")
         assert picture.mode == mode
@@ -289,4 +289,4 @@ def test_what_is_left_out_is_said(run: Run) -> None:
             assert np.abs(np.asarray(picture)[..., 3].astype(int) - 99).max() < 3
         else:
             assert np.abs(np.asarray(picture).reshape(-1, 3).mean(0) - [160, 234, 168]).max() < 4
-    assert run("compare", "input.png", "out.sg").err.count(said) == 2
+    assert run("compare", "input.png", "out.sg").err.count(note) == 2

@@ -1,4 +1,4 @@
-"""Fails one allocation of the kernels after the other, and sees that the process survives with right results.
+"""Fails one allocation of the kernels after the other, and sees that the process goes on with right results.
 
 A program of its own, run with shims/allocations.c preloaded: python -m tests.native.failing workers|kernels
 An action ends with its right result or with MemoryError, and the next one is right. Prints how many of each there were,

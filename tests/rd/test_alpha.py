@@ -52,9 +52,9 @@ def test_bytes_are_kept_to_and_used(soft: bool, tune: str) -> None:
     pixels = seen_through(soft)
     encoded = encode(pixels, bytes=1200, tune=tune)
     assert 0.95 * 1200 < len(encoded.data) <= 1200
-    said = info(encoded.data)
-    assert 50 < said.bits["alpha"] / 8 < 700
-    assert sum(said.bits.values()) == 8 * len(encoded.data)
+    fields = info(encoded.data)
+    assert 50 < fields.bits["alpha"] / 8 < 700
+    assert sum(fields.bits.values()) == 8 * len(encoded.data)
     decoded = decode(encoded.data)
     assert decoded.shape == pixels.shape
     assert encoded.stats.psnr == pytest.approx(psnr(on_backgrounds(decoded), on_backgrounds(pixels)))

@@ -13,18 +13,18 @@ from typing import Any, NoReturn
 
 import pytest
 
-from benchmarks.harness import browser as browser_module
 from benchmarks.harness import nginx, postgres_server
-from benchmarks.harness.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.job_table import LONG_S, OpenTable, open_table
 from benchmarks.harness.nginx import Nginx
 from benchmarks.harness.postgres_server import PostgresServer, find_binaries
 from benchmarks.harness.processes import Outcome
-from benchmarks.harness.s3_server import S3Server
 from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 from service.__main__ import main
 from service.jobs.table import JobTable
+from tests.service import browser as browser_module
+from tests.service.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
+from tests.service.s3_server import S3Server
 
 
 def _missing(required: str, hint: str) -> NoReturn:
@@ -87,10 +87,10 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     yield run
     for number, handler in handlers.items():
         signal.signal(number, handler)
-    # The command's log goes where nobody listens any more: each request of a later test would leave a traceback there.
+    # The command's log goes to a closed stream: each request of a later test would leave a traceback there.
     root = logging.getLogger()
-    for told in [told for told in root.handlers if type(told) is logging.StreamHandler]:
-        root.removeHandler(told)
+    for handler in [each for each in root.handlers if type(each) is logging.StreamHandler]:
+        root.removeHandler(handler)
     root.setLevel(logging.WARNING)
 
 
@@ -156,7 +156,7 @@ def start_proxy(tmp_path_factory: pytest.TempPathFactory, certificate: Path) -> 
 
 @pytest.fixture
 def start_service(tmp_path: Path) -> Iterator[StartService]:
-    """Starts services with settings of the test's own; they are gone after the test."""
+    """Starts services with settings of the test's own; they end after the test."""
     started: list[Service] = []
 
     def start(command: str = "serve", **settings: Any) -> Service:

@@ -94,7 +94,7 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
     ],
 )
 def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], words: str) -> None:
-    """It said that data were in a folder, where a database and a bucket held them all."""
+    """It printed that data were in a folder, where a database and a bucket held them all."""
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
@@ -157,7 +157,7 @@ def test_a_database_out_of_reach_is_one_clear_line(
 ) -> None:
     for command in ("serve", "web", "worker", "alive", "sweep"):
         result = run_command(command, data_dir=tmp_path, database_url=postgres.url("there_is_none"), port=0)
-        assert (result.status, result.stdout) == (1, "")  # and nobody is told of an address where nothing answers
+        assert (result.status, result.stdout) == (1, "")  # and no address is printed where nothing answers
         (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]
         assert "PostgreSQL: " in line
         assert "does not exist" in line

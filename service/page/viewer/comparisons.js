@@ -16,7 +16,7 @@ const BETTER_SSIM = 0.002;
 const worker = new Remote("static/viewer/comparisons_worker.js");
 let last = Promise.resolve();
 
-/** Measures a picture's file and encodes it with other codecs; `changed` is called after each. One picture at a time. */
+/** Measure a file and encode the picture by other codecs, one picture at a time. changed: called after each. */
 export function measure(item, changed) {
   last = last.then(() => measureNow(item, changed)).catch((error) => console.warn(error.message));
   return last;
@@ -27,7 +27,7 @@ async function measureNow(item, changed) {
   const { width, height } = item.decoded;
   if (item.original.width !== width || item.original.height !== height) return;
   const bytes = item.sg.length;
-  // both at once, as an item that is removed closes them
+  // both at once, since removing the item closes them
   [, item.measured] = await Promise.all([
     worker.ask("original", { image: item.original }),
     worker.ask("measure", { image: item.decoded }),
@@ -43,7 +43,7 @@ async function measureNow(item, changed) {
   }
 }
 
-/** What this browser cannot write: a sample has it beside it, and the service makes it of the picture of a job. */
+/** Fetch a file that this browser cannot write: from beside the sample, or from the service. */
 async function fetched(item, suffix) {
   const isKept = item.job && Date.now() < Date.parse(item.job.image_expires_at);
   const url = item.otherUrls?.[suffix] ?? (isKept && `${jobPath(item.id)}/comparison.${suffix}`);
@@ -60,7 +60,7 @@ const figures = (bytes, { psnr, ssim }) => [
   cell(ssim === null ? "" : ssim.toFixed(3)),
 ];
 
-/** Fill the table for a picture; `chosen` is the name of the one on the left, `choose` changes it. */
+/** Fill the table for a picture. chosen: name of the file on the left; choose: called to change it. */
 export function fillTable(item, chosen, choose) {
   const pick = (name) => {
     const button = element("button", { type: "button", className: "pick", ariaPressed: String(name === chosen) }, name);
@@ -89,7 +89,7 @@ export function fillTable(item, chosen, choose) {
   $("others-card").hidden = !item.measured;
 }
 
-/** How the bytes of a comparison differ from ours; empty where they hardly do. */
+/** Describe how the size differs from ours; empty if hardly. */
 function differing(bytes, ours) {
   const ratio = bytes / ours;
   if (Math.abs(ratio - 1) <= NEAR) return "";
@@ -103,7 +103,7 @@ function distance(ahead) {
   return `is ${Math.abs(ahead).toFixed(1)} dB ${ahead > 0 ? "further from" : "closer to"} the original`;
 }
 
-/** A sentence for each other codec, with its bytes where they are not ours. */
+/** Compare with each other codec in a sentence, with its size if it differs from ours. */
 export function verdict(bytes, measured, others) {
   const sentences = Object.entries(others).map(([name, other]) => {
     const ahead = other.psnr === measured.psnr ? 0 : measured.psnr - other.psnr;

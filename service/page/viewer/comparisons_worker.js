@@ -1,4 +1,4 @@
-// Beside the page: files of other codecs as large as ours, and how far pictures are from the original.
+// A worker that makes files of other codecs at our size, and measures the distance from the original.
 
 const [FINE, FINEST] = [0.01, 0.0002]; // steps of quality; 0 to 0.01 changes a WebP by a third
 

@@ -20,7 +20,7 @@ function contentsOf({ headerBytes, payloadBytes, textureBytes, alphaBytes, spent
   ].filter(([, part]) => part > 0);
 }
 
-/** Fill the table for a file; without one it is not shown. */
+/** Fill the table for a file, or hide it. */
 export function fillContents(file) {
   $("contents-card").hidden = !file;
   if (!file || file === fillContents.shown) return;

@@ -6,7 +6,7 @@ const MAX_ZOOM = 64; // pixels of the screen for a pixel of the picture
 const GRAB = 22; // pixels beside the divider where it is caught
 const SETTLED_MS = 120;
 const FOLLOWS_MS = 50; // within which a frame belongs to the same movement as the one before
-const [MIN_FRAMES, MAX_FRAMES] = [4, 30]; // of which the time is label
+const [MIN_FRAMES, MAX_FRAMES] = [4, 30]; // averaged for the time of a frame
 
 /**
  * Shows `left` and `right`, each an ImageBitmap of the whole picture or null. `file` and `count` are the Gaussians that

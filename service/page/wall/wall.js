@@ -81,5 +81,5 @@ export async function showWall(place) {
   const hadFocus = place.contains(document.activeElement);
   place.replaceChildren(element("div", { className: "line" }, group, load), tiles);
   for (const words of NOTES) place.append(element("p", { className: "quiet small" }, words));
-  if (hadFocus) load.focus(); // the button that was pressed is gone
+  if (hadFocus) load.focus(); // the button that had it was replaced
 }

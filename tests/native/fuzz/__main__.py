@@ -36,12 +36,12 @@ def missing() -> str:
     if not shutil.which("clang++", path=PATH):
         return "clang libclang-rt-dev"
 
-    def said(option: str) -> str:
+    def output(option: str) -> str:
         return subprocess.run(["clang++", option], capture_output=True, text=True, check=True).stdout.strip()
 
-    if list(Path(said("-print-resource-dir")).rglob("libclang_rt.fuzzer*.a")):
+    if list(Path(output("-print-resource-dir")).rglob("libclang_rt.fuzzer*.a")):
         return ""
-    return f"libclang-rt-{said('-dumpversion').split('.')[0]}-dev"
+    return f"libclang-rt-{output('-dumpversion').split('.')[0]}-dev"
 
 
 def command_of(target: str, built: Path) -> tuple[list[str], dict[str, str]]:

@@ -13,7 +13,6 @@ import sgmethod
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.pictures import pixels_of
 from service.api.cache import PictureCache
-from service.api.pictures import PictureQuery
 from service.api.problems import ProblemError
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
@@ -86,7 +85,7 @@ def test_what_a_kind_of_file_cannot_hold() -> None:
 
 def test_entity_tags_tell_pictures_apart() -> None:
     queries = [{}, {"scale": 2}, {"region": "0,0,10,8"}, {"region": "0,1,10,8"}, {"region": "0,0,10,8", "scale": 2}]
-    drawings = [Drawing.from_options(PictureQuery.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
+    drawings = [Drawing.from_options(PictureOptions.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
     crop = {"width": 5, "height": 9, "fit": "crop"}
     pngs = ({"prefix": 0.5}, crop, {"texture": "0"}, {"texture": "0", "scale": 2})
     more = [("jpg", {}), ("jpg", {"quality": 50}), ("avif", {}), *(("png", options) for options in pngs)]
@@ -100,7 +99,7 @@ def test_entity_tags_tell_pictures_apart() -> None:
 
 
 class Maker:
-    """Makes files, whose names tell how long they are, when it is told to. made: all names so far."""
+    """Makes files, whose names tell how long they are, on demand. made: all names so far."""
 
     def __init__(self, cache: PictureCache) -> None:
         self.cache = cache
@@ -151,7 +150,7 @@ def test_a_refusal_is_one_clients_own() -> None:
 
 
 def test_a_refusal_of_one_who_has_gone() -> None:
-    """Those who joined have the file made anew: nobody is left who would remove what failed."""
+    """Those who joined have the file made anew: no one is left to remove what failed."""
 
     async def scenario() -> None:
         cache, may_fail = PictureCache(10), asyncio.Event()
@@ -174,17 +173,17 @@ def test_a_refusal_of_one_who_has_gone() -> None:
 
 
 def test_a_refusal_that_is_for_all() -> None:
-    """What is gone for one is gone for those who wait with it."""
+    """What is deleted for one is deleted for those who wait with it."""
 
     async def scenario() -> None:
         cache, made = PictureCache(10), []
 
-        async def gone() -> bytes:
+        async def deleted() -> bytes:
             made.append(1)
             await asyncio.sleep(0)
             raise ProblemError(410, "the image has been deleted")
 
-        answers = await asyncio.gather(*(cache.get_or_make("a", gone) for _ in range(500)), return_exceptions=True)
+        answers = await asyncio.gather(*(cache.get_or_make("a", deleted) for _ in range(500)), return_exceptions=True)
         assert {type(answer) for answer in answers} == {ProblemError}
         assert len(made) == 1
 
@@ -192,7 +191,7 @@ def test_a_refusal_that_is_for_all() -> None:
 
 
 def test_a_file_is_made_once_for_all_who_wait() -> None:
-    """Whoever asked first may go; when all have gone, nothing goes on."""
+    """Whoever asked first may leave; when all have left, nothing goes on."""
 
     async def scenario() -> None:
         maker = Maker(PictureCache(10))

@@ -95,7 +95,7 @@ def test_a_job_table_that_goes_away(start_service: StartService) -> None:
 
 @pytest.mark.thorough
 def test_neither_streams_nor_waits_hold_up_the_end(start_service: StartService) -> None:
-    """Who waits for a file is told of the job."""
+    """Who waits for a file gets the job's state."""
     web = start_service("web", stop_grace_s=2 * PATIENCE_S)
     asked = {"files": {"image": SMALL}, "timeout": 2 * PATIENCE_S}
     with ThreadPoolExecutor(1) as pool:

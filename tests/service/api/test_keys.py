@@ -50,7 +50,7 @@ def post(client: httpx.Client, **headers: str) -> httpx.Response:
 
 def test_keys_are_read() -> None:
     a, b, c = digest("a"), digest("b"), digest("c")
-    text = f" ann:{a}, bob:{b}  # of the first floor\n# nobody:x\n\nann:{c}\n"
+    text = f" ann:{a}, bob:{b}  # of the first floor\n# carl:x\n\nann:{c}\n"
     assert parse_keys(text) == {a: "ann", b: "bob", c: "ann"}
     assert parse_keys("") == {}
     for wrong in ("ann", f":{a}", f"ann:{a[:-1]}", f"ann:{a.upper()}", f"an n:{a}", f"ann:{a};bob:{b}", "ann:secret"):
@@ -73,7 +73,7 @@ def test_a_new_key_works(tmp_path: Path) -> None:
 def test_key_files_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot be read"):
         Settings(api_keys_file=tmp_path / "nowhere")
-    (tmp_path / "empty").write_text("# nobody yet\n")
+    (tmp_path / "empty").write_text("# no key yet\n")
     with pytest.raises(ValueError, match="contains no key"):  # and not: open to all
         Settings(api_keys_file=tmp_path / "empty")
     with pytest.raises(ValueError, match="32 characters"):

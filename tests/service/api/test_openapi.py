@@ -36,7 +36,7 @@ def test_no_answer_is_beyond_the_document(
     web = start_service("web", queue_length=10_000, **settings)
     owner, header = ("ann", ["--header=Authorization: Bearer ann"]) if settings is GUARDED else (None, [])
     config = tmp_path / "schemathesis.toml"
-    # Nothing ends a job here, so nobody waits for one.
+    # Nothing ends a job here, so no request waits for one.
     config.write_text(f'[parameters]\njob_id = "{web.published(PICTURE, owner)}"\nwait = 0\n')
     program = [str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(config)]
     # What a key changes needs no second look at each field.
@@ -97,7 +97,7 @@ def test_every_operation_has_a_summary_and_a_command_that_works(start_service: S
     operations = [(method, path, what) for path, all_ in document["paths"].items() for method, what in all_.items()]
     for method, path, operation in sorted(operations):  # which comes to remove a job first
         assert operation["description"], (method, path)
-        assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "nobody has written it"
+        assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "it has no summary"
         (sample,) = operation["x-codeSamples"]
         command = sample["source"].replace(HOST, service.url).replace(models.EXAMPLE_ID, done)
         answer = curl(command, tmp_path)

@@ -266,7 +266,7 @@ def test_one_key_makes_one_job(web: Service) -> None:
 
 
 def test_a_key_is_known_whatever_has_changed_since(start_service: StartService) -> None:
-    """Settings, the room on the disk, and whether the image of an old job is still there."""
+    """Settings, the space on the disk, and whether the image of an old job is still there."""
     web = start_service("web", source_retention_s=1000)
     old = web.published(PICTURE)
     (web.data_dir / "sources" / old).write_bytes(SMALL)

@@ -12,7 +12,7 @@ from service.api.turns import Streams, Turns
 
 
 class Clients:
-    """Tasks in turns; each runs until it is told to end."""
+    """Tasks in turns; each runs until it is released."""
 
     def __init__(self, turns: Turns) -> None:
         self.turns = turns
@@ -139,7 +139,7 @@ def test_who_goes_at_the_moment_of_being_served() -> None:
 
 
 def test_who_goes_as_a_place_comes_free() -> None:
-    """The next in line is served, and nobody else hears of it."""
+    """The next in line is served, and no other is woken."""
 
     async def scenario() -> None:
         crowd = Clients(Turns(1, 10))

@@ -43,7 +43,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def assert_delivers(jobs: PostgresJobTable) -> None:
-    """Each job wakes a worker at once; what it was called for and does not find does no harm; it ends when told."""
+    """Each job wakes a worker at once; what it was called for and does not find does no harm; it ends when asked."""
     stop, taken = StopSignal(), threading.Semaphore(0)
 
     def run_next() -> bool:
@@ -178,7 +178,7 @@ def test_a_file_that_is_no_table(path: Path) -> None:
 
 
 def test_a_file_that_is_removed_or_replaced(path: Path, tmp_path: Path) -> None:
-    """Nothing is accepted into a file that nobody else sees."""
+    """Nothing is accepted into a file that no other process sees."""
     with closing(SqliteJobTable(path, settings())) as table:
         first = submitted(table)
         path.parent.rename(tmp_path / "aside")

@@ -134,8 +134,8 @@ def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> Non
 def test_a_clock_that_jumps(
     open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float, lives: bool
 ) -> None:
-    """It costs nobody a job, nor does an outage, after which every lease is over: a live worker has renewed it by the
-    second look. And a worker that is gone is noticed even if its lease lies far in the future by now.
+    """It costs no job, nor does an outage, after which every lease is over: a live worker has renewed it by the
+    second look. And a dead worker is noticed even if its lease lies far in the future by now.
     """
     table = open_job_table(LONG_S)
     submitted(table)
@@ -154,7 +154,7 @@ def test_a_clock_that_jumps(
 
 
 def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
-    """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
+    """It is not encoded as if what is new in it were not there, and it fails when no worker has understood it."""
     strange = submitted(table)
     request = json.dumps({**asdict(REQUEST), "mood": 9, "tune": "sharper"})
     change(table, "UPDATE jobs SET request = ? WHERE id = ?", request, strange)
@@ -224,7 +224,7 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
     """A webhook is due as soon as the clock shows that it was put off for too long, and then waits as any other; a
-    worker that is gone has not just been seen.
+    dead worker has not just been seen.
     """
     table = open_job_table(LONG_S, webhook_urls="http://a.example")
     submitted(table)
@@ -236,7 +236,7 @@ def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
         assert table.due_delivery("http://a.example") is not None, tried
         assert table.due_delivery("http://a.example") is None
         change(table, "UPDATE deliveries SET due_at = ended_at")
-    table.register("gone")
+    table.register("dead")
     table.register("alive")
     change(table, "UPDATE workers SET seen_at = seen_at + ?", 1000)
     assert table.counts().silent_s is None

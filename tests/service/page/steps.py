@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 import sgmethod
-from benchmarks.harness.browser import Chromium
 from benchmarks.harness.data import DATA, STATIC, golden_path
+from tests.service.browser import Chromium
 
 OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
 COFFEE, PHOTOGRAPH = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))

@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.browser import Chromium, bytes_of
 from benchmarks.harness.data import golden
 from benchmarks.harness.pictures import SMALL, saved
 from benchmarks.harness.processes import wait_until
 from benchmarks.harness.service import Service
+from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 pytestmark = pytest.mark.thorough
@@ -83,12 +83,12 @@ def test_a_browser_that_blocks_site_data(page: Chromium, web: Service) -> None:
 
 
 def test_while_the_service_cannot_be_reached(page: Chromium, web: Service) -> None:
-    """It is said in one sentence, and a sample that did not come is asked for again."""
+    """One sentence says so, and a sample that did not come is asked for again."""
     page.open_page(web)
     page.says("5.4 kB", "#sample-cat")  # the last one whose button is drawn
     page.run("""
         const get = fetch;
-        window.fetch = (...given) => (window.isBack ? get(...given) : Promise.reject(new TypeError("gone")));
+        window.fetch = (...given) => (window.isBack ? get(...given) : Promise.reject(new TypeError("offline")));
     """)
     page.give("drop", OTHER, "other.sg")
     page.says("reached")
@@ -233,8 +233,8 @@ def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     took = [{"started_at": "2026-01-31T12:00:00Z", "finished_at": f"2026-01-31T12:00:{end}Z"} for end in (10, 30)]
     state = {"state": "queued", "position": 3}
     known = f"[[{took}, [1, 2]], [[], [1]], [{took}, []]]"
-    said = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
-    words = page.imported("progress.js", said)
+    states = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
+    words = page.imported("progress.js", states)
     waiting = "Waiting: in the queue, 2 before it"
     assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
     assert page.imported("words.js", "[0.2, 59.7, 119.7].map(it.seconds)") == ["1 s", "1 min 0 s", "2 min 0 s"]

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.harness.browser import Chromium, bytes_of
 from benchmarks.harness.pictures import SLOW, SMALL
 from benchmarks.harness.processes import wait_until
 from benchmarks.harness.service import Service
+from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
@@ -57,8 +57,8 @@ def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service
     }
     for (size, psnr, ssim), sentence in verdicts.items():
         comparisons = json.dumps({"A": {"bytes": size, "psnr": psnr, "ssim": ssim}})
-        said = page.imported("viewer/comparisons.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {comparisons})")
-        assert said == sentence
+        text = page.imported("viewer/comparisons.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {comparisons})")
+        assert text == sentence
     exact = "it.verdict(1000, { psnr: 30, ssim: 0.9 }, { A: { bytes: 1000, psnr: Infinity, ssim: 1 } })"
     assert page.imported("viewer/comparisons.js", exact) == "A matches the original exactly."
 
@@ -112,8 +112,8 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert not page.is_seen("#chart-card")
     page.cancel()
     for limit, left in ((60, 8), (5, 3)):
-        said = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
-        assert said == f"Fitting 250 Gaussians, about {left} s left"
+        text = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
+        assert text == f"Fitting 250 Gaussians, about {left} s left"
     fitted = {**JOB, "progress": 1, "trace": [{**POINT, "step": 100, "steps": 100}]}
     last = page.imported("progress.js", f"it.stateOf({json.dumps(fitted)}, false)")
     assert last == {"words": "Writing and measuring the file", "done": None}  # seconds, for a large picture

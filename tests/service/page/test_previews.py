@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import sgmethod
-from benchmarks.harness.browser import Chromium, Page
 from benchmarks.harness.data import JAVASCRIPT, STATIC, golden
 from benchmarks.harness.processes import run, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
+from tests.service.browser import Chromium, Page
 from tests.service.page.steps import assert_as_python, assert_open_to_all
 
 SIZE = 96  # of the longer side, pixels
@@ -53,6 +53,42 @@ def test_the_small_decoder_in_node() -> None:
         info = sgmethod.info(data)
         assert_as_python(ours, data, scale=SIZE / max(info.width, info.height))
     assert [type(answer) for answer in refused] == [str] * len(BAD)
+
+
+VIEWS = [
+    {"width": 24},
+    {"height": 10},
+    {"width": 24, "height": 10},
+    {"width": 9, "region": [4, 4, 18, 6]},
+    {"scale": 2},
+]
+WRONG = [{"widht": 24}, {"scale": 2, "width": 24}]
+
+
+def test_the_whole_decoder_in_node() -> None:
+    """Sizes as Python's, what a file holds, and options that do not exist."""
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    data = golden(2)["v2-short-alpha"]
+    script = f"""
+        const {{ decode, info }} = await import("{(JAVASCRIPT / "decoder.js").as_uri()}");
+        const bytes = new Uint8Array({list(data)});
+        const pictures = {json.dumps(VIEWS)}.map((view) => decode(bytes, view));
+        const sizes = pictures.map(({{ width, height }}) => [width, height]);
+        const errors = {json.dumps(WRONG)}.map((view) => {{
+            try {{ return decode(bytes, view); }} catch (error) {{ return error.name; }}
+        }});
+        console.log(JSON.stringify([sizes, info(bytes), errors]));
+    """
+    done = run("node", "--input-type=module", "--eval", script)
+    assert done.status == 0, done.stderr
+    sizes, found, errors = json.loads(done.stdout)
+    file = sgmethod.open(data)
+    expected = [file.pixels(**view).shape[1::-1] for view in VIEWS]  # type: ignore[arg-type]
+    assert sizes == [list(size) for size in expected]
+    of_python = {name: getattr(file.info, name) for name in ("width", "height", "gaussians", "alpha", "texture")}
+    assert found == of_python
+    assert errors == ["TypeError", "TypeError"]
 
 
 def show(page: Page, html: str) -> None:
@@ -98,7 +134,7 @@ def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service)
     state = page.run(STATE)
     assert (state["alt"], state["sizes"]) == ("Cups", "50vw")
     assert state["ratio"] == pytest.approx(48 / 40, rel=0.01)
-    wait_until(lambda: any("404" in said for said in page.complaints()))
+    wait_until(lambda: any("404" in line for line in page.complaints()))
     assert page.run("return document.querySelector('#one img').outerHTML") == image
     seen = "return getComputedStyle(one.shadowRoot.querySelector('canvas')).display"
     page.tell("Emulation.setEmulatedMedia", media="print")

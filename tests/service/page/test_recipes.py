@@ -14,11 +14,11 @@ from typing import Any
 import httpx
 import pytest
 
-from benchmarks.harness.browser import Chromium
 from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden
 from benchmarks.harness.processes import run, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
+from tests.service.browser import Chromium
 from tests.service.page.test_previews import show
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from benchmarks.harness.browser import Chromium, bytes_of
 from benchmarks.harness.data import golden
 from benchmarks.harness.pictures import page_of_text
 from benchmarks.harness.processes import wait_until
 from benchmarks.harness.service import Service
+from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
@@ -191,10 +191,10 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     assert not page.is_seen("#contents")
 
 
-def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
+def test_the_time_of_a_frame(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.click("#figures-field summary")
-    # It is told for a while only, and of frames without long pauses between them, which a busy machine may make.
+    # It is shown for a while only, and of frames without long pauses between them, which a busy machine may make.
     text = wait_until(
         lambda: page.run("""
             return new Promise((done) => {

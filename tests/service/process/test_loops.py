@@ -1,4 +1,4 @@
-"""Threads and tasks outlive what nobody foresaw: they go on, and the failure is counted."""
+"""Threads and tasks outlive unexpected errors: they go on, and the failure is counted."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from service.process.loops import PeriodicThread, StopSignal, failures
 def test_rounds_go_on() -> None:
     """As those that sweep, sign, notify, and fill the queue of the engine again."""
     until, done, before = StopSignal(), threading.Event(), failures.total()
-    thread = PeriodicThread("testing", failing(done.set, RuntimeError("nobody foresaw this")), 0.01, until)
+    thread = PeriodicThread("testing", failing(done.set, RuntimeError("unexpected")), 0.01, until)
     thread.start()
     try:
         wait_until(lambda: done.is_set() or not thread.is_alive())
@@ -44,7 +44,7 @@ def test_keys_are_read_until_they_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Whatever failed before, which is logged."""
-    wrong = RuntimeError("nobody foresaw this"), ValueError("cannot be read"), ValueError("key 1 is none")
+    wrong = RuntimeError("unexpected"), ValueError("cannot be read"), ValueError("key 1 is none")
     read_keys = failing(lambda: {digest("a key"): "ann"}, *wrong)
     monkeypatch.setattr(app, "KEYS_POLL_S", 0.0)
     ring = KeyRing({})
@@ -70,10 +70,10 @@ def test_what_comes_again_and_again_is_logged_once_a_minute(
     monkeypatch.setattr(logs.time, "monotonic", lambda: now)
     monkeypatch.setattr(logs, "_last_logged", {})
     for now in (0.0, 1.0, 59.0, 60.0, 61.0):
-        logs.log_seldom(logging.getLogger("disk"), "no room for %d", now)
+        logs.log_seldom(logging.getLogger("disk"), "no space for %d", now)
         logs.log_seldom(logging.getLogger("disk"), "something else")
-    assert [record.getMessage() for record in caplog.records if "room" in record.msg] == [
-        "no room for 0",
-        "no room for 60",
+    assert [record.getMessage() for record in caplog.records if "space" in record.msg] == [
+        "no space for 0",
+        "no space for 60",
     ]
     assert len(caplog.records) == 4

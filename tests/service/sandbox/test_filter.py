@@ -148,6 +148,6 @@ def test_the_kernel_takes_it() -> None:
         program("riscv64", PROCESS)
     if platform.machine() in ARCHITECTURES:
         confined = "from service.sandbox.confinement import absent_layers; print(absent_layers())"
-        said = run(sys.executable, "-c", confined)
-        assert said.status == 0
-        assert "seccomp" not in said.stdout
+        output = run(sys.executable, "-c", confined)
+        assert output.status == 0
+        assert "seccomp" not in output.stdout

@@ -18,13 +18,13 @@ import sgmethod
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.pictures import SMALL, saved
 from benchmarks.harness.processes import encoder_of, wait_until
-from benchmarks.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 from benchmarks.harness.service import FAKE_CODEC
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
 from service.sandbox import frames
 from service.sandbox.client import Sandbox, TaskError
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
+from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
 FORMATS = ("PNG", "JPEG", "WebP", "TIFF", "BMP", "GIF", "AVIF", "PPM")
@@ -170,8 +170,8 @@ def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
 
 
 def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
-    for said in ("bytes(8)", "bytes([18, 192, 0, 0]) * 2", "bytes([0, 0, 0, 2, 0, 0, 0, 0]) + b'[]'"):
-        program = f"import os, time\nos.write(answer._descriptor, {said})\ntime.sleep(1000)"
+    for answer in ("bytes(8)", "bytes([18, 192, 0, 0]) * 2", "bytes([0, 0, 0, 2, 0, 0, 0, 0]) + b'[]'"):
+        program = f"import os, time\nos.write(answer._descriptor, {answer})\ntime.sleep(1000)"
         what = task()
         with pytest.raises(FrameError):
             messages_of(taken_over, what, program.encode())

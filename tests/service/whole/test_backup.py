@@ -14,8 +14,8 @@ import pytest
 
 from benchmarks.harness.data import ROOT
 from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.s3_server import S3Server
 from benchmarks.harness.service import Service
+from tests.service.s3_server import S3Server
 
 pytestmark = [
     pytest.mark.thorough,

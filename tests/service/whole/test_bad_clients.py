@@ -51,7 +51,7 @@ def connected(proxy: Nginx) -> ssl.SSLSocket:
     return ssl.create_default_context().wrap_socket(raw, server_hostname="127.0.0.1")
 
 
-def said(behind: tuple[Service, Nginx], request: bytes) -> int:
+def status_of(behind: tuple[Service, Nginx], request: bytes) -> int:
     """The status of what is answered to these bytes; 0 for none, or one that went under in a reset."""
     answer = b""
     with connected(behind[1]) as connection:
@@ -65,7 +65,7 @@ def said(behind: tuple[Service, Nginx], request: bytes) -> int:
 
 
 ATTACKS = {
-    "nothing said": (b"", 0),
+    "nothing sent": (b"", 0),
     "a head that ends early": (b"GET /livez HTTP/1.1\r\nX: y\r\n", 408),
     "a body that never starts": (POST + b"Content-Length: 5000\r\n\r\n", 408),
     "a body that ends early": (POST + b"Content-Length: 5000\r\n\r\n" + SMALL[:1000], 408),
@@ -88,8 +88,8 @@ ATTACKS = {
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_what_nginx_answers(behind: tuple[Service, Nginx], attack: str) -> None:
     request, status = ATTACKS[attack]
-    assert said(behind, request) in (status, 0)
-    assert said(behind, GET + b"\r\n") == 200
+    assert status_of(behind, request) in (status, 0)
+    assert status_of(behind, GET + b"\r\n") == 200
 
 
 @pytest.mark.parametrize("drip", [b"X-A: b\r\n", b"x"])
@@ -140,14 +140,14 @@ def test_connections_of_one_address_are_limited(behind: tuple[Service, Nginx], o
             crowd.append(connected(proxy))
             crowd[-1].sendall(stream)
             assert crowd[-1].recv(15) == b"HTTP/1.1 200 OK"
-        assert said(behind, GET + b"\r\n") == 429
+        assert status_of(behind, GET + b"\r\n") == 429
         assert other.get("/livez").status_code == 200
         assert other.post("/encode?bpp=1", content=SMALL, headers={"Content-Type": "image/*"}).status_code == 202
     finally:
         for connection in crowd:
             connection.close()
         service.client.delete(f"/jobs/{job}")
-    assert wait_until(lambda: said(behind, GET + b"\r\n") == 200)
+    assert wait_until(lambda: status_of(behind, GET + b"\r\n") == 200)
 
 
 def test_requests_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx.Client) -> None:

@@ -134,17 +134,17 @@ def test_a_full_queue_is_waited_for(empty: Service) -> None:
     with Client(empty.url, patience_s=0) as hasty, pytest.raises(ServerError, match="full"):
         hasty.submit(SMALL, Budget("bpp", 1))
     threading.Timer(0.5, lambda: empty.client.delete(f"/jobs/{first}")).start()
-    told: list[str] = []
-    with Client(empty.url, patience_s=60, on_retry=told.append) as patient:
+    messages: list[str] = []
+    with Client(empty.url, patience_s=60, on_retry=messages.append) as patient:
         assert patient.submit(SMALL, Budget("bpp", 1)) != first
-    assert "full" in told[0]
+    assert "full" in messages[0]
 
 
 @pytest.mark.thorough
 def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
     web = start_service("web")
-    told: list[str] = []
-    with Client(web.url, on_retry=told.append) as client, ThreadPoolExecutor(1) as pool:
+    messages: list[str] = []
+    with Client(web.url, on_retry=messages.append) as client, ThreadPoolExecutor(1) as pool:
         job_id = client.submit(SMALL, Budget("bpp", 2))
         wait = pool.submit(client.wait, job_id)
         wait_until(lambda: watches(web) == 1)
@@ -154,8 +154,8 @@ def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
         wait_until(lambda: watches(web) == 1)
         web.publish(job_id, PICTURE)
         assert wait.result()["state"] == "done"
-    assert told
-    assert all("trying again in" in text for text in told)
+    assert messages
+    assert all("trying again in" in text for text in messages)
 
 
 def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:

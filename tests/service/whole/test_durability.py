@@ -101,7 +101,7 @@ def asleep(service: Service, job_id: str) -> Iterator[None]:
 
 
 def assert_settled(service: Service, *done: str) -> None:
-    """These jobs are done and all others have failed or are gone; nothing runs, and nothing is left over."""
+    """These jobs are done and all others have failed or are deleted; nothing runs, and nothing is left over."""
     jobs = service.client.get("/jobs?limit=200").json()["jobs"]
     assert {job["id"] for job in jobs if job["state"] == "done"} == set(done)
     assert {job["state"] for job in jobs} <= {"done", "failed"}
@@ -253,7 +253,7 @@ def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     encoder = running_encoder(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
     assert service.stop() == 0
-    wait_until(lambda: not ours & set(processes()))  # a killed process is gone a moment later
+    wait_until(lambda: not ours & set(processes()))  # a killed process disappears a moment later
     service.start()
     assert service.wait(job_id, "running", "failed")["state"] == "running"
     assert service.job(job_id)["attempt"] == 2

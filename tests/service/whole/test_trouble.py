@@ -28,10 +28,10 @@ from benchmarks.harness.processes import (
     wait_until,
     worker_of,
 )
-from benchmarks.harness.s3_server import S3Server
 from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService, assert_problem
 from service.api.context import PROBE_THREADS, WORK_THREADS
 from service.storage.bucket import SILENCE
+from tests.service.s3_server import S3Server
 
 pytestmark = pytest.mark.thorough
 
@@ -47,7 +47,7 @@ def mount(*options: str) -> None:
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of its own, with little room, where services keep their data."""
+    """A file system of its own, with little space, where services keep their data."""
     folder = tmp_path / "data0"
     folder.mkdir()
     mount("-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder))
@@ -56,7 +56,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def fill(disk: Path) -> Path:
-    """Leave no room at all; the file that takes it."""
+    """Leave no space at all; the file that takes it."""
     ballast = disk / "ballast"
     with ballast.open("wb", buffering=0) as file:
         for size in (65536, 4096, 1):
@@ -84,7 +84,7 @@ def test_full_disk_while_accepting(small_disk: Path, start_service: StartService
 
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
-    """A result waits for room; the encode is not done again."""
+    """A result waits for space; the encode is not done again."""
     service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=ROOM_BYTES, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     encoder = running_encoder(job_id)

@@ -30,7 +30,7 @@ SECRET = f"whsec_{base64.b64encode(KEY).decode()}"
 
 
 class Receiver:
-    """Takes what is posted to it, and behaves as it is told: "well", with an "error", a "redirect", or "hangs"."""
+    """Takes what is posted to it, and behaves as it is set: "well", with an "error", a "redirect", or "hangs"."""
 
     def __init__(self) -> None:
         self.behaves = "well"
@@ -133,17 +133,17 @@ def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
         assert table.fail(claimed(table), CRASH)
     assert table.counts().deliveries == 6
     table.remove(done)
-    told = {}
+    bodies = {}
     while (delivery := table.due_delivery("http://a")) is not None:
-        told[delivery.job_id] = json.loads(delivery.body)
-    assert {job_id: body["type"] for job_id, body in told.items()} == {
+        bodies[delivery.job_id] = json.loads(delivery.body)
+    assert {job_id: body["type"] for job_id, body in bodies.items()} == {
         done: "job.done",
         refused: "job.failed",
         crashed: "job.failed",
     }
-    assert told[done]["data"]["sha256"] == RESULT.sha256
-    assert told[refused]["data"]["error"] == {"code": "refused", "detail": "it is no picture"}
-    assert table.counts().deliveries == 6  # none is said to be delivered
+    assert bodies[done]["data"]["sha256"] == RESULT.sha256
+    assert bodies[refused]["data"]["error"] == {"code": "refused", "detail": "it is no picture"}
+    assert table.counts().deliveries == 6  # none counts as delivered
 
 
 def test_an_address_that_was_corrected(open_job_table: OpenTable) -> None:

@@ -240,7 +240,7 @@ def test_a_long_silence_does_not_fill_the_log(
 ) -> None:
     clock = [1000.0]
     monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(logs, "_said", {})
+    monkeypatch.setattr(logs, "_last_logged", {})
     table.lost_answers = 1000
     attempt = Attempt(table, storage, claim, stop)
     for _ in range(100):
@@ -290,7 +290,7 @@ def test_a_source_that_is_gone(
         assert worker.run_one()
     job = job_of(table, claim.job_id)
     assert job.error is not None
-    assert (job.state, job.error.detail) == ("failed", "the source image is gone")
+    assert (job.state, job.error.detail) == ("failed", "the source image is missing")
     assert not worker.run_one()
 
 
@@ -303,8 +303,8 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
         for _ in range(4):
             _, (number, file), _, _ = socket.recv_fds(sandbox, MAX_TASK_BYTES, 2)
             os.close(file)
-            with socket.socket(fileno=number) as told:
-                told.sendall(b"nonsense")
+            with socket.socket(fileno=number) as other:
+                other.sendall(b"nonsense")
 
     encoder = threading.Thread(target=answer)
     encoder.start()
@@ -315,4 +315,4 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
     job = job_of(table, claim.job_id)
     assert job.error is not None
     assert (job.state, job.error.code) == ("failed", "crashed")
-    assert job.error.detail.startswith("the encoder spoke nonsense: a frame")
+    assert job.error.detail.startswith("the encoder sent an invalid message: a frame")
