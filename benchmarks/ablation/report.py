@@ -19,8 +19,9 @@ COLUMNS = {
 }
 
 
-def gain(by_setting: BySetting, setting: str, baseline: str) -> tuple[float | None, float | None]:
-    """The BD-PSNR of a setting against the baseline: dB, and their standard error over pictures."""
+def worth(content: Row, name: str, setting: str, baseline: str) -> tuple[float | None, float | None]:
+    """The BD-PSNR of a setting against another of a JSON's table: dB, and their standard error over pictures."""
+    by_setting = complete([row for row in content["rows"] if row["table"] == name])
 
     def points(setting: str, case: Case) -> list[tuple[float, float]]:
         return [(row["bpp"], row["psnr"]) for row in by_setting[setting][case]]
@@ -57,7 +58,7 @@ def summary(rows: Sequence[Row]) -> Iterator[str]:
         for setting, cases in found.items():
             every = [row for group in cases.values() for row in group]
             cells = [number(mean([row[column] for row in every]), form) for column, (_, form) in COLUMNS.items()]
-            db, error = gain(found, setting, baseline) if setting != baseline else (None, None)
+            db, error = worth({"rows": own}, name, setting, baseline) if setting != baseline else (None, None)
             lines.append([setting, number(db, "+.2f"), number(error, ".3f"), *cells])
         titles = [title for title, _ in COLUMNS.values()]
         count = len({image for image, _ in found[baseline]})

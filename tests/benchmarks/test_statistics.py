@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.ablation.report import complete, gain
+from benchmarks.ablation.report import worth
 from benchmarks.machine import kept_rows, origin
 from benchmarks.rd.report import Row, against, bd_psnr, bd_rate, means
 from benchmarks.report.previews import times_our_bytes
@@ -62,12 +62,19 @@ def test_gains_over_pictures() -> None:
     """The mean over pictures of the mean over seeds; a picture without every seed does not count."""
     gains = {("a", 0): -1.0, ("a", 1): -2.0, ("b", 0): -3.0, ("b", 1): -4.0}
     files = [
-        {"setting": setting, "image": image, "seed": seed, "bpp": bpp, "psnr": db + (more if setting == "new" else 0)}
+        {
+            "table": "t",
+            "setting": setting,
+            "image": image,
+            "seed": seed,
+            "bpp": bpp,
+            "psnr": db + (more if setting == "new" else 0),
+        }
         for (image, seed), more in {**gains, ("c", 0): 50.0}.items()
         for setting in ("old", "new")
         for bpp, db in ANCHOR
     ]
-    assert gain(complete(files), "new", "old") == pytest.approx((-2.5, 1.0))
+    assert worth({"rows": files}, "t", "new", "old") == pytest.approx((-2.5, 1.0))
 
 
 def test_means() -> None:
