@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import integers, some_of
+from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.previews.codecs import ALL_CODECS, CODECS, Made
-from benchmarks.rd.rivals import package
-from benchmarks.tables import number, table
+from benchmarks.rd.baselines import package
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from sgmethod.metrics.looks import ssimulacra2
-from sgmethod.metrics.perceptual import Networks
+from sgmethod.metrics.visual import ssimulacra2
 
 BYTES = [32, 64, 128, 256, 512, 1024, 2048, 4096]
 SEEN = [512]
@@ -46,18 +46,6 @@ def measured(made: Made, pixels: Pixels, networks: Networks | None) -> dict[str,
         seen = {"ssimulacra2": ssimulacra2(decoded, pixels), **networks(decoded, pixels)}
         found |= {name: round(value, 4) for name, value in seen.items() if value is not None}
     return found | {"encode_s": round(made.encode_s, 4), "decode_ms": round(statistics.median(times), 3)}
-
-
-def summary(rows: list[dict[str, Any]]) -> str:
-    """Mean PSNR by bytes and codec, with the pictures where some are missing."""
-    lines = []
-    for most in sorted({row["max_bytes"] for row in rows}):
-        cells = []
-        for codec in ALL_CODECS:
-            values = [row["psnr"] for row in rows if (row["codec"], row["max_bytes"]) == (codec, most)]
-            cells.append(number(statistics.fmean(values) if values else None, ".2f") + f" ({len(values)})")
-        lines.append([f"{most:,}", *cells])
-    return table(" | ".join(["bytes at most", *(f"{codec}, dB (pictures)" for codec in ALL_CODECS)]), lines)
 
 
 def main() -> None:
@@ -85,7 +73,7 @@ def main() -> None:
                 if not record.has(**key, bytes=made.bytes):
                     found = measured(made, pixels, networks if most in options.seen_bytes else None)
                     record.add({"codec": codec, "max_bytes": most, "image": path.name} | found)
-    print(summary(record.rows))
+    print(flat(record.rows))
 
 
 if __name__ == "__main__":

@@ -22,13 +22,13 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.pictures import Pixels
-from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, package
+from benchmarks.rd.baselines import AvifForPsnr, Baseline, Jpeg, JpegXl, WebP, package
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
 
 FACTORS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 BPP = 0.1, 4.0  # of a reduced picture: beyond these, another factor is better
-MOST_COMPONENTS = 9  # of BlurHash, along each side
+MAX_COMPONENTS = 9  # of BlurHash, along each side
 ENCODER = Path(sgmethod.__file__).parent / "javascript" / "src" / "encoder" / "encoder.js"
 ENCODE = """
 const [encoder, width, height, bytes] = process.argv.slice(1);
@@ -96,7 +96,7 @@ def _of_file(data: bytes, took_s: float, pixels: Pixels) -> Made:
 def blurhash(pixels: Pixels, most: int) -> Made | None:
     """BlurHash, of a colour to begin with and two characters for each component."""
     height, width = pixels.shape[:2]
-    sides = range(1, MOST_COMPONENTS + 1)
+    sides = range(1, MAX_COMPONENTS + 1)
     grids = [(x, y) for x in sides for y in sides if 4 + 2 * x * y <= most * 4 // 3]
     if not grids:
         return None
@@ -132,8 +132,8 @@ def thumbhash(pixels: Pixels, most: int) -> Made | None:
     return Made(len(data), len(base64.b64encode(data)), took_s, decode)
 
 
-def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
-    """A maker of the rival's best file over all factors; None where none is so small."""
+def of_baseline(baseline: Baseline) -> Callable[[Pixels, int], Made | None]:
+    """A maker of the baseline's best file over all factors; None where none is so small."""
 
     def make(pixels: Pixels, most: int) -> Made | None:
         height, width = pixels.shape[:2]
@@ -145,18 +145,18 @@ def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
             bpp = 8 * most / (small.shape[0] * small.shape[1])
             if not BPP[0] <= bpp <= BPP[1]:
                 continue
-            file = rival.best(small, bpp)
+            file = baseline.best(small, bpp)
             if len(file.data) > most:
                 continue
 
             def decode(data: bytes = file.data) -> Pixels:
-                decoded = rival.decode(data)
+                decoded = baseline.decode(data)
                 return decoded if decoded.shape == pixels.shape else resized(decoded, width, height)
 
             db = psnr(decode(), pixels)
             if db > best_db:
                 began = time.process_time()
-                rival.encode(small, file.quality)
+                baseline.encode(small, file.quality)
                 took_s += time.process_time() - began
                 best, best_db = Made(len(file.data), len(base64.b64encode(file.data)), took_s, decode), db
         return best
@@ -168,10 +168,10 @@ CODECS: dict[str, Callable[[Pixels, int], Made | None]] = {
     "sgmethod": sg,
     "BlurHash": blurhash,
     "ThumbHash": thumbhash,
-    "WebP": of_rival(WebP()),
-    "AVIF": of_rival(AvifForPsnr(speed=6)),
-    "JPEG XL": of_rival(JpegXl()),
-    "JPEG": of_rival(Jpeg()),
+    "WebP": of_baseline(WebP()),
+    "AVIF": of_baseline(AvifForPsnr(speed=6)),
+    "JPEG XL": of_baseline(JpegXl()),
+    "JPEG": of_baseline(Jpeg()),
 }
 # Measured if it is asked for: needs Node.
 ALL_CODECS = CODECS | {"JavaScript": sg_in_javascript}

@@ -49,7 +49,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
         return SOME_FAILED if tally.failed else 0
     outcome = _preview(wanted[0], arguments)
     say_notes(outcome, arguments)
-    print(json.dumps(outcome.figures) if arguments.json else outcome.said)
+    print(json.dumps(outcome.figures) if arguments.json else outcome.summary)
     return 0
 
 
@@ -70,9 +70,9 @@ def _print(arguments: argparse.Namespace, outcome: Outcome) -> None:
     elif arguments.json:
         print(json.dumps({"input": outcome.input, **outcome.figures}), flush=True)
     elif arguments.html or arguments.element:
-        print(outcome.said, flush=True)
+        print(outcome.summary, flush=True)
     else:
-        print(f"{one_line(outcome.input)}\t{outcome.said}", flush=True)
+        print(f"{one_line(outcome.input)}\t{outcome.summary}", flush=True)
 
 
 def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
@@ -84,11 +84,13 @@ def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
         made = preview(image, int(arguments.bytes))
     if conversion.target != STREAM:
         files.write(conversion.target, made.data)
-    said = _said(made, conversion, arguments)
-    return Outcome.of(conversion, bytes=len(made.data), said=said, figures=made.to_dict(), notes=notes)
+    summary = _summary(made, conversion, arguments)
+    return Outcome.from_conversion(
+        conversion, bytes=len(made.data), summary=summary, figures=made.to_dict(), notes=notes
+    )
 
 
-def _said(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:
+def _summary(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:
     from sgmethod.previews.preview import quoted
 
     if arguments.html:

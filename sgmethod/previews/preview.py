@@ -12,9 +12,10 @@ from urllib.parse import quote
 
 import numpy as np
 
+from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.bitstream.v2 import SMALLEST_FILE
-from sgmethod.budget import AnyInt, Budget, checked_integer
+from sgmethod.budget import Budget
 from sgmethod.codec import encode
 from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb

@@ -90,7 +90,7 @@ def test_a_folder_and_its_manifest(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ("photo.png --bytes 5 --output-dir out", "from 12 to 16384, got 5"),
         ("photo.png --bytes 20k --output-dir out", "from 12 to 16384, got 20000"),
@@ -103,5 +103,5 @@ def test_a_folder_and_its_manifest(run: Run) -> None:
         ("picture.sg", "an .sg file already"),
     ],
 )
-def test_refusals(run: Run, arguments: str, said: str) -> None:
-    assert_refused(run("preview", *arguments.split()), said)
+def test_refusals(run: Run, arguments: str, message: str) -> None:
+    assert_refused(run("preview", *arguments.split()), message)

@@ -15,6 +15,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.pictures import photo, saved
 from sgmethod.errors import BitstreamError, BudgetError, ImageError
 from sgmethod.io.header import ImageLimits
 from sgmethod.metrics import psnr
@@ -22,18 +24,10 @@ from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
-from tests.harness.data import ROOT
-from tests.harness.pictures import photo
 from tests.rd.short import short
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
 LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
-
-
-def saved(picture: Image.Image, kind: str, **options: object) -> bytes:
-    file = io.BytesIO()
-    picture.save(file, kind, **options)
-    return file.getvalue()
 
 
 @pytest.fixture(autouse=True)

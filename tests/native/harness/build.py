@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 
 BUILDS = ROOT / "build"
 BIN = Path(sys.executable).parent  # of the environment, whose programs come first
