@@ -71,8 +71,8 @@ def test_the_order_is_that_of_the_arguments(capsys: pytest.CaptureFixture[str]) 
     for name in ("b", "a", "a"):
         outcome = Outcome(name, name, summary="text", error="bad" if name == "b" else None)
         _print_in_turn(arguments, names, done, outcome, Tally())
-    said = capsys.readouterr()
-    assert (said.out, said.err) == ("a\ttext\na\ttext\n", "sgmethod: b: bad\n")
+    output = capsys.readouterr()
+    assert (output.out, output.err) == ("a\ttext\na\ttext\n", "sgmethod: b: bad\n")
     assert names == []
 
 
