@@ -69,10 +69,10 @@ def test_the_order_is_that_of_the_arguments(capsys: pytest.CaptureFixture[str]) 
     arguments = argparse.Namespace(quiet=False, json=False, html=False, element=False)
     names, done = ["a", "b", "a"], dict[str, list[Outcome]]()
     for name in ("b", "a", "a"):
-        outcome = Outcome(name, name, said="text", error="bad" if name == "b" else None)
+        outcome = Outcome(name, name, summary="text", error="bad" if name == "b" else None)
         _print_in_turn(arguments, names, done, outcome, Tally())
-    said = capsys.readouterr()
-    assert (said.out, said.err) == ("a\ttext\na\ttext\n", "sgmethod: b: bad\n")
+    output = capsys.readouterr()
+    assert (output.out, output.err) == ("a\ttext\na\ttext\n", "sgmethod: b: bad\n")
     assert names == []
 
 

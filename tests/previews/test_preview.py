@@ -147,10 +147,20 @@ def test_html(made: Preview) -> None:
     style = attributes["style"] or ""
     assert style.startswith(f"width:100%;height:auto;background:{made.color} url(data:image/webp;base64,")
     picture = Image.open(io.BytesIO(base64.b64decode(style.split("base64,")[1].split(")")[0])))
-    assert picture.size == (32, 24)
-    assert len(style) < 600
-    expected = LARGE.resize((32, 24), Image.Resampling.BOX)
-    assert psnr(np.asarray(picture.convert("RGB")), np.asarray(expected)) > 16  # seen: 18.3
+    shown = picture.convert("RGB").resize(LARGE.size, Image.Resampling.BICUBIC)
+    assert psnr(np.asarray(shown), np.asarray(LARGE)) > 17  # seen: 18.4
+
+
+def test_html_is_as_long_as_allowed(made: Preview) -> None:
+    """The picture of more characters is better; of too few, there is only the colour."""
+    tags = [made.html("a.jpg", characters=most) for most in (200, 400, 500, 800)]
+    assert len(tags[0]) <= 200
+    assert "url(" not in tags[0]
+    assert made.color in tags[0]
+    assert 380 < len(tags[1]) <= 400 < len(tags[2]) <= 500
+    drawn = [Image.open(io.BytesIO(base64.b64decode(tag.split("base64,")[1].split(")")[0]))) for tag in tags[1:]]
+    shown = [one.convert("RGB").resize(LARGE.size, Image.Resampling.BICUBIC) for one in drawn]
+    assert sorted(quality := [psnr(np.asarray(one), np.asarray(LARGE)) for one in shown]) == quality
 
 
 def test_html_of_a_long_strip() -> None:
