@@ -9,13 +9,21 @@ export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 # Each worker of pytest has a core of its own, and threads that share one wait for each other.
 PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
-.PHONY: help serve test thorough coverage sanitize versions fuzz cross wheel npm lock bench
+.PHONY: help serve quick test thorough coverage sanitize versions fuzz wheel npm lock bench
 
 help:
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 serve: $(VENV)/.service ## set up, then run the service on http://127.0.0.1:8000 with its data in ./data
 	$(BIN)/python -m service serve
+
+# What needs neither PyTorch nor a service: reading pictures, coding, decoding.
+QUICK = tests/start/test_superpixels.py tests/fitting/test_texture.py tests/bitstream tests/io tests/test_decoder.py tests/test_view.py
+quick: $(VENV)/.quick ## for a first change, within three minutes and without PyTorch: lint, format, types, tests of the codec
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy --package sgmethod.bitstream --package sgmethod.rd --package sgmethod.io
+	$(PYTEST) -m "not thorough" $(QUICK)
 
 test: $(VENV)/.test ## set up, then check lint, format and types, and run the tests
 	$(BIN)/python -m ruff check .
@@ -42,11 +50,15 @@ fuzz: $(VENV)/.test ## look for bytes that break the decoder, MINUTES=n for each
 	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install 'atheris>=3'
 	$(BIN)/python -m tests.native.fuzz --minutes $(MINUTES)
 
-cross: $(VENV)/.test ## compile the kernels for other machines, and run what can be run here
-	$(BIN)/python -m tests.native.cross
-
-wheel: $(VENV)/.test ## build the source archive and wheels in dist, and decode with each where it is installed alone
-	$(BIN)/python -m tests.wheels
+wheel: $(VENV)/.test ## build the source archive and a wheel in dist, check both, and decode with the wheel installed alone
+	$(BIN)/python -m pip install --quiet build twine check-wheel-contents
+	rm -rf dist build/wheel
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+	$(BIN)/python -m venv build/wheel
+	build/wheel/bin/python -m pip install --quiet --no-compile dist/*.whl
+	build/wheel/bin/python tests/smoke.py
 
 npm: ## build the package for browsers in dist; needs npm
 	mkdir -p build/npm dist
@@ -77,7 +89,7 @@ bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or 
 $(VENV)/.%: pyproject.toml $(COMPILED)
 	@$(CHECK)
 	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	$(if $(filter service,$*),,$(BIN)/python -m pip install --quiet --no-compile '$(TORCH)')
+	$(if $(filter service quick,$*),,$(BIN)/python -m pip install --quiet --no-compile '$(TORCH)')
 	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$*]'
 	touch $@ $(if $(filter test,$*),$(VENV)/.service)
 

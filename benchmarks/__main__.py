@@ -18,36 +18,35 @@ import time
 from pathlib import Path
 
 from benchmarks.arguments import some_of
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT
 from benchmarks.machine import RESULTS, RUNS
-from benchmarks.rd.rivals import versions
-from tests.harness.data import PHOTOGRAPHS, ROOT
+from benchmarks.rd.baselines import versions
 
 KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
-FEW = "--bpp 0.5 --most 1"
-NO_RIVALS = "--methods 'rd,rd visual,paper'"
+NO_BASELINES = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command.
 SMALL = {
     "rd/kodak": f"rd {KODAK} --bpp 0.5",
-    "convergence/kodak": f"convergence {KODAK} {FEW} --megapixels 0.1 --seconds 6 --limits 0.5 --paper-limits 2 --few",
+    "convergence/kodak": f"convergence {KODAK} --bpp 0.5 --most 1 --megapixels 0.1 --seconds 6 --limits 0.5 "
+    "--paper-limits 2 --few",
     "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
     "stability": "robustness extremes --sets kernels,fits --seeds 3 --generations 4",
     "speed": f"speed {KODAK} --megapixels 0.1,0.4 --repeats 1 --steps 100 --rounds 10",
     "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
-    "representation": f"ablation representation {KODAK} --most 1 --gaussians 500 --steps 300",
-    "ablation": f"ablation {KODAK} {FEW} --seeds 1 --steps 100 --fit-steps 200 --tune-steps 100",
+    "ablation": f"ablation {KODAK} --most 1 --seeds 1 --fit-steps 200 --tune-steps 100",
     "service/load": "service load --seconds 5",
     "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
 }
 FULL = {
-    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --rivals",
+    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --baselines",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
-    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --rivals 'avif tune=psnr speed 0' 'avif grain'",
+    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --baselines 'avif tune=psnr speed 0' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
-    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25 --kinds visual avif",
+    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
     "convergence/kodak": f"convergence {KODAK} --most 3 --megapixels 0.4 --few --paper-limits 3,10",
     "convergence/2-megapixels": f"convergence {KODAK} --most 2 --megapixels 2 --few --paper-limits 10",
     "convergence/12-megapixels": f"convergence {KODAK} --most 1 --megapixels 12 --few --limits 2,8 --paper-limits 30",
@@ -55,9 +54,8 @@ FULL = {
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
     "speed": f"speed {KODAK}",
+    "scenes": f"scenes {KODAK}",
     "gains": f"ablation gains {KODAK}",
-    "representation": f"ablation representation {SEEN} --most 24 --gaussians 70000",  # as the paper's first table
-    "parts": f"ablation {KODAK} --tables parts --most 6 --seeds 3",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 6 --seeds 1",
     "service/load": "service load",
@@ -65,19 +63,16 @@ FULL = {
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
+COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
-def run(result: str, line: str, folder: Path) -> float:
-    """Seconds that the command took. Its failure does not keep others from running."""
-    module, *words = shlex.split(line)
-    print(f"--- {module} {shlex.join(words)}", flush=True)
+def run(result: str, words: list[str], folder: Path) -> None:
+    """Run a command, and print how long it took. If it fails, the next one runs all the same."""
+    print(f"--- {shlex.join(words)}", flush=True)
     began = time.monotonic()
-    command = [sys.executable, "-m", f"benchmarks.{module}", *words, "--out", str(folder / f"{result}.json")]
-    done = subprocess.run(command, cwd=ROOT, check=False)
-    if done.returncode != 0:
-        print(f"{module} failed with status {done.returncode}", file=sys.stderr)
-    return time.monotonic() - began
+    command = [sys.executable, "-m", f"benchmarks.{words[0]}", *words[1:], "--out", str(folder / f"{result}.json")]
+    status = subprocess.run(command, cwd=ROOT, check=False).returncode
+    print(f"{result}: {time.monotonic() - began:.0f} s{f', failed with status {status}' if status else ''}", flush=True)
 
 
 def main() -> None:
@@ -89,22 +84,18 @@ def main() -> None:
     options = parser.parse_args()
     lines = dict(FULL if options.full else SMALL)
     if not options.full:
-        lines["rd/kodak"] += " --rivals" if versions() else ""
-        lines["convergence/kodak"] += "" if versions() else f" {NO_RIVALS}"
-    wanted = {name: line for name, line in lines.items() if line.split()[0] in options.only}
-    if not wanted:
-        parser.error("these are measured with --full alone")
+        lines["rd/kodak"] += " --baselines" if versions() else ""
+        lines["convergence/kodak"] += "" if versions() else f" {NO_BASELINES}"
+    lines = {name: line for name, line in lines.items() if line.split()[0] in options.only}
     if options.full and not versions():
         parser.error("--full needs the other codecs: pip install -e '.[benchmark]'")
-    if any("{weights}" in line for line in wanted.values()) and not options.weights:
+    if any("{weights}" in line for line in lines.values()) and not options.weights:
         parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
-    if options.full and any(KODAK in line for line in wanted.values()) and options.images == PHOTOGRAPHS:
+    if options.full and any(KODAK in line for line in lines.values()) and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
-    folders = {name: shlex.quote(str(getattr(options, name))) for name in ("images", "weights")}
-    out = RESULTS if options.full else RUNS
-    wanted = {name: line.format(**folders) for name, line in wanted.items()}
-    taken = {name: run(name, line, out) for name, line in wanted.items()}
-    print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken.items()))
+    for name, line in lines.items():
+        words = [word.format(images=options.images, weights=options.weights) for word in shlex.split(line)]
+        run(name, words, RESULTS if options.full else RUNS)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RUNS, Record, found
 from benchmarks.pictures import Pixels, add_options, named_in, pictures_in, sized
-from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, versions
+from benchmarks.rd.baselines import AvifForPsnr, Baseline, Jpeg, JpegXl, WebP, versions
 from sgmethod import Budget, encode
 from sgmethod.metrics import psnr
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Profile, Tune
@@ -30,15 +30,15 @@ OURS: tuple[Profile, ...] = ("rd", "paper")
 VISUAL = "rd visual"
 WARMED_ON = 64  # pixels along a side, by profile paper
 OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
-FEW_EFFORTS = (1, 3, 7)
+SOME_EFFORTS = (1, 3, 7)
 # Every setting, and a few: the quickest first, since its quality is where the search of the next one begins.
-RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
+BASELINES: dict[str, tuple[Callable[[int], Baseline], tuple[int, ...], tuple[int, ...]]] = {
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
     "webp": (WebP, tuple(range(7)), (0, 4)),
     "avif": (AvifForPsnr, tuple(range(10, -1, -1)), (10, 6, 4)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
-METHODS = (*OURS, VISUAL, *RIVALS)
+METHODS = (*OURS, VISUAL, *BASELINES)
 Row = dict[str, Any]
 
 
@@ -55,11 +55,11 @@ def ours(
     return {"bytes": stats.bytes, "gaussians": stats.gaussians, "seconds": stats.seconds, "psnr": stats.psnr}
 
 
-def point(rival: Rival, near: float | None, pixels: Pixels, bpp: float) -> Row:
-    """Another codec's file within the budget; the seconds are those of its encode. near: as Rival.best takes it."""
-    file = rival.best(pixels, bpp, near)
+def point(baseline: Baseline, near: float | None, pixels: Pixels, bpp: float) -> Row:
+    """Another codec's file within the budget; the seconds are those of its encode. near: as Baseline.best takes it."""
+    file = baseline.best(pixels, bpp, near)
     row: Row = {"bytes": len(file.data), "gaussians": None, "quality": file.quality, "seconds": file.encode_s}
-    return row | {"psnr": psnr(rival.decode(file.data), pixels)}
+    return row | {"psnr": psnr(baseline.decode(file.data), pixels)}
 
 
 class Run:
@@ -88,10 +88,10 @@ class Run:
             for limit in limits:
                 once(profile, f"{limit:g} s", partial(ours, pixels, profile, o.bpp, limit))
         once(VISUAL, "", partial(ours, pixels, "rd", o.bpp, None, tune="visual"))
-        for effort in FEW_EFFORTS if o.few else OTHER_EFFORTS:
+        for effort in SOME_EFFORTS if o.few else OTHER_EFFORTS:
             once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, effort))
             once(VISUAL, f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, effort, "visual"))
-        for method, (make, every, few) in RIVALS.items():
+        for method, (make, every, few) in BASELINES.items():
             for setting in few if o.few else every:
                 near = self._quality(method, picture, megapixels)
                 once(method, str(setting), partial(point, make(setting), near, pixels, o.bpp))

@@ -1,4 +1,4 @@
-"""The rows of a JSON as CSV, for those who want more than a page shows: means over pictures and seeds."""
+"""The rows of a JSON as CSV: means over pictures and seeds."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 Row = dict[str, Any]
-MEANT = ("image", "picture", "seed")  # over these
-# What tells rows of a JSON apart, besides; first in each line.
+AVERAGED = ("image", "picture", "seed")  # over these
+# The columns that identify a line; they come first.
 KEYS = (
     *("codec", "max_bpp", "quality", "kind", "megapixels", "max_bytes", "method", "setting", "what", "asked", "job"),
     *("isa", "threads", "table", "without", "set", "case", "rule", "value", "attack", "database"),
@@ -18,7 +18,7 @@ KEYS = (
 
 
 def flat(rows: Sequence[Row], apart: str = "") -> str:
-    """Rows as CSV. apart: one more column that tells rows apart."""
+    """Rows as CSV. apart: one more column that identifies a line."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     keys = [name for name in (apart, *KEYS) if any(name in row for row in rows)]
     for row in rows:
@@ -27,7 +27,7 @@ def flat(rows: Sequence[Row], apart: str = "") -> str:
     for key, group in groups.items():
         line: Row = dict(zip(keys, key, strict=True)) | {"rows": len(group)}
         for name in dict.fromkeys(name for row in group for name in row):
-            if name not in (*keys, *MEANT):
+            if name not in (*keys, *AVERAGED):
                 line[name] = _one([row.get(name) for row in group])
         lines.append(line)
     titles = list(dict.fromkeys(name for line in lines for name in line if line[name] is not None))

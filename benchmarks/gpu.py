@@ -1,4 +1,4 @@
-"""Measure all that runs on a GPU, in eight minutes at most; each row is written as soon as it is there.
+"""Measure everything that runs on a GPU, in eight minutes at most. Each row is written as soon as it is measured.
 
     python -m benchmarks.gpu --images FOLDER --out JSON
 
@@ -9,8 +9,8 @@ fits       sgmethod.torch.fit of 10,000, 30,000 and 70,000 Gaussians: seconds, P
 batches    the same of pictures of 256 x 256 by 1,000 Gaussians, 1, 16 and 256 at a time
 encode     encode(device=) beside the CPU
 
-It goes on where it stopped; rows for which no time is left are left out. --quick runs the first three at the tiniest
-sizes on the CPU, where Triton interprets the kernels: this tests the command, and measures nothing.
+A second call continues where the first one stopped; rows for which no time is left are skipped. --quick runs the first
+three at the smallest sizes on the CPU, in Triton's interpreter. That tests the command, but measures nothing.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Measured = tuple[Row, Callable[[], Row]]  # what tells a row apart, and its valu
 
 @dataclass(frozen=True)
 class Sizes:
-    """What is measured: megapixels and Gaussians of pictures, pictures of a batch, repetitions."""
+    """The sizes to measure: megapixels and Gaussians of pictures, pictures of a batch, repetitions."""
 
     decoded: tuple[tuple[float, int], ...] = ((0.4, 10_000), (2.0, 50_000), (12.0, 200_000))
     fitted: tuple[int, ...] = (10_000, 30_000, 70_000)
@@ -65,14 +65,14 @@ QUICK = Sizes(((0.001, 10),), (), (1, 2), 16, 5, (), 1)
 
 
 class Bench:
-    """What is measured on a device, with a folder of pictures."""
+    """All measurements on a device, with a folder of pictures."""
 
     def __init__(self, device: torch.device, paths: list[Path], sizes: Sizes) -> None:
         self.device, self.paths, self.sizes = device, paths, sizes
         self.ends = time.monotonic() + LIMIT_S
 
     def rows(self) -> Iterator[Measured]:
-        """All rows; those first that say whether the others can be trusted."""
+        """All rows, beginning with the errors, on which the trust in the others depends."""
         s = self.sizes
         for megapixels, n in s.decoded[:2]:
             for pyramid in (True, False):
@@ -193,10 +193,10 @@ class Bench:
         """One whole picture [1, H, W, 3], or square parts of the folder's, [B, side, side, 3]."""
         if path is not None:
             return read_image_8_bit(path.read_bytes())[None]
-        side, lot, parts = self.sizes.side, np.random.default_rng(0), []
+        side, rng, parts = self.sizes.side, np.random.default_rng(0), []
         for k in range(batch):
             own = read_image_8_bit(self.paths[k % len(self.paths)].read_bytes())
-            y, x = (lot.integers(0, max(length - side, 0) + 1) for length in own.shape[:2])
+            y, x = (rng.integers(0, max(length - side, 0) + 1) for length in own.shape[:2])
             parts.append(own[y : y + side, x : x + side])
         return np.stack(parts)
 

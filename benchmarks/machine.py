@@ -1,4 +1,4 @@
-"""The form that all results have: the command, where they come from (machine, commit, date), settings and rows."""
+"""The form of all results: command, origin (machine, commit, date), settings and rows."""
 
 from __future__ import annotations
 
@@ -15,21 +15,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.data import ROOT
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
-from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
-RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes that is told nothing else
+RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes without --out
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
 # What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
-NOT_CODE = (
-    *(":!benchmarks/results", ":!benchmarks/report", ":!benchmarks/__main__.py"),
-    *(":!service/page", ":!sgmethod/javascript"),
-)
-CODE = ("sgmethod", "service", "benchmarks", *NOT_CODE)
+NOT_CODE = "benchmarks/results benchmarks/report benchmarks/__main__.py service/page sgmethod/javascript"
+CODE = ("sgmethod", "service", "benchmarks", *(f":!{path}" for path in NOT_CODE.split()))
 
 
 def origin() -> dict[str, object]:
@@ -49,7 +46,7 @@ def origin() -> dict[str, object]:
 
 
 def commit() -> str:
-    """The commit checked out; if code that measures differs from it, with a name for the difference."""
+    """The commit checked out, with a digest of the uncommitted changes to the measuring code, if there are any."""
     head = _git("rev-parse", "--short=12", "HEAD").strip()
     if not head:
         return UNKNOWN
@@ -62,20 +59,15 @@ def commit() -> str:
 
 
 def same_code(one: str, other: str) -> bool:
-    """Whether two that commit() named measure with the same code: what else was committed between them is no reason
-    to measure again."""
+    """Whether two names from commit() stand for the same measuring code. Other files may have changed between them."""
     if one == other:
         return one != UNKNOWN
-    return _is_commit(one) and _is_commit(other) and not _git("diff", one, other, "--", *CODE)
-
-
-def _is_commit(name: str) -> bool:
-    return bool(_git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}"))
+    are_commits = all(_git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}") for name in (one, other))
+    return are_commits and not _git("diff", one, other, "--", *CODE)
 
 
 def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rows of an earlier run of the same code on the same machine, with as many threads and the same settings, if
-    it names any, from the JSON it wrote."""
+    """The rows of an earlier run, if its code, machine, number of threads and settings were the same."""
     if not path.exists():
         return []
     content = json.loads(path.read_text())
@@ -96,8 +88,8 @@ def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any]
 
 
 class Record:
-    """The JSON of one run, written after every row. What is there already of the same code, machine and settings is
-    kept, so that an interrupted run goes on where it stopped. Where the JSON lies is said at the beginning.
+    """The JSON of one run, written after every row. Rows of an earlier run with the same code, machine and settings are
+    kept, so that an interrupted run continues where it stopped. Prints the path of the JSON first.
 
     settings: what changes the meaning of the rows.
     """
@@ -120,8 +112,8 @@ class Record:
 
 
 def command(module: str) -> str:
-    """What was typed, but where the JSON goes, after the number of threads if one was set. A folder is named by its
-    last part in capitals: where it lies on this machine says nothing."""
+    """The command line without --out, after SG_THREADS if it is set. A path is replaced by its last part in capitals,
+    because its place on this machine means nothing elsewhere."""
     words = [Path(word).name.upper() if "/" in word else word for word in sys.argv[1:]]
     if "--out" in words:
         del words[words.index("--out") : words.index("--out") + 2]
@@ -130,13 +122,13 @@ def command(module: str) -> str:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Whole or not at all: an interrupted benchmark leaves the results before it."""
+    """Write a JSON file completely or not at all, so that an interrupted benchmark keeps the earlier results."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 def peak_bytes(process: int | str = "self") -> int:
-    """The most memory that a process had until now. getrusage would count the process before too."""
+    """The peak memory of a process. (getrusage would include the process that started it.)"""
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
 

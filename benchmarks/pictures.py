@@ -1,4 +1,4 @@
-"""Which files of a folder are pictures to measure with, and pictures of any size made from them."""
+"""The pictures of a folder, and pictures of any size made from them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness.data import PHOTOGRAPHS
 from sgmethod.io.image import read_image_8_bit
-from tests.harness.data import PHOTOGRAPHS
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"

@@ -1,11 +1,10 @@
-"""Means and Markdown tables, for what a command prints and for the pages of results."""
+"""Means and Markdown tables, for commands and for the pages of results."""
 
 from __future__ import annotations
 
 import math
 import statistics
 from collections.abc import Sequence
-from typing import Any
 
 MISSING = "-"
 
@@ -24,22 +23,13 @@ def mean(values: Sequence[float | None]) -> float | None:
 
 
 def standard_error(values: Sequence[float]) -> float | None:
-    """That of the mean; None for fewer than two values."""
+    """The standard error of the mean; None for fewer than two values."""
     return statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
 
 
 def number(value: float | None, form: str) -> str:
-    """With the digits of a format, or a dash. A loss that rounds to nothing has no sign."""
+    """Format a number, or return a dash for None. A negative number that rounds to zero has no sign."""
     if value is None:
         return MISSING
     rounded = format(value, form)
     return rounded if set(rounded) - set("+-0.,") else format(abs(value), form)
-
-
-def in_all(rows: Sequence[dict[str, Any]], by: str) -> list[dict[str, Any]]:
-    """The rows of those pictures that have a row of every value of a field."""
-    images: dict[Any, set[str]] = {}
-    for row in rows:
-        images.setdefault(row[by], set()).add(row["image"])
-    common = set.intersection(*images.values()) if images else set()
-    return [row for row in rows if row["image"] in common]

@@ -54,8 +54,8 @@ django.setup()
 class Photo(models.Model):
     """A photograph, and its preview as text for the page."""
 
-    image = models.ImageField(upload_to="photos", width_field="width", height_field="height")
-    width = models.PositiveIntegerField(editable=False)
+    image = models.ImageField(upload_to="photos")
+    width = models.PositiveIntegerField(editable=False)  # as displayed; width_field would ignore EXIF orientation
     height = models.PositiveIntegerField(editable=False)
     alt = models.CharField(max_length=200)
     preview = models.CharField(max_length=300, editable=False)  # 4 characters for 3 bytes
@@ -65,7 +65,8 @@ class Photo(models.Model):
 
     def save(self, *args, **options) -> None:
         """Make the preview, and save both."""
-        self.preview = sgmethod.preview(self.image.read(), bytes=200).text
+        made = sgmethod.preview(self.image.read(), bytes=200)
+        self.preview, self.width, self.height = made.text, made.width, made.height
         self.image.seek(0)
         super().save(*args, **options)
 

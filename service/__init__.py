@@ -1,19 +1,21 @@
-"""The HTTP service: photographs come in, bitstreams and pictures go out.
+"""The HTTP service: images come in, bitstreams and pictures go out.
 
-The rooms and modules; each imports only from those above it:
+The packages and modules; each imports only from those above it:
 
-    keys            API keys, links that stand in for one
+    errors          errors that several packages share
+    keys            API keys, and links that replace one
     logs            what the processes write to standard error
-    settings        what the operator may set
+    settings        the operator's settings
     process/        the processes of a service, and how they end
     storage/        source images and bitstreams, in a folder or in a bucket
+    pictures        picture files of bitstreams and images
     jobs/           the job table, in SQLite or in PostgreSQL
-    sandbox/        reads what strangers sent, in confined processes, one for each task
+    sandbox/        reads uploads in confined processes, one for each task
     opening         opens the job table and the storage that the settings name
     worker/         claims a job, has it encoded in the sandbox, publishes the bitstream
     api/            the routes, what they answer, and the application around them
-    checking        whether an installation can work
+    checking        checks of an installation
 
-page/ has no Python: the files of the page. `python -m service` is the command line. Only sandbox/tasks.py imports the
-encoder, and with two of its profiles torch.
+page/ has no Python: it contains the files of the page. `python -m service` is the command line. Only sandbox/tasks.py
+imports the encoder, and PyTorch for one profile.
 """

@@ -15,9 +15,9 @@ from contextlib import AbstractContextManager
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from service.jobs.job import JobTableError
+from service.errors import JobTableError, MissingPackagesError
 from service.logs import set_up_logging
-from service.opening import MissingPackagesError, open_job_table, open_storage
+from service.opening import open_job_table, open_storage
 from service.process.loops import StopSignal
 from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
@@ -34,29 +34,31 @@ SILENT_S = 15.0  # after which a worker, which reports every 2 s, counts as dead
 
 
 def main() -> int:
-    """Run one command. Exit status: 0 after a requested end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
-    nothing runs yet."""
+    """Run one command.
+
+    Exit status: 0 after a requested end, 2 for a bad setting, 1 for other trouble, 130 for Ctrl-C before anything runs.
+    """
     arguments = _parser().parse_args()
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # which is inherited: ignored, children leave no status
-    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # inherited; if ignored, children leave no status
+    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until the command sets its own handler
     try:
         settings = Settings()
         set_up_logging()
     except ValidationError as error:
         _warn(map(_fault_in_words, error.errors()))
         return BAD_SETTING
-    except SgError as error:  # the kernels are missing, which count the cores
+    except SgError as error:  # the kernels, which count the cores, are missing
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
     supervisor = getattr(arguments, "supervisor", None)
     if supervisor is not None:
         end_with(supervisor, signal.SIGTERM)
-    else:  # a process of "serve" need not say it again
+    else:  # "serve" has printed it already
         _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
     try:
         run: Callable[[Settings, argparse.Namespace], int | None] = arguments.run
         return run(settings, arguments) or 0
-    except BrokenPipeError:  # of `check | head`: nobody reads the rest
+    except BrokenPipeError:  # as in `check | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return TROUBLE
     except (OSError, JobTableError, MissingPackagesError, SandboxError, SgError) as error:
@@ -70,7 +72,7 @@ def main() -> int:
 def _fault_in_words(fault: ErrorDetails) -> str:
     field = str(fault["loc"][0]) if fault["loc"] else ""
     what = fault["msg"].removeprefix("Value error, ")
-    if fault["type"] == "string_pattern_mismatch":  # nobody should have to read a regular expression
+    if fault["type"] == "string_pattern_mismatch":  # whose message is a regular expression
         what = f"not a value of this setting ({Settings.model_fields[field].description})"
     return f"SG_{field.upper()}: {what}" if field else what
 
@@ -118,7 +120,7 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
 
 def _before_start(settings: Settings) -> list[str]:
-    """Trouble with folder, database, bucket or sandbox shows here, not as processes that keep dying."""
+    """Open what the settings name and return warnings. Errors show here, not in processes that keep dying."""
     missing = check_layers(required=settings.require_sandbox)  # before there is a second thread
     open_job_table(settings).close()
     open_storage(settings).check()
@@ -132,7 +134,7 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     given = arguments.socket
     with _sandbox(settings, arguments) as requests:
         listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
-        if not settings.storage_url:  # uploads on their way lie where they will be stored: /tmp may be small
+        if not settings.storage_url:  # temporary files of uploads go where they will be stored, since /tmp may be small
             tempfile.tempdir = str(settings.data_dir.resolve() / UNFINISHED)
         run_web(settings, Sandbox(requests), absent, listen)
 
@@ -150,7 +152,7 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def _alive(settings: Settings, _arguments: argparse.Namespace) -> int:
     table, host = open_job_table(settings), f"{socket.gethostname()}:"
-    silent_s = [seconds for name, seconds in table.census().workers.items() if name.startswith(host)]
+    silent_s = [seconds for name, seconds in table.counts().workers.items() if name.startswith(host)]
     table.close()
     if min(silent_s, default=SILENT_S) < SILENT_S:
         return 0
@@ -159,7 +161,7 @@ def _alive(settings: Settings, _arguments: argparse.Namespace) -> int:
 
 
 def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractContextManager[socket.socket]:
-    """The requests of the supervisor's sandbox, or of one of this process's own."""
+    """Return the socket for requests to the supervisor's sandbox, or to a sandbox of this process."""
     if arguments.sandbox is not None:
         return socket.socket(fileno=arguments.sandbox)
     _warn(_before_start(settings))
@@ -194,7 +196,10 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> int:
 
 
 def _announce(settings: Settings) -> socket.socket:
-    """Listen, and say where. Raises OSError, also for an address that others can reach while nobody needs a key."""
+    """Listen, and print where.
+
+    Raises OSError, also for an address that others can reach while no API key is needed.
+    """
     listener = listen(settings)
     if not (is_loopback(listener) or settings.key_names or settings.host_names):
         listener.close()
@@ -217,7 +222,7 @@ def _for_whom(settings: Settings) -> str:
 
 
 def _where(settings: Settings) -> str:
-    """Where everything is kept, without the database's address: it may hold a password."""
+    """Describe where data is kept, without the database's address, which may contain a password."""
     folder = str(settings.data_dir.resolve())
     jobs, files = "PostgreSQL" if settings.uses_postgres else folder, settings.storage_url or folder
     return f"data in {folder}" if jobs == files else f"jobs in {jobs}, images and bitstreams in {files}"

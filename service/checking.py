@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from service.jobs.job import JobTableError
-from service.opening import MissingPackagesError, open_job_table, open_storage
+from service.errors import JobTableError, MissingPackagesError
+from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, check_layers
 from service.settings import UPLOADS_OF_ROOM, Settings
@@ -23,16 +23,14 @@ ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 
 
 class CheckError(Exception):
-    """One thing is not as it must be; one sentence."""
+    """A check failed; one sentence."""
 
 
 TROUBLE = (CheckError, JobTableError, MissingPackagesError, SandboxError, TaskError, SgError, OSError, ImportError)
 
 
 def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
-    """Run one check after the other. Gives the name of each, whether it passed, and what was found or is wrong; none
-    raises.
-    """
+    """Run the checks, and yield the name of each, whether it passed, and a description. Raises nothing."""
     checks: dict[str, Callable[[Settings], str]] = {
         "settings": _settings,
         "database": _database,
@@ -55,7 +53,7 @@ def _settings(settings: Settings) -> str:
 def _database(settings: Settings) -> str:
     table = open_job_table(settings)
     table.check_writable()
-    jobs = table.census().jobs
+    jobs = table.counts().jobs
     table.close()
     kind = "PostgreSQL" if settings.uses_postgres else f"SQLite, {settings.database_path}"
     return f"{kind}: {', '.join(f'{count} {state}' for state, count in jobs.items())}"
@@ -91,7 +89,7 @@ def _kernels(_settings: Settings) -> str:
 
 
 def _sandbox(settings: Settings) -> str:
-    """Whether it does a task. A missing layer, as on older systems, is a failure only where it is required."""
+    """Run a task in the sandbox. A missing layer is a failure only where it is required."""
     layers = check_layers(required=settings.require_sandbox)  # before there is a second thread
     with own_sandbox(settings.encode_threads) as requests:
         asyncio.run(Sandbox(requests).try_out(SANDBOX_STARTS_S))

@@ -1,9 +1,9 @@
-"""API keys, and links that stand in for one.
+"""API keys, and links that replace one.
 
-A key is 192 random bits, so a plain SHA-256 of it is all that has to be kept: it can be neither guessed nor
-turned back. A key's name owns the jobs that come with it.
+A key is 192 random bits, so storing its plain SHA-256 is safe: it can be neither guessed nor reversed. A key's name
+owns the jobs that are submitted with it.
 
-    python -m service.keys NAME     prints a new key, and the line for SG_API_KEYS_FILE by which the service knows it
+    python -m service.keys NAME     prints a new key, and its line for SG_API_KEYS_FILE
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _LINE = re.compile(r"([A-Za-z0-9_.-]{1,64}):([0-9a-f]{64})")
 
 
 def parse_keys(text: str) -> dict[str, str]:
-    """Names of keys by digest, from words such as name:sha256 between commas or white space; # begins a comment.
+    """Parse words such as name:sha256, separated by commas or white space; # begins a comment. Returns names by digest.
 
-    Raises ValueError. A name may come twice with different keys, while one takes the other's place.
+    Raises ValueError. A name may occur twice with different keys, while one replaces the other.
     """
     words = " ".join(line.partition("#")[0] for line in text.splitlines()).replace(",", " ").split()
     keys: dict[str, str] = {}
@@ -35,18 +35,18 @@ def parse_keys(text: str) -> dict[str, str]:
 
 
 def digest(key: str) -> str:
-    """What is kept of a key."""
+    """Hash a key for storage."""
     return hashlib.sha256(key.encode()).hexdigest()
 
 
 class KeyRing:
-    """The keys that are known; with none at all the service is open."""
+    """The known keys; without any, the service is open."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
 
     def replace(self, names: Mapping[str, str]) -> bool:
-        """Know these keys from now on, and no others; whether they differ from those before. names: by digest."""
+        """Replace all keys, and return whether they changed. names: by digest."""
         before, self._names = self._names, dict(names)
         return before != self._names
 
@@ -54,7 +54,7 @@ class KeyRing:
         return bool(self._names)
 
     def owner_of(self, key: str) -> str | None:
-        """The name that the key stands for. Takes as long for a wrong key as for a right one."""
+        """Return the owner of the key, else None. It takes as long for a wrong key as for a right one."""
         presented = digest(key)
         owner = None
         for known, name in self._names.items():
@@ -72,21 +72,21 @@ class Link:
     expires: int
 
     def signature(self, secret: str) -> str:
-        """HMAC-SHA256 over all three, in hexadecimal digits."""
+        """Return the HMAC-SHA256 over all three fields, in hexadecimal."""
         text = f"{self.resource}/{self.job_id}/{self.expires}"
         return hmac.new(secret.encode(), text.encode(), hashlib.sha256).hexdigest()
 
     def query(self, secret: str) -> str:
-        """What makes a URL of the resource a link."""
+        """Return the query parameters that make a URL of the resource a link."""
         return f"expires={self.expires}&signature={self.signature(secret)}"
 
     def is_signed(self, secret: str, signature: str) -> bool:
-        """Whether the signature is ours."""
+        """Whether the signature is valid."""
         return hmac.compare_digest(self.signature(secret).encode(), signature.encode())
 
 
 def main() -> int:
-    """Make a key; exit status 2 for a name that cannot be one."""
+    """Print a new key. Returns exit status 2 for an invalid name."""
     name = sys.argv[1] if len(sys.argv) == 2 else ""
     key = secrets.token_urlsafe(24)
     line = f"{name}:{digest(key)}"

@@ -9,9 +9,9 @@ from contextvars import ContextVar
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 SELDOM_S = 60.0
 
-# Of the request that is being answered. Tasks and threads that are started for it inherit it.
+# The id of the current request, inherited by the tasks and threads that it starts.
 request_id: ContextVar[str] = ContextVar("request_id", default="")
-_said: dict[str, float] = {}  # when, by message (monotonic seconds)
+_last_logged: dict[str, float] = {}  # monotonic seconds by message
 
 
 def set_up_logging() -> None:
@@ -22,16 +22,16 @@ def set_up_logging() -> None:
 
 
 def log_seldom(log: logging.Logger, message: str, *values: object) -> None:
-    """Log an error that may come again and again, such as a full disk: the same message once a minute."""
+    """Log an error that may repeat, such as a full disk: the same message at most once a minute."""
     now = time.monotonic()
-    if now - _said.get(message, -SELDOM_S) >= SELDOM_S:
-        _said[message] = now
+    if now - _last_logged.get(message, -SELDOM_S) >= SELDOM_S:
+        _last_logged[message] = now
         log.error(message, *values)
 
 
 class _Lines(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
-        """One line, whatever a client or a task of the sandbox has put into it. Tracebacks keep theirs."""
+        """Format a record as one line, whatever a client or a task put into it. Tracebacks stay as they are."""
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:

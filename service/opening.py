@@ -2,43 +2,27 @@
 
 from __future__ import annotations
 
-from service.jobs.job import JobRules
+from service.errors import MissingPackagesError
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage
 
-MAX_ATTEMPTS = 4  # crashes until a job fails
-
-
-class MissingPackagesError(Exception):
-    """The settings need packages that are not installed; one sentence with the command that installs them."""
-
 
 def open_job_table(settings: Settings) -> JobTable:
-    """The job table, made if there is none yet. Raises JobTableError, MissingPackagesError, OSError."""
-    rules = JobRules(
-        lease_s=settings.lease_s,
-        max_attempts=MAX_ATTEMPTS,
-        source_retention_s=settings.source_retention_s,
-        webhooks=settings.webhook_addresses,
-        queue_length=settings.queue_length,
-        own_queue_length=settings.max_queued_per_key,
-        quota_bytes=settings.quota_bytes,
-        own_quota_bytes=settings.quota_bytes_per_key,
-    )
+    """Open the job table, and create it if there is none. Raises JobTableError, MissingPackagesError, OSError."""
     if settings.uses_postgres:
         try:
             from service.jobs.postgres import PostgresJobTable
         except ImportError as error:
             raise MissingPackagesError("PostgreSQL needs extra packages: pip install '.[postgres]'") from error
-        return PostgresJobTable(settings.database_url, rules)
+        return PostgresJobTable(settings.database_url, settings)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return SqliteJobTable(settings.database_path, rules)
+    return SqliteJobTable(settings.database_path, settings)
 
 
 def open_storage(settings: Settings) -> Storage:
-    """The storage of sources and bitstreams, made if there is none yet. Raises OSError, MissingPackagesError."""
+    """Open the storage of images and bitstreams, or create it. Raises OSError, MissingPackagesError."""
     if not settings.storage_url:
         return DiskStorage(settings.data_dir)
     try:

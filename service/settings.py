@@ -1,7 +1,7 @@
-"""Every setting of the service: its unit, its default, its range.
+"""Every setting of the service with its unit, default and range.
 
-Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md
-holds the same table; a test compares the two.
+Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md has the same table;
+a test compares the two.
 """
 
 from __future__ import annotations
@@ -24,44 +24,44 @@ from sgmethod.threads import MAX_THREADS
 
 MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
-LONGEST_S = 86_400.0  # what the system and both databases can surely count
-LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the end is a date
-MOST_WORKERS = 64  # processes of one machine
-UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
+LONGEST_S = 86_400.0  # small enough for the system and both databases
+LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
+MAX_WORKERS = 64  # processes of one machine
+UPLOADS_OF_ROOM = 4  # with less space than this many of the largest uploads, the disk counts as full
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
 def default_workers() -> int:
-    """One encoder for every four cores: an encode gains little beyond four threads."""
-    return min(max(1, native.available_cores() // 4), MOST_WORKERS)
+    """Return one worker for every four cores: an encode gains little beyond four threads."""
+    return min(max(1, native.available_cores() // 4), MAX_WORKERS)
 
 
 def listed(text: str) -> list[str]:
-    """The words of a setting that are separated by commas."""
+    """Split a setting at its commas."""
     return list(filter(None, map(str.strip, text.split(","))))
 
 
 def unknown_settings(names: Iterable[str]) -> list[str]:
-    """The names that look like settings and are none, such as misspelt ones."""
+    """Return the names that look like settings but are not, such as misspelt ones."""
     known = {f"SG_{field}".upper() for field in Settings.model_fields} | OTHER_NAMES
     return sorted(name for name in names if name.startswith("SG_") and name not in known)
 
 
 class Settings(BaseSettings):
-    """What the operator may set; every value is checked once, at start."""
+    """The operator's settings, checked once at the start."""
 
-    # No operator has reason to change these.
+    # One value suits everybody.
     max_streams: ClassVar[int] = 200
     max_waiting_decodes: ClassVar[int] = 64
 
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
 
-    # The ten that matter.
+    # The ten that most services need.
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
     data_dir: Path = Field(default=Path("data"), description="folder for the job table, sources and bitstreams")
     workers: int = Field(
-        default_factory=default_workers, ge=1, le=MOST_WORKERS, description="number of concurrent encodes"
+        default_factory=default_workers, ge=1, le=MAX_WORKERS, description="number of concurrent encodes"
     )
     api_keys_file: Path | None = Field(
         default=None, description="file of API keys, one name:SHA-256 per line; without keys the service is open to all"
@@ -112,10 +112,10 @@ class Settings(BaseSettings):
     )
 
     require_sandbox: bool = Field(
-        default=False, description="refuse to start where the system cannot confine what reads uploads"
+        default=False, description="refuse to start where the system cannot confine processes that read uploads"
     )
 
-    # What is kept.
+    # Retention and quotas.
     source_retention_s: float = Field(
         default=3600.0,
         ge=0,
@@ -136,7 +136,7 @@ class Settings(BaseSettings):
         default="",
         pattern=r"^(|https?://[^/,\s][^,\s]*(,\s*https?://[^/,\s][^,\s]*)*)$",
         repr=False,
-        description="addresses, separated by commas, that are told when a job ends",
+        description="addresses, separated by commas, that receive a webhook when a job ends",
     )
     webhook_secret: SecretStr = Field(
         default=SecretStr(""), description="what signs webhooks: whsec_ and at least 24 bytes in base64"
@@ -179,7 +179,7 @@ class Settings(BaseSettings):
     @field_validator("*", mode="before")
     @classmethod
     def _without_line_end(cls, value: object) -> object:
-        """A secret that was made from a file often ends in a line end."""
+        """Strip white space: a secret read from a file often ends in a line end."""
         if not isinstance(value, str):
             return value
         value.encode()  # raises ValueError for what is not UTF-8
@@ -197,7 +197,7 @@ class Settings(BaseSettings):
     @field_validator("max_pixels")
     @classmethod
     def _images_can_be_read(cls, pixels: int) -> int:
-        most = ImageLimits().max_pixels  # asks the kernels, whose absence must not break the import of this module
+        most = ImageLimits().max_pixels  # here, since it needs the kernels, which may be missing at import
         if pixels > most:
             raise ValueError(f"SG_MAX_PIXELS must be at most {most}: no larger image is read")
         return pixels
@@ -224,11 +224,11 @@ class Settings(BaseSettings):
 
     @cached_property
     def key_names(self) -> dict[str, str]:
-        """Names of API keys by their SHA-256, as they were at the start; empty if there are none. Raises ValueError."""
+        """Names of API keys by their SHA-256, as read at the start; empty if there are none. Raises ValueError."""
         return self.read_keys()
 
     def read_keys(self) -> dict[str, str]:
-        """The keys that the file has now. Raises ValueError."""
+        """Read the file of keys. Raises ValueError."""
         if self.api_keys_file is None:
             return {}
         try:
@@ -245,22 +245,22 @@ class Settings(BaseSettings):
 
     @property
     def max_queued_per_key(self) -> int:
-        """Queued jobs of one API key before its new ones get 429."""
+        """Maximum number of queued jobs of one API key."""
         return -(-self.queue_length // 2)
 
     @property
     def min_free_bytes(self) -> int:
-        """Bytes of free disk below which new jobs are refused."""
+        """Free disk space in bytes below which new jobs are refused."""
         return UPLOADS_OF_ROOM * self.max_upload_bytes
 
     @property
     def job_timeout_s(self) -> float:
-        """Seconds until a running encode is killed: its start and its end take some, however busy the machine is."""
+        """Seconds until a running encode is killed. Starting and finishing it takes time, too, on a busy machine."""
         return 2 * self.max_time_limit_s
 
     @property
     def webhook_addresses(self) -> tuple[str, ...]:
-        """The addresses that are told when a job ends."""
+        """Addresses that receive a webhook when a job ends."""
         return tuple(listed(self.webhook_urls))
 
     @property
@@ -274,7 +274,7 @@ class Settings(BaseSettings):
 
     @property
     def encode_threads(self) -> int:
-        """Threads of one encode, such that all workers together stay within the cores."""
+        """Threads of one encode, so that all workers together do not exceed the cores."""
         return min(max(1, native.available_cores() // self.workers), MAX_THREADS)
 
     @property

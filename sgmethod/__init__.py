@@ -7,7 +7,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
 
     errors      the tree of errors
     opencv      OpenCV, or how to install it
-    budget      what an encode may spend; conversion of numbers
+    arguments   checks of callers' numbers
+    budget      what an encode may spend
     trace       progress of an encode
     numerics    arithmetic that ignores floating-point errors
     scene       the set of Gaussians
@@ -20,8 +21,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        drawing any part at any size
     decoder     bytes -> Gaussians -> pixels
-    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS
-    advice      pictures that Gaussians do not suit, and the formats that suit them better
+    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; whether another format does better
     start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
     paper/      profile paper

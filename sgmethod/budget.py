@@ -1,43 +1,37 @@
-"""The budget of an encode: one number and its unit.
-
-Callers' numbers are converted to Python's types here, because NumPy's small integers overflow in sums and products.
-"""
+"""The budget of an encode: one number and its unit."""
 
 from __future__ import annotations
 
-import math
 import re
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
-from numbers import Integral, Real
-from typing import Literal, SupportsFloat, SupportsIndex, get_args
+from typing import Literal, get_args
 
-from sgmethod.errors import BudgetError, SgError
+from sgmethod.arguments import AnyFloat, finite_number
+from sgmethod.errors import BudgetError
 
-AnyInt = SupportsIndex  # int, and NumPy's
-AnyFloat = SupportsFloat  # numbers of any kind
-BudgetKind = Literal["bpp", "bytes", "looks", "psnr", "quality", "gaussians"]
+BudgetKind = Literal["bpp", "bytes", "quality", "psnr", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
 MAX_PSNR_DB = 60.0  # 8-bit rounding alone limits the PSNR to 58.9 dB
 
 MAX_QUALITY = 100.0
 
-MOST_GAUSSIANS = 1 << 24  # in a file
+MAX_GAUSSIANS = 1 << 24  # in a file
 
-Looks = Literal["preview", "web", "archive"]
-LOOKS: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
+QualityName = Literal["preview", "web", "archive"]
+QUALITIES: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
 
 SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
 UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
 
-def looks_value(name: str) -> float:
-    """Return the value of a name in LOOKS. Raises BudgetError for another."""
-    if name not in LOOKS:
-        raise BudgetError(f"looks must be a number or one of {', '.join(LOOKS)}, got {name!r}")
-    return LOOKS[name]
+def quality_value(name: str) -> float:
+    """Return the value of a name in QUALITIES. Raises BudgetError for another."""
+    if name not in QUALITIES:
+        raise BudgetError(f"quality must be a number or one of {', '.join(QUALITIES)}, got {name!r}")
+    return QUALITIES[name]
 
 
 def bytes_value(text: str) -> float:
@@ -48,35 +42,14 @@ def bytes_value(text: str) -> float:
     raise BudgetError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
 
 
-def finite_number(value: object) -> int | float | None:
-    """Convert a number to a Python int or float; None if it is not a finite number."""
-    if isinstance(value, Integral):
-        return int(value)
-    if not isinstance(value, Real):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:  # a Fraction may exceed every float
-        return None
-    return number if -math.inf < number < math.inf else None  # torch.compile does not support math.isfinite
-
-
-def checked_integer(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
-    """Return a whole number from least to most as a Python int. Raises `error` for anything else."""
-    if not isinstance(value, Integral) or not least <= int(value) <= most:
-        raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
-    return int(value)
-
-
 @dataclass(frozen=True, init=False)
 class Budget:
     """The target of an encode.
 
-    kind: "bpp" (bits per pixel) and "bytes" are limits on the file size, never exceeded; "psnr" is the quality to reach
-    (dB, whole picture, 8-bit RGB), in as few bytes as the profile manages; "looks" the same as SSIMULACRA 2 (above 0
-    and up to 100, profile rd only), or "preview" for 40, "web" for 60 and "archive" for 80; "quality" (above 0 and up
-    to 100, profile rd only) sets how finely everything is quantised, and so what a Gaussian must gain to be kept;
-    "gaussians" is the number of Gaussians, for profile rd a maximum.
+    kind: "bpp" (bits per pixel) and "bytes" are limits on the file size, never exceeded; "quality" is a SSIMULACRA 2 to
+    reach (above 0 and up to 100, profile rd only), or "preview" for 40, "web" for 60 and "archive" for 80, in as few
+    bytes as the profile manages; "psnr" the same in dB (whole picture, 8-bit RGB); "gaussians" is the number of
+    Gaussians, for profile rd a maximum.
     value: a number; for bytes also a text, such as "20k" or "1.5MB" (thousands) or "20KiB" (1,024).
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
@@ -88,7 +61,7 @@ class Budget:
     def __init__(self, kind: BudgetKind, value: AnyFloat | str) -> None:
         if kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        named = {"looks": looks_value, "bytes": bytes_value}.get(kind)
+        named = {"quality": quality_value, "bytes": bytes_value}.get(kind)
         number = finite_number(named(value) if named is not None and isinstance(value, str) else value)
         if number is None or number <= 0:
             raise BudgetError(f"{kind} must be a positive number, got {value!r}")
@@ -100,8 +73,8 @@ class Budget:
         value = self.value
         if self.kind in ("bytes", "gaussians") and value != int(value):
             raise BudgetError(f"{self.kind} must be a whole number, got {value}")
-        if self.kind in ("looks", "quality") and value > MAX_QUALITY:
-            raise BudgetError(f"{self.kind} must be at most {MAX_QUALITY:g}, got {value}")
+        if self.kind == "quality" and value > MAX_QUALITY:
+            raise BudgetError(f"quality must be at most {MAX_QUALITY:g}, got {value}")
         if self.kind == "psnr" and value > MAX_PSNR_DB:
             raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {value}")
 
@@ -117,8 +90,8 @@ class Budget:
         """Return the requested number of Gaussians. Raises BudgetError if no file of the picture can hold them."""
         if self.value > width * height:
             raise BudgetError(f"{int(self.value)} Gaussians exceed the image's {width * height} pixels")
-        if self.value > MOST_GAUSSIANS:
-            raise BudgetError(f"{int(self.value)} Gaussians exceed the {MOST_GAUSSIANS} that a file can hold")
+        if self.value > MAX_GAUSSIANS:
+            raise BudgetError(f"{int(self.value)} Gaussians exceed the {MAX_GAUSSIANS} that a file can hold")
         return int(self.value)
 
 

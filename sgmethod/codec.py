@@ -10,27 +10,18 @@ import math
 import os
 import statistics
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.devices import backend_on
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
-from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import (
-    DEFAULT_BUDGET,
-    AnyFloat,
-    AnyInt,
-    Budget,
-    BudgetKind,
-    Looks,
-    checked_integer,
-    default_budget,
-    finite_number,
-)
+from sgmethod.bitstream.container import smallest_file
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, QualityName, default_budget
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock, Deadline
@@ -55,10 +46,8 @@ from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
 from sgmethod.settings.shared import Tune
 from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
-Measure = Callable[[Pixels, Pixels], float | None]  # (picture, source) -> figure
-
 REPORTED_MISS_DB = 0.005  # a smaller miss rounds to 0.00 dB
-REPORTED_MISS_LOOKS = 1.0  # points of SSIMULACRA 2; a smaller miss counts as met
+REPORTED_MISS_QUALITY = 1.0  # points of SSIMULACRA 2; a smaller miss counts as met
 
 MAX_SEED = 2**63 - 1  # a seed of torch is below 2^64, and each stage of a codebook adds to it
 
@@ -68,10 +57,10 @@ class Stats:
     """The figures of an encode.
 
     psnr (dB), ms_ssim and ssimulacra2 (up to 100) describe the decoded file. ms_ssim and ssimulacra2 are None unless
-    encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a budget
-    of looks. With alpha, all three compare the picture over black and over white. effort: None if encode() was given
-    settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, looks_missed: how far the file is
-    below the requested PSNR or SSIMULACRA 2, None if none was requested.
+    encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a
+    quality to reach. With alpha, all three compare the picture over black and over white. effort: None if encode() was
+    given settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed: how far the
+    file is below the requested PSNR or SSIMULACRA 2, None if none was requested.
     """
 
     bytes: int
@@ -89,7 +78,7 @@ class Stats:
     effort: int | None
     source_bytes: int | None = None
     psnr_missed_db: float | None = None
-    looks_missed: float | None = None
+    quality_missed: float | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -98,10 +87,10 @@ class Stats:
         if self.psnr_missed_db is not None and self.psnr_missed_db >= REPORTED_MISS_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
             found.append(f"the requested PSNR is missed by {missed}")
-        if self.looks_missed is not None and self.looks_missed >= REPORTED_MISS_LOOKS:
-            missed = f"{self.looks_missed:.1f}: the file has {self.ssimulacra2:.1f}"
-            found.append(f"the requested looks are missed by {missed}")
-        has_aim = self.psnr_missed_db is not None or self.looks_missed is not None
+        if self.quality_missed is not None and self.quality_missed >= REPORTED_MISS_QUALITY:
+            missed = f"{self.quality_missed:.1f}: the file has {self.ssimulacra2:.1f}"
+            found.append(f"the requested quality is missed by {missed}")
+        has_aim = self.psnr_missed_db is not None or self.quality_missed is not None
         if not has_aim and self.gaussians == 0 and math.isfinite(self.psnr):
             found.append("the file contains only a background and no Gaussians: try a larger budget")
         if self.source_bytes is not None and self.bytes > self.source_bytes:
@@ -141,9 +130,8 @@ def encode(
     *,
     bpp: AnyFloat | None = None,
     bytes: AnyInt | str | None = None,
+    quality: AnyFloat | QualityName | None = None,
     psnr: AnyFloat | None = None,
-    looks: AnyFloat | Looks | None = None,
-    quality: AnyFloat | None = None,
     gaussians: AnyInt | None = None,
     tune: Tune | None = None,
     effort: AnyInt = DEFAULT_EFFORT,
@@ -169,7 +157,7 @@ def encode(
     4] in uint8, uint16 or floating point in [0, 1]. sgmethod/io/image.py has the rules for files. Input is rounded to 8
     bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
     warning.
-    bpp, bytes, looks, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is
+    bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp.
     profile: "rd" or "paper".
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
@@ -191,37 +179,58 @@ def encode(
     be read, and MemoryError.
     """
     clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
-    seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
-    kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "looks": looks}
-    kinds["gaussians"] = gaussians
-    budget = _only_budget(budget, kinds)
-    profile = checked_profile(profile) if settings is None else profile_of(settings)
-    tuned_for = tuning(tune, profile, budget)
-    named_effort = checked_effort(effort) if settings is None else None
-    settings, backend = settings or settings_of(profile, named_effort or DEFAULT_EFFORT), backend_on(device)
-    pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
-    source_bytes = _file_bytes(image)  # now, as the file may be gone later
-    height, width, channels = pixels.shape
-    if budget is DEFAULT_BUDGET:
-        budget = default_budget(width, height, smallest_file(settings, has_alpha=channels == 4))
-    deadline_settings = settings.deadline if isinstance(settings, RdSettings) else None
-    deadline = Deadline(clock, limit_s, width * height, deadline_settings)
+    kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
+    only = _only_budget(budget, kinds | {"gaussians": gaussians})
+    asked = _Asked.checked(only, profile, tune, effort, settings, seed)
+    backend = backend_on(device)
+    pixels = read_input(image, keep_alpha=isinstance(asked.settings, RdSettings))
+    source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
+    asked = asked.with_default_for(pixels)
+    deadline_settings = asked.settings.deadline if isinstance(asked.settings, RdSettings) else None
+    deadline = Deadline.from_limit(clock, limit_s, pixels.shape[0] * pixels.shape[1], deadline_settings)
     recorder = Recorder(clock, on_progress, on_preview)
-    if isinstance(settings, RdSettings):
-        data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)
-    else:
-        from sgmethod.paper import encode as paper  # imports torch
+    data, steps = _run(pixels, asked, deadline, recorder, backend)
+    stats = _measured(pixels, data, steps, recorder, asked, measure)
+    return Encoded(data, replace(stats, source_bytes=source_bytes), recorder.points)
 
-        request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
-        data, steps = paper.encode(request)
-    measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "looks" else []
-    encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, named_effort), measures)
-    stats = replace(encoded.stats, source_bytes=source_bytes)
-    if budget.kind == "psnr":
-        stats = replace(stats, psnr_missed_db=max(budget.value - stats.psnr, 0.0))
-    if budget.kind == "looks" and stats.ssimulacra2 is not None:
-        stats = replace(stats, looks_missed=max(budget.value - stats.ssimulacra2, 0.0))
-    return replace(encoded, stats=stats)
+
+@dataclass(frozen=True)
+class _Asked:
+    """The checked arguments of an encode. effort: None if the caller gave settings."""
+
+    budget: Budget
+    profile: Profile
+    tune: Tune
+    effort: int | None
+    settings: RdSettings | PaperSettings
+    seed: int
+
+    @classmethod
+    def checked(
+        cls,
+        budget: Budget,
+        profile: Profile,
+        tune: Tune | None,
+        effort: AnyInt,
+        settings: RdSettings | PaperSettings | None,
+        seed: AnyInt,
+    ) -> _Asked:
+        """Check the arguments of encode(). Raises BudgetError."""
+        seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
+        profile = checked_profile(profile) if settings is None else profile_of(settings)
+        tuned_for = tuning(tune, profile, budget)
+        if settings is not None:
+            return cls(budget, profile, tuned_for, None, settings, seed)
+        effort = checked_effort(effort)
+        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed)
+
+    def with_default_for(self, pixels: Pixels) -> _Asked:
+        """Raise the default budget to the smallest file that a tiny picture [H, W, C] can have."""
+        if self.budget is not DEFAULT_BUDGET:
+            return self
+        height, width, channels = pixels.shape
+        least = smallest_file(self.settings, has_alpha=channels == 4)
+        return replace(self, budget=default_budget(width, height, least))
 
 
 def _file_bytes(image: Input) -> int | None:
@@ -231,19 +240,17 @@ def _file_bytes(image: Input) -> int | None:
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
 
 
-def _rd(
-    pixels: Pixels,
-    budget: Budget,
-    tune: Tune,
-    settings: RdSettings,
-    deadline: Deadline,
-    recorder: Recorder,
-    seed: int,
-    backend: Backend,
+def _run(
+    pixels: Pixels, asked: _Asked, deadline: Deadline, recorder: Recorder, backend: Backend
 ) -> tuple[builtins.bytes, int]:
-    """Encode pixels [H, W, 3 or 4] with profile rd; return the file and its number of steps."""
+    """Encode pixels [H, W, 3], or [H, W, 4] with profile rd; return the file and its number of steps."""
+    budget, settings, seed = asked.budget, asked.settings, asked.seed
+    if isinstance(settings, PaperSettings):
+        from sgmethod.paper import encode as paper  # imports torch
+
+        return paper.encode(paper.Request(pixels, budget, asked.profile, settings, deadline, recorder, backend, seed))
     height, width, channels = pixels.shape
-    objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels[..., :3]), asked.tune, settings.objective)
     rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
     if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).has_majority:
         rate = rate.for_exact_background()
@@ -268,36 +275,33 @@ def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, Any]) -> Budget:
 
 
 def _measured(
-    pixels: Pixels,
-    data: builtins.bytes,
-    steps: int,
-    recorder: Recorder,
-    asked: tuple[str, Tune, int | None],
-    measures: Sequence[Measure],
-) -> Encoded:
-    """Decode a file and measure it against pixels. asked: profile, tuning, effort; measures: in addition to PSNR."""
-    file = SgFile(data)
+    pixels: Pixels, data: builtins.bytes, steps: int, recorder: Recorder, asked: _Asked, measure: bool
+) -> Stats:
+    """Decode a file and measure it against pixels. measure: MS-SSIM and SSIMULACRA 2 too."""
+    file, budget = SgFile(data), asked.budget
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
-    found = {measure: _mean(map(measure, decoded, source)) for measure in measures}
+    similarity = _mean(map(ms_ssim, decoded, source)) if measure else None
+    score = _mean(map(ssimulacra2, decoded, source)) if measure or budget.kind == "quality" else None
     recorder.report("done", steps, steps, 10 ** (-db / 10), gaussians, len(data))
-    stats = Stats(
+    return Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
         psnr=db,
-        ms_ssim=found.get(ms_ssim),
-        ssimulacra2=found.get(ssimulacra2),
+        ms_ssim=similarity,
+        ssimulacra2=score,
         gaussians=gaussians,
         steps=steps,
         seconds=recorder.points[-1].seconds,
         width=width,
         height=height,
-        profile=asked[0],
-        tune=asked[1],
-        effort=asked[2],
+        profile=asked.profile,
+        tune=asked.tune,
+        effort=asked.effort,
+        psnr_missed_db=max(budget.value - db, 0.0) if budget.kind == "psnr" else None,
+        quality_missed=max(budget.value - score, 0.0) if budget.kind == "quality" and score is not None else None,
     )
-    return Encoded(data, stats, recorder.points)
 
 
 def _mean(figures: Iterable[float | None]) -> float | None:

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
 from sgmethod.bitstream.text import file_of, from_text
-from sgmethod.budget import AnyFloat, AnyInt, checked_integer
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
-from sgmethod.budget import AnyInt, checked_integer
+from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.native import native
 from sgmethod.numerics import quiet
 

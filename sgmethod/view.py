@@ -14,7 +14,7 @@ from numbers import Integral
 
 import numpy as np
 
-from sgmethod.budget import AnyFloat, AnyInt, checked_integer, finite_number
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.errors import ViewError
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene, Texture

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from PIL import Image
 
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod.native import native
 
 # Torch's, when it is imported: most arrays here are so small that a second thread only costs time.
@@ -25,3 +29,12 @@ def set_threads() -> Iterator[Callable[[int], None]]:
     before = native.thread_count()
     yield native.set_thread_count
     native.set_thread_count(before)
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with photo.png, of 128 x 96 pixels, and picture.sg, of 48 x 40, which is the working directory."""
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(photo()).save("photo.png")
+    (tmp_path / "picture.sg").write_bytes(golden_path("v2-color.sg").read_bytes())
+    return tmp_path

@@ -13,13 +13,13 @@ from PIL import Image
 from skimage import data
 
 import sgmethod
-from sgmethod import advice as module
-from sgmethod.advice import Better, advice, better_file, is_drawn
+from benchmarks.harness.pictures import page_of_text
 from sgmethod.cli.main import main
 from sgmethod.errors import ImageError
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.io.pictures import encode_picture
-from tests.harness.pictures import page_of_text
+from sgmethod.metrics import advice as module
+from sgmethod.metrics.advice import Better, advice, better_file, is_drawn
 
 
 def page() -> np.ndarray:
@@ -86,9 +86,9 @@ def test_only_who_shows_advice_pays_for_it(
     (tmp_path / "page.png").write_bytes(page_of_text())
     line = ["encode", str(tmp_path / "page.png"), "--bpp", "1", "--effort", "1", "--time-limit", "0.2", "--json"]
     assert main(line) == 0
-    said = capsys.readouterr()
-    assert json.loads(said.out)["better"] == "webp"
-    assert "sgmethod: advice: " in said.err
-    monkeypatch.setattr(module, "encode_picture", lambda *_: pytest.fail("nobody is shown it"))
+    output = capsys.readouterr()
+    assert json.loads(output.out)["better"] == "webp"
+    assert "sgmethod: advice: " in output.err
+    monkeypatch.setattr(module, "encode_picture", lambda *_: pytest.fail("it is never shown"))
     sgmethod.encode(page(), bpp=1, effort=1, time_limit_s=0.2)
     sgmethod.preview(page())

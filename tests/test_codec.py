@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.pictures import ODD, noise, photo
 from sgmethod import Budget, BudgetError, Encoded, ImageError, Stats, TracePoint, codec, decode, info
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_TUNE, PROFILES, TUNES, tuning
 from sgmethod.trace import Stop
-from tests.harness.pictures import ODD, noise, photo
 from tests.rd.short import SlowClock, shortened
 
 FloatArray = NDArray[np.float32]
@@ -198,25 +198,25 @@ def test_few_steps_still_give_a_picture(profile: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "warnings"),
     [
         ({"source_bytes": 1000}, []),
         ({"source_bytes": 999}, ["the file is larger than its source: 1,000 bytes, source 999"]),
         ({"psnr_missed_db": 0.004}, []),
         ({"psnr_missed_db": 18.77}, ["the requested PSNR is missed by 18.77 dB: the file has 31.23 dB"]),
-        ({"looks_missed": 0.9}, []),
-        ({"looks_missed": 18.74}, ["the requested looks are missed by 18.7: the file has 51.3"]),
+        ({"quality_missed": 0.9}, []),
+        ({"quality_missed": 18.74}, ["the requested quality is missed by 18.7: the file has 51.3"]),
         ({"gaussians": 0}, ["the file contains only a background and no Gaussians: try a larger budget"]),
         ({"gaussians": 0, "psnr_missed_db": 0.0}, []),  # which is what was asked for
         ({"gaussians": 0, "psnr": math.inf}, []),  # a picture of one colour
     ],
 )
-def test_what_may_not_be_expected_of_a_file_is_said(changes: dict[str, Any], said: list[str]) -> None:
+def test_warnings(changes: dict[str, Any], warnings: list[str]) -> None:
     stats = replace(Stats(1000, 0.5, 31.234, None, 51.26, 9, 60, 1.0, 128, 96, "rd", "psnr", 5), **changes)
-    assert stats.warnings == said
+    assert stats.warnings == warnings
     figures = stats.to_dict()
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
-    assert figures["warnings"] == said
+    assert figures["warnings"] == warnings
 
 
 def test_the_figures_know_the_source_and_the_miss(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import re
 import subprocess
 from pathlib import Path
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 
 NOTEBOOK = ROOT / "docs" / "notebook"
 # Paths in backticks that begin so are files or folders of the tree.

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from tests.harness.data import PHOTOGRAPHS, ROOT
-from tests.harness.service import Service
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT
+from benchmarks.harness.service import Service
 
 NAMES = sorted(path.stem for path in PHOTOGRAPHS.iterdir())
 
@@ -54,8 +54,8 @@ def test_thumbnails(tmp_path: Path) -> None:
 
 
 def test_fit_in_torch(tmp_path: Path) -> None:
-    said = run(tmp_path, "fit_in_torch.py", PHOTOGRAPHS / "kodim23-crop.png", "photo.sg")
-    errors = [float(error) for error in re.findall(r"absolute error (\S+)", said)]
+    output = run(tmp_path, "fit_in_torch.py", PHOTOGRAPHS / "kodim23-crop.png", "photo.sg")
+    errors = [float(error) for error in re.findall(r"absolute error (\S+)", output)]
     assert errors[-1] < errors[0]
     assert sgmethod.info(tmp_path / "photo.sg").gaussians > 500
 
@@ -86,8 +86,8 @@ def test_django(tmp_path: Path) -> None:
 def test_bulk_client(tmp_path: Path) -> None:
     service = Service(tmp_path / "data")
     try:
-        for said in ("3 encoded, 0 there already, 0 failed", "0 encoded, 3 there already, 0 failed"):
-            assert said in run(tmp_path, "bulk_client.py", service.url, PHOTOGRAPHS, "out")
+        for summary in ("3 encoded, 0 there already, 0 failed", "0 encoded, 3 there already, 0 failed"):
+            assert summary in run(tmp_path, "bulk_client.py", service.url, PHOTOGRAPHS, "out")
     finally:
         service.stop()
     assert sorted(path.stem for path in (tmp_path / "out").glob("*.sg")) == NAMES

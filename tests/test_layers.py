@@ -1,4 +1,4 @@
-"""Data flows one way: a room imports only from those above it in the list that its package's text opens with."""
+"""Data flows one way: a package imports only from those above it in the list that opens its parent's docstring."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import pytest
 
 import service
 import sgmethod
-from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
 
 
 def listed(package: str) -> list[str]:
-    """The rooms and modules of a package, as its text lists them; rooms end in a slash."""
+    """The packages and modules of a package, as its docstring lists them; packages end in a slash."""
     return re.findall(r"^    (\S+)  *\S", FACES[package], re.MULTILINE)
 
 
@@ -37,12 +37,12 @@ def modules(package: str) -> dict[str, Path]:
     return found
 
 
-def room(module: str) -> str:
-    """The entry of the list that a module belongs to: the deepest room that holds it."""
+def entry_of(module: str) -> str:
+    """The entry of the list that a module belongs to: the deepest package that holds it."""
     package, *parts = module.split(".")
     path = "/".join(parts) + "/"
-    rooms = [entry for entry in listed(package) if path.startswith(entry if entry.endswith("/") else entry + "/")]
-    return max(rooms, key=len, default="")
+    entries = [entry for entry in listed(package) if path.startswith(entry if entry.endswith("/") else entry + "/")]
+    return max(entries, key=len, default="")
 
 
 def imports_of(path: Path, known: set[str]) -> set[str]:
@@ -65,13 +65,13 @@ IMPORTS = {name: imports_of(path, {*MODULES, "sgmethod.native._native"}) for nam
 
 @pytest.mark.parametrize("package", FACES)
 def test_every_room_is_listed_and_exists(package: str) -> None:
-    found = {room(name) for name in MODULES if name.startswith(package + ".")}
+    found = {entry_of(name) for name in MODULES if name.startswith(package + ".")}
     assert "" not in found
     assert set(listed(package)) == found
 
 
 def test_imports_come_from_above_and_in_no_circle() -> None:
-    """Modules of one room may import each other, but nobody a package's face instead of a module."""
+    """Modules of one package may import each other, but none its __init__ instead of a module."""
     assert "sgmethod.codec" in IMPORTS["sgmethod.cli.encoding"]  # within a function
     assert set(IMPORTS) <= set(TopologicalSorter(IMPORTS).static_order())  # raises CycleError
     order = {name: [*listed(name)].index for name in FACES}
@@ -80,7 +80,7 @@ def test_imports_come_from_above_and_in_no_circle() -> None:
         for module, imports in IMPORTS.items()
         for place in [order[module.split(".")[0]]]
         for other in imports
-        if other in FACES or place(room(other)) > place(room(module))
+        if other in FACES or place(entry_of(other)) > place(entry_of(module))
     ]
     assert wrong == []
 
@@ -118,7 +118,6 @@ RULES = {
         rf"|{IMPORT}torch",
         "service/sandbox/tasks.py",
     ),
-    "the reference, which is slow, is for tests": ("sgmethod service", IMPORT + r"sgmethod\.backend\.reference", ""),
     "the encoder computes through its backend": (
         "sgmethod/rd sgmethod/fitting sgmethod/paper",
         IMPORT + r"sgmethod\.native",
@@ -134,12 +133,12 @@ RULES = {
         r"\btune\b",
         "sgmethod/codec.py sgmethod/fitting/objective.py",
     ),
-    "only a test of measures imports a benchmark": (
-        "tests",
-        IMPORT + "benchmarks",
-        "tests/benchmarks/test_measures.py tests/benchmarks/test_statistics.py",
+    "only a test of a benchmark imports one": ("tests", IMPORT + r"benchmarks\.(?!harness)", "tests/benchmarks/"),
+    "the harness imports neither tests nor commands": (
+        "benchmarks/harness",
+        IMPORT + r"(?:tests|benchmarks\.(?!harness))",
+        "",
     ),
-    "the harness imports no test": ("tests/harness", IMPORT + r"tests\.(?!harness)", ""),
     "the report knows the commands, and they do not know it": (
         "benchmarks",
         IMPORT + r"benchmarks\.report",
@@ -162,7 +161,7 @@ def test_only_some_files_have_it(rule: str) -> None:
 
 
 def test_the_exported_names() -> None:
-    """The names in docs/python.md have a test beside that page's examples (tests/gaussians/test_python_page.py)."""
+    """The names in docs/python.md have a test beside that page's examples (tests/torch/test_python_page.py)."""
     assert sgmethod.__all__ == sorted(sgmethod.__all__)
     own = {
         name

@@ -21,11 +21,11 @@ from PIL import Image
 
 import sgmethod
 import sgmethod.torch
+from benchmarks.harness.data import ROOT
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
 from sgmethod.threads import in_parallel
-from tests.harness.data import ROOT
 from tests.rd.short import shortened
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
@@ -175,7 +175,7 @@ ENDS = """
 import sys, threading
 import sgmethod
 from sgmethod.threads import in_parallel
-from tests.harness.data import golden_path
+from benchmarks.harness.data import golden_path
 data = golden_path("v1-paper.sg").read_bytes()
 works = {
     "decode": lambda: sgmethod.decode(data),
@@ -209,7 +209,7 @@ def default_dtype(kind: torch.dtype) -> Iterator[None]:
     torch.set_default_dtype(kind)
     try:
         yield
-        assert torch.get_default_dtype() == kind  # as the program has told it
+        assert torch.get_default_dtype() == kind  # as the program has set it
     finally:
         torch.set_default_dtype(torch.float32)
 
@@ -249,7 +249,7 @@ def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_rais
     set_threads(2)
     pixels = EXTREMES[picture].astype(np.uint8)
     with np.errstate(all="raise"):
-        for budget in ({"bpp": 3}, {"psnr": 60}, {"looks": 99}):
+        for budget in ({"bpp": 3}, {"psnr": 60}, {"quality": 99}):
             file = sgmethod.open(sgmethod.encode(pixels, tune="psnr", measure=True, **budget).data)
             assert file.pixels(scale=1 / 48).shape == (2, 2, 3)
             tiny = sgmethod.Gaussians(*(values * np.float32(1e-30) for values in file.gaussians().arrays))

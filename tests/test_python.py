@@ -16,13 +16,13 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import sgmethod
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 from service.api.requests import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, SgError, SgFile, View
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
-from tests.harness import profiles
-from tests.harness.data import golden_path
-from tests.harness.pictures import photo
+from tests.io import profiles
 from tests.io.test_image import exif_with
 from tests.rd.short import short
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 
 PAGES = "python.md", "datasets.md"
 USES = """
@@ -35,10 +35,10 @@ for picture in ("a.png", Path("a.png"), b"", bytearray(), memoryview(b""), Image
     sgmethod.encode(picture, bytes=n, effort=np.int8(1), seed=np.uint8(3), time_limit_s=half, tune="psnr")
 sgmethod.encode(pixels, bytes="20k")
 sgmethod.encode(pixels, bpp=Fraction(1, 2), profile="paper")
-sgmethod.encode(pixels, looks="web")
-sgmethod.encode(pixels, looks=60, tune="vizual")  # type: ignore[arg-type]
+sgmethod.encode(pixels, quality="web")
+sgmethod.encode(pixels, quality=60, tune="vizual")  # type: ignore[arg-type]
 sgmethod.encode(pixels, profile="rb")  # type: ignore[arg-type]
-sgmethod.encode(pixels, looks="webb")  # type: ignore[arg-type]
+sgmethod.encode(pixels, quality="webb")  # type: ignore[arg-type]
 sgmethod.encode(pixels, bytes=0.3)  # type: ignore[arg-type]
 sgmethod.encode_many(["a.png", Path("b.png")], Path("out"), jobs=n)
 sgmethod.encode_many(pictures(), "out", bytes="1k")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import golden
 from sgmethod import BitstreamError, ViewError, decode, view
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
@@ -21,7 +22,6 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import single
-from tests.harness.data import golden
 
 WIDTH, HEIGHT = 200, 120
 
@@ -36,7 +36,7 @@ def scattered(n: int = 700) -> Gaussians:
 
 @pytest.fixture(scope="module")
 def data() -> bytes:
-    return container.serialise(StreamV2.of(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
+    return container.serialise(StreamV2.from_gaussians(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
 
 
 def averaged(pixels: NDArray[np.uint8], by: int) -> NDArray[np.uint8]:

@@ -1,1 +1,1 @@
-"""What parts and numbers of profiles rd and paper are worth: python -m benchmarks.ablation"""
+"""Measure the parts of profile paper: python -m benchmarks.ablation"""

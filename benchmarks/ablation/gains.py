@@ -1,4 +1,4 @@
-"""What the paper's start and regularisation gain in floating point, over all pictures of a folder.
+"""Measure what the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
     python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
     python -m benchmarks.ablation gained JSON...    a table of what was measured
@@ -38,7 +38,6 @@ from benchmarks.pictures import Pixels, add_options, middle_of, named_in
 from benchmarks.tables import mean, number, standard_error, table
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
-from sgmethod.backend.reference import SOBEL
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
@@ -49,6 +48,7 @@ from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.shared import StartSettings
 from sgmethod.start.placement import place
+from tests.definitions.backend import SOBEL
 
 PIXELS = 768 * 512
 
@@ -135,7 +135,7 @@ def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
     if row.theirs:
         height, width = pixels.shape[:2]
         return fit_by_adan(start, level.gradients, width, height, AdanSettings(), row.settings.fit_steps)
-    return paper.fit(level, start, row.settings, Recorder(clock), Deadline(clock, None))[0]
+    return paper.fit(level, start, row.settings, Recorder(clock), Deadline.from_limit(clock, None))[0]
 
 
 def on_gpu(
@@ -228,7 +228,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
             if (row["table"], row["asked"]) == (name, asked):
                 by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
         for setting, levels in by.items():
-            gains = [db - by["random"][image] for image, db in levels.items() if image in by["random"]]
+            random = by.get("random", {})
+            gains = [db - random[image] for image, db in levels.items() if image in random]
             against = (
                 [number(mean(gains), "+.2f"), number(standard_error(gains), ".2f")] if setting != "random" else ["", ""]
             )

@@ -13,17 +13,23 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks.ablation.fits import PaperFit, fit_of_paper
+import numpy as np
+
 from benchmarks.ablation.gains import PIXELS, pixels_of
+from sgmethod.backend.kernels import Kernels
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
+from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
+from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER, PaperSettings
+from sgmethod.start.placement import place
 
 RANDOM = replace(PAPER.start, structure_guided=False)
 # What GaussianImage codes: random start, no regularisation, 6 bits of a factor, 16 of a position. Our optimiser.
@@ -75,11 +81,11 @@ def measure(
     n = max(round(number * pixels[..., 0].size / PIXELS), 1)
     of_fit = replace(PAPER, start=settings.start, lambda_g=settings.lambda_g, fit_steps=settings.fit_steps)
     began, clock = time.perf_counter(), Clock()
-    fit = _fitted(picture, table.middle, of_fit, n, seed)
+    level, gaussians = _fitted(picture, table.middle, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
-    tuner = Tuner(fit.gaussians, fit.level, settings, budget if settings.bits_by_budget else None, seed)
+    tuner = Tuner(gaussians, level, settings, budget if settings.bits_by_budget else None, seed)
     schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
-    schedule.run(Deadline(clock), Recorder(clock), tuner.step)
+    schedule.run(Deadline.from_limit(clock), Recorder(clock), tuner.step)
     stream = tuner.stream("paper")
     seconds = time.perf_counter() - began
     data = container.serialise(stream)
@@ -93,5 +99,11 @@ def measure(
 
 
 @lru_cache(maxsize=4)
-def _fitted(path: Path, middle: tuple[int, int] | None, settings: PaperSettings, n: int, seed: int) -> PaperFit:
-    return fit_of_paper(pixels_of(path, middle), n, settings, seed)
+def _fitted(
+    path: Path, middle: tuple[int, int] | None, settings: PaperSettings, n: int, seed: int
+) -> tuple[Level, Gaussians]:
+    """The picture as the fit sees it, and the Gaussians fitted to it."""
+    pixels, clock = pixels_of(path, middle), Clock()
+    level = level_of(pixels, Kernels())
+    start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(seed))
+    return level, fit(level, start, settings, Recorder(clock), Deadline.from_limit(clock))[0]

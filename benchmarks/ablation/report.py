@@ -1,120 +1,66 @@
-"""What each setting of an ablation is worth against its anchor, with the standard error over pictures."""
+"""Tables of each setting's gain over the baseline, with the standard error over pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.rd.report import bd_psnr
-from benchmarks.tables import in_all, mean, number, standard_error, table
+from benchmarks.tables import mean, number, standard_error, table
 
 Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
-By = dict[str, dict[Case, list[Row]]]  # by setting of a table
-Figure = Callable[[list[Row]], float | None]  # of the rows of one picture and seed
-Worth = tuple[float | None, float | None]  # dB, and their standard error over pictures
+BySetting = dict[str, dict[Case, list[Row]]]
 
-ANCHORS = {"parts": "nothing", "quantisation": "GSImage", "positions": "16"}
-CODED = ("quantisation", "positions")  # by BD-PSNR of files with several numbers of Gaussians
-TITLES = {
-    "parts": "Profile `rd` without one part",
-    "quantisation": "Profile `paper`: quantisation of the covariance, by BD-PSNR",
-    "positions": "Profile `paper`: bits of a position, by BD-PSNR",
-}
+BASELINES = {"quantisation": "GSImage", "positions": "16"}  # of each table
 COLUMNS = {
     **{"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".4f")},
     **{"gaussians": ("Gaussians", ",.0f"), "seconds": ("seconds", ".1f")},
 }
-# Of fits with a fixed number of Gaussians.
-REPRESENTATIONS = ("rd", "paper")
-FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "frames_per_s": ",.4g", "mib": ".0f"}
 
 
-def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
-    """Means by method, for one number of Gaussians, over the pictures that every method has; with their number."""
-    found: dict[str, Row] = {}
-    mine = in_all([row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS], "method")
-    for method in REPRESENTATIONS:
-        own = [row for row in mine if row["method"] == method]
-        if own:
-            found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
-    return found
+def worth(content: Row, name: str, setting: str, baseline: str) -> tuple[float | None, float | None]:
+    """The BD-PSNR of a setting against another of a JSON's table: dB, and their standard error over pictures."""
+    by_setting = complete([row for row in content["rows"] if row["table"] == name])
 
+    def points(setting: str, case: Case) -> list[tuple[float, float]]:
+        return [(row["bpp"], row["psnr"]) for row in by_setting[setting][case]]
 
-def rows_of(content: Row, name: str) -> list[Row]:
-    """The rows of one table. A part's setting is what is left out."""
-    return [{"setting": row.get("without"), **row} for row in content["rows"] if row.get("table") == name]
-
-
-def worth(content: Row, name: str, setting: str, other: str) -> Worth:
-    """How much better a setting is than another of a table: BD-PSNR of files, or PSNR with the most Gaussians. None
-    where it was not measured."""
-    rows = rows_of(content, name)
-    if not {setting, other} <= {row["setting"] for row in rows}:
-        return None, None
-    by, cases = complete(rows)
-
-    def more(both: list[Row]) -> float | None:
-        if name in CODED:
-            return bd_psnr(*([(r["bpp"], r["psnr"]) for r in both if r["setting"] == of] for of in (other, setting)))
-        most = max(row.get("asked", 0) for row in both)
-        pair = {row["setting"]: row["psnr"] for row in both if row.get("asked", 0) == most}
-        return float(pair[setting] - pair[other])
-
-    return over_pictures({case: [*by[other][case], *by[setting][case]] for case in cases}, more)
-
-
-def complete(rows: Sequence[Row]) -> tuple[By, list[Case]]:
-    """Rows by setting, picture and seed, for the pictures that every setting and seed has; and these cases."""
-    by: By = {}
-    for row in rows:
-        by.setdefault(row["setting"], {}).setdefault((row["image"], row["seed"]), []).append(row)
-    seeds = sorted({row["seed"] for row in rows})
-    most = max(len(found) for cases in by.values() for found in cases.values())
-    whole = [
-        image
-        for image in dict.fromkeys(row["image"] for row in rows)
-        if all(len(cases.get((image, seed), [])) == most for cases in by.values() for seed in seeds)
-    ]
-    kept = [(image, seed) for image in whole for seed in seeds]
-    return {setting: {case: cases[case] for case in kept} for setting, cases in by.items()}, kept
-
-
-def over_pictures(cases: dict[Case, list[Row]], figure: Figure) -> Worth:
-    """The mean over pictures of the mean over seeds, and the standard error over pictures."""
     by_picture: dict[str, list[float | None]] = {}
-    for (picture, _), rows in cases.items():
-        by_picture.setdefault(picture, []).append(figure(rows))
+    for case in by_setting[setting]:
+        by_picture.setdefault(case[0], []).append(bd_psnr(points(baseline, case), points(setting, case)))
     known = [value for values in by_picture.values() if (value := mean(values)) is not None]
     return mean(known), standard_error(known)
 
 
-def summary(content: Row) -> Iterator[str]:
-    """A table for each ablation that was measured: every setting against the first."""
-    for name, anchor in ANCHORS.items():
-        rows = rows_of(content, name)
-        if name not in CODED:  # as worth() compares them
-            most = max((row.get("asked", 0) for row in rows), default=0)
-            rows = [row for row in rows if row.get("asked", 0) == most]
-        by, cases = complete(rows) if rows else ({}, [])
-        if not cases:
+def complete(rows: Sequence[Row]) -> BySetting:
+    """Rows by setting, picture and seed, of the pictures that every setting and seed has."""
+    found: BySetting = {}
+    for row in rows:
+        found.setdefault(row["setting"], {}).setdefault((row["image"], row["seed"]), []).append(row)
+    seeds = {row["seed"] for row in rows}
+    most = max(len(group) for cases in found.values() for group in cases.values())
+    whole = {
+        image
+        for image in {row["image"] for row in rows}
+        if all(len(cases.get((image, seed), [])) == most for cases in found.values() for seed in seeds)
+    }
+    return {s: {case: group for case, group in cases.items() if case[0] in whole} for s, cases in found.items()}
+
+
+def summary(rows: Sequence[Row]) -> Iterator[str]:
+    """A Markdown table for each of the paper's that was measured."""
+    for name, baseline in BASELINES.items():
+        found = complete(own) if (own := [row for row in rows if row["table"] == name]) else {}
+        if not found.get(baseline):
             continue
         lines = []
-        for setting, own in by.items():
-            db, error = worth(content, name, setting, anchor)
-            within = db is not None and setting != anchor and abs(db) < (error or 0)
-            figures = (
-                number(over_pictures(own, lambda rows, name=column: mean([r.get(name) for r in rows]))[0], form)  # type: ignore[misc]
-                for column, (_, form) in COLUMNS.items()
-            )
-            gain = "" if setting == anchor else number(db, "+.2f") + " (within the error)" * within
-            lines.append([setting, gain, "" if setting == anchor else number(error, ".3f"), *figures])
-        pictures, seeds = (len({case[k] for case in cases}) for k in (0, 1))
-        titles = [
-            "setting",
-            f"dB against {'the whole' if anchor == 'nothing' else anchor}",
-            "standard error",
-            *(title for title, _ in COLUMNS.values()),
-        ]
-        counted = f"{pictures} picture{'s' * (pictures > 1)}, {seeds} seed{'s' * (seeds > 1)}"
-        yield f"{TITLES[name]} ({counted}):\n\n{table(' | '.join(titles), lines)}"
+        for setting, cases in found.items():
+            every = [row for group in cases.values() for row in group]
+            cells = [number(mean([row[column] for row in every]), form) for column, (_, form) in COLUMNS.items()]
+            db, error = worth({"rows": own}, name, setting, baseline) if setting != baseline else (None, None)
+            lines.append([setting, number(db, "+.2f"), number(error, ".3f"), *cells])
+        titles = [title for title, _ in COLUMNS.values()]
+        count = len({image for image, _ in found[baseline]})
+        head = table(" | ".join(["setting", f"BD-PSNR against {baseline}, dB", "standard error", *titles]), lines)
+        yield f"{name}, pictures: {count}\n\n{head}"

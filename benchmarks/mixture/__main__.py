@@ -22,8 +22,8 @@ from PIL import Image
 import sgmethod
 from benchmarks.machine import RUNS, command, found, origin, write_json
 from benchmarks.mixture.fit import Array, Variant, at_budget, code, fit_bits, prior_of, psnr, search, symbol_shares
+from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, pictures_in
-from sgmethod.metrics.perceptual import Networks
 
 SIDE = 192
 Row = dict[str, Any]

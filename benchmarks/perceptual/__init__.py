@@ -1,1 +1,1 @@
-"""What people see, in figures: metrics that follow the eye, beside AVIF at the same bytes, and sheets of crops."""
+"""Metrics that are designed to agree with people, compared with AVIF at the same size; and sheets of crops."""

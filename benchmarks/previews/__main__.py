@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import integers, some_of
+from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, add_options, named_in
-from benchmarks.previews.codecs import CODECS, Made
-from benchmarks.rd.rivals import package
-from benchmarks.tables import number, table
+from benchmarks.previews.codecs import ALL_CODECS, CODECS, Made
+from benchmarks.rd.baselines import package
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from sgmethod.metrics.looks import ssimulacra2
-from sgmethod.metrics.perceptual import Networks
+from sgmethod.metrics.visual import ssimulacra2
 
 BYTES = [32, 64, 128, 256, 512, 1024, 2048, 4096]
 SEEN = [512]
@@ -48,23 +48,13 @@ def measured(made: Made, pixels: Pixels, networks: Networks | None) -> dict[str,
     return found | {"encode_s": round(made.encode_s, 4), "decode_ms": round(statistics.median(times), 3)}
 
 
-def summary(rows: list[dict[str, Any]]) -> str:
-    """Mean PSNR by bytes and codec, with the pictures where some are missing."""
-    lines = []
-    for most in sorted({row["max_bytes"] for row in rows}):
-        cells = []
-        for codec in CODECS:
-            values = [row["psnr"] for row in rows if (row["codec"], row["max_bytes"]) == (codec, most)]
-            cells.append(number(statistics.fmean(values) if values else None, ".2f") + f" ({len(values)})")
-        lines.append([f"{most:,}", *cells])
-    return table(" | ".join(["bytes at most", *(f"{codec}, dB (pictures)" for codec in CODECS)]), lines)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=10**6)
     parser.add_argument("--bytes", type=integers, default=BYTES, help="of a file at most")
-    parser.add_argument("--codecs", type=some_of(CODECS, "codec"), default=[*CODECS], help=f"of {', '.join(CODECS)}")
+    parser.add_argument(
+        "--codecs", type=some_of(ALL_CODECS, "codec"), default=[*CODECS], help=f"of {', '.join(ALL_CODECS)}"
+    )
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
     parser.add_argument("--seen-bytes", type=integers, default=SEEN, help="bytes at which the networks look")
     parser.add_argument("--out", type=Path, default=RUNS / "previews.json")
@@ -78,12 +68,12 @@ def main() -> None:
         for most in sorted(options.bytes):
             for codec in options.codecs:
                 key = {"codec": codec, "image": path.name}
-                if record.has(**key, max_bytes=most) or (made := CODECS[codec](pixels, most)) is None:
+                if record.has(**key, max_bytes=most) or (made := ALL_CODECS[codec](pixels, most)) is None:
                     continue
                 if not record.has(**key, bytes=made.bytes):
                     found = measured(made, pixels, networks if most in options.seen_bytes else None)
                     record.add({"codec": codec, "max_bytes": most, "image": path.name} | found)
-    print(summary(record.rows))
+    print(flat(record.rows))
 
 
 if __name__ == "__main__":

@@ -8,10 +8,13 @@ no base64, 3 for 4 characters.
 from __future__ import annotations
 
 import base64
+import json
 import math
+import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,12 +22,23 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.pictures import Pixels
-from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, package
+from benchmarks.rd.baselines import AvifForPsnr, Baseline, Jpeg, JpegXl, WebP, package
+from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
 
 FACTORS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 BPP = 0.1, 4.0  # of a reduced picture: beyond these, another factor is better
-MOST_COMPONENTS = 9  # of BlurHash, along each side
+MAX_COMPONENTS = 9  # of BlurHash, along each side
+ENCODER = Path(sgmethod.__file__).parent / "javascript" / "src" / "encoder" / "encoder.js"
+ENCODE = """
+const [encoder, width, height, bytes] = process.argv.slice(1);
+const { encodePreview } = await import(encoder);
+const rgba = (await import("node:fs")).readFileSync(0);
+const began = process.cpuUsage();
+const { text } = encodePreview(rgba, +width, +height, { bytes: +bytes });
+const { user, system } = process.cpuUsage(began);
+console.log(JSON.stringify({ text, seconds: (user + system) / 1e6 }));
+"""
 HASHED_SIDE, BLURRED_SIDE = 100, 64  # pixels to which pictures are reduced: the most that ThumbHash takes; plenty
 
 
@@ -54,23 +68,35 @@ def reduced(pixels: Pixels, side: int) -> Pixels:
 
 def sg(pixels: Pixels, most: int) -> Made:
     """This project's preview."""
-    height, width = pixels.shape[:2]
     began = time.process_time()
     made = sgmethod.preview(pixels, most)
-    took_s = time.process_time() - began
+    return _of_file(made.data, time.process_time() - began, pixels)
+
+
+def sg_in_javascript(pixels: Pixels, most: int) -> Made:
+    """The npm package's preview, by Node in a process of its own."""
+    height, width = pixels.shape[:2]
+    rgba = np.dstack([pixels, np.full((height, width), 255, np.uint8)]).tobytes()
+    command = ["node", "--input-type=module", "--eval", ENCODE, str(ENCODER), str(width), str(height), str(most)]
+    found = json.loads(subprocess.run(command, input=rgba, capture_output=True, check=True).stdout)
+    return _of_file(from_text(found["text"]), found["seconds"], pixels)
+
+
+def _of_file(data: bytes, took_s: float, pixels: Pixels) -> Made:
+    height, width = pixels.shape[:2]
 
     def decode() -> Pixels:
-        file = sgmethod.open(made.data)
+        file = sgmethod.open(data)
         drawn = file.pixels(scale=width / file.size[0])
         return drawn if drawn.shape == pixels.shape else resized(drawn, width, height)
 
-    return Made(len(made.data), len(made.text), took_s, decode)
+    return Made(len(data), len(to_text(data)), took_s, decode)
 
 
 def blurhash(pixels: Pixels, most: int) -> Made | None:
     """BlurHash, of a colour to begin with and two characters for each component."""
     height, width = pixels.shape[:2]
-    sides = range(1, MOST_COMPONENTS + 1)
+    sides = range(1, MAX_COMPONENTS + 1)
     grids = [(x, y) for x in sides for y in sides if 4 + 2 * x * y <= most * 4 // 3]
     if not grids:
         return None
@@ -106,8 +132,8 @@ def thumbhash(pixels: Pixels, most: int) -> Made | None:
     return Made(len(data), len(base64.b64encode(data)), took_s, decode)
 
 
-def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
-    """A maker of the rival's best file over all factors; None where none is so small."""
+def of_baseline(baseline: Baseline) -> Callable[[Pixels, int], Made | None]:
+    """A maker of the baseline's best file over all factors; None where none is so small."""
 
     def make(pixels: Pixels, most: int) -> Made | None:
         height, width = pixels.shape[:2]
@@ -119,18 +145,18 @@ def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
             bpp = 8 * most / (small.shape[0] * small.shape[1])
             if not BPP[0] <= bpp <= BPP[1]:
                 continue
-            file = rival.best(small, bpp)
+            file = baseline.best(small, bpp)
             if len(file.data) > most:
                 continue
 
             def decode(data: bytes = file.data) -> Pixels:
-                decoded = rival.decode(data)
+                decoded = baseline.decode(data)
                 return decoded if decoded.shape == pixels.shape else resized(decoded, width, height)
 
             db = psnr(decode(), pixels)
             if db > best_db:
                 began = time.process_time()
-                rival.encode(small, file.quality)
+                baseline.encode(small, file.quality)
                 took_s += time.process_time() - began
                 best, best_db = Made(len(file.data), len(base64.b64encode(file.data)), took_s, decode), db
         return best
@@ -142,8 +168,10 @@ CODECS: dict[str, Callable[[Pixels, int], Made | None]] = {
     "sgmethod": sg,
     "BlurHash": blurhash,
     "ThumbHash": thumbhash,
-    "WebP": of_rival(WebP()),
-    "AVIF": of_rival(AvifForPsnr(speed=6)),
-    "JPEG XL": of_rival(JpegXl()),
-    "JPEG": of_rival(Jpeg()),
+    "WebP": of_baseline(WebP()),
+    "AVIF": of_baseline(AvifForPsnr(speed=6)),
+    "JPEG XL": of_baseline(JpegXl()),
+    "JPEG": of_baseline(Jpeg()),
 }
+# Measured if it is asked for: needs Node.
+ALL_CODECS = CODECS | {"JavaScript": sg_in_javascript}

@@ -1,16 +1,16 @@
 """Rate and quality over a folder of pictures: real files, decoded again and measured.
 
     python -m benchmarks.rd --images FOLDER [--most N] [--pictures kodim05] [--profiles rd,paper]
-                            [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--rivals [NAME ...]]
+                            [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--baselines [NAME ...]]
                             [--weights FOLDER [--seen-bpp 0.25]]
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
 an interrupted run resumes where it stopped. Each file is the best within a rate in bits per pixel; where none is so
-small, the smallest that its codec makes. Profile rd comes twice, tuned for PSNR and for the eye. --rivals adds other
-codecs, set as rivals.py says.
+small, the smallest that its codec makes. Profile rd comes twice, tuned for PSNR and for the eye. --baselines adds other
+codecs, set as baselines.py says.
 
---quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
+--quality: profile rd at one quantum for all pictures, as published means over pictures mostly are; they may only be
 compared with such. --weights: a folder as benchmarks.perceptual takes it, for LPIPS and DISTS too, which take longer
 than all else.
 """
@@ -29,23 +29,25 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import numbers, some_of
+from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
+from benchmarks.perceptual.networks import LPIPS_SIDE, Networks
 from benchmarks.pictures import Pixels, add_options, named_in
+from benchmarks.rd.baselines import BASELINES, USUAL, Baseline, versions
 from benchmarks.rd.codecs import Sg
-from benchmarks.rd.report import Row, means, means_table
-from benchmarks.rd.rivals import RIVALS, USUAL, Rival, versions
+from benchmarks.rd.report import Row
+from sgmethod import info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.perceptual import LPIPS_SIDE, Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
-Codec = Sg | Rival
+Codec = Sg | Baseline
 DECODES = 5  # the median of their times is reported
 
 
 def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Networks | None = None) -> Row:
     """Encode to a file, read and decode it, compare."""
-    made = codec.run(pixels, aim)
+    made = codec.best(pixels, aim)
     times = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture"
@@ -53,7 +55,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         size = path.stat().st_size
         for _ in range(DECODES):
             began = time.perf_counter()
-            decoded = made.decode(path.read_bytes())
+            decoded = codec.decode(path.read_bytes())
             times.append(1e3 * (time.perf_counter() - began))
     db = psnr(decoded, pixels)
     row = Row(
@@ -65,7 +67,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
         psnr=db if math.isfinite(db) else None,
         ms_ssim=ms_ssim(decoded, pixels),
         ssimulacra2=ssimulacra2(decoded, pixels),
-        gaussians=made.gaussians,
+        gaussians=info(made.data).gaussians if isinstance(codec, Sg) else None,
         encode_s=round(made.encode_s, 3),
         decode_ms=round(statistics.median(times), 3),
     )
@@ -85,68 +87,49 @@ def codecs_of(options: argparse.Namespace) -> list[Codec]:
     codecs: list[Codec] = []
     for name in options.profiles:
         codecs += [Sg(name, tune, options.effort) for tune in options.tune] if name == "rd" else [Sg(name)]
-    return [*codecs, *(rival() for name, rival in RIVALS.items() if name in options.rivals)]
+    return [*codecs, *(baseline() for name, baseline in BASELINES.items() if name in options.baselines)]
 
 
 def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """The options. Exits with one clear line for what makes no sense."""
     options = parser.parse_args()
-    options.rivals = [] if options.rivals is None else options.rivals or [rival.name for rival in USUAL]
-    if options.quality and options.rivals:
-        parser.error("--quality is for profile rd alone, without --rivals")
-    if min(options.bpp) <= 0 or options.most < 1:
-        parser.error("--bpp and --most take numbers above 0")
-    if options.quality and not all(0 < quality <= 100 for quality in options.quality):
-        parser.error("--quality takes numbers above 0, to 100")
-    for folder in (options.images, options.weights):
-        if folder and not folder.is_dir():
-            parser.error(f"{folder} is no folder")
-    if options.rivals and not versions():
-        parser.error("--rivals needs the extra: pip install -e '.[benchmark]'")
+    options.baselines = [] if options.baselines is None else options.baselines or [baseline.name for baseline in USUAL]
+    if options.quality and options.baselines:
+        parser.error("--quality is for profile rd alone, without --baselines")
+    if options.baselines and not versions():
+        parser.error("--baselines needs the extra: pip install -e '.[benchmark]'")
     return options
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser, most=10**6)
-    parser.add_argument(
-        "--profiles",
-        type=some_of(PROFILE_NAMES, "profile", none=True),
-        default="rd",
-        help=f"of {', '.join(PROFILE_NAMES)}; may be empty",
-    )
+    profiles = f"of {', '.join(PROFILE_NAMES)}; may be empty"
+    parser.add_argument("--profiles", type=some_of(PROFILE_NAMES, "profile", none=True), default="rd", help=profiles)
     parser.add_argument("--bpp", type=numbers, default=[0.15, 0.25, 0.4], help="each an upper limit for every file")
-    parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
+    parser.add_argument("--quality", type=numbers, help="in place of --bpp: quanta, halved by each 16 points")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
     parser.add_argument("--tune", nargs="+", choices=TUNES, default=TUNES, help="of profile rd; all if none is named")
     parser.add_argument(
-        "--rivals", nargs="*", choices=RIVALS, help="the usual ones, with one setting each, where none is named"
+        "--baselines", nargs="*", choices=BASELINES, help="the usual ones, with one setting each, where none is named"
     )
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
     parser.add_argument("--seen-bpp", type=numbers, help="of --bpp, those with LPIPS and DISTS; all")
     parser.add_argument("--out", type=Path, default=RUNS / "rd" / "kodak.json")
     options = checked(parser)
-    settings: dict[str, Any] = {
-        "codecs": versions() if options.rivals else [],
-        "seen": options.weights is not None,
-        "seen_bpp": options.seen_bpp,
-    }
+    settings: dict[str, Any] = {"codecs": versions() if options.baselines else []}
+    settings |= {"seen": options.weights is not None, "seen_bpp": options.seen_bpp}
     networks = Networks(options.weights) if options.weights else None
     record = Record(options.out, "benchmarks.rd", settings)
-    kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
-    paths = named_in(options)
-    wanted = []
-    for path in paths:
+    kept = {row.key for row in (Row(**kept) for kept in record.rows)}
+    for path in named_in(options):
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
         for codec in codecs_of(options):
             for aim in options.quality or options.bpp:
-                key = codec.name, aim, path.name
-                if key not in kept:
+                if (codec.name, aim, path.name) not in kept:
                     is_seen = options.seen_bpp is None or aim in options.seen_bpp
-                    kept[key] = measure(codec, path.name, pixels, aim, networks if is_seen else None)
-                    record.add(asdict(kept[key]))
-                wanted.append(kept[key])
-    print(f"\n{means_table(means(wanted))}")
+                    record.add(asdict(measure(codec, path.name, pixels, aim, networks if is_seen else None)))
+    print(flat(record.rows))
 
 
 if __name__ == "__main__":

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
-from benchmarks.tables import mean, number, table
+from benchmarks.tables import mean
 
 
 @dataclass(frozen=True)
 class Row:
-    """One picture through one codec at one rate; the fields of the JSON."""
+    """The result of one picture, codec and rate; the fields of the JSON."""
 
     codec: str
     max_bpp: float | None  # None where one quality was asked for
@@ -46,16 +46,15 @@ class Row:
 
     @property
     def key(self) -> tuple[str, float, str]:
-        """What no other row has."""
+        """The values that identify the row."""
         return self.codec, self.aim, self.image
 
 
 Point = tuple[float, float]  # bits per pixel, PSNR or another figure
 Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
-FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
-COSTS = {"gaussians": ".0f", "encode_s": ".3f", "decode_ms": ".2f"}
+FIGURES = ("bytes", "bpp", "psnr", "ms_ssim", *SEEN, "gaussians", "encode_s", "decode_ms")
 TITLES = {
     "images": "pictures",
     "psnr": "PSNR",
@@ -70,7 +69,7 @@ TITLES = {
 
 
 def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
-    """Bjontegaard's difference in rate, in percent: what test needs more (or, below 0, less) than anchor.
+    """Bjontegaard's difference in rate, in percent: how much more test needs than anchor; negative if it needs less.
 
     The mean over the qualities that both reach of the difference in log rate, each curve interpolated by piecewise
     cubic Hermite polynomials. None where they share no quality, or a curve has one point or falls.
@@ -80,7 +79,7 @@ def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
 
 
 def bd_psnr(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
-    """How many dB test is better than anchor, on average over the log rates that both reach."""
+    """Bjontegaard's difference in quality: dB by which test is better, averaged over the log rates that both reach."""
     return _mean_gap(*([(math.log10(rate), db) for rate, db in sorted(points)] for points in (anchor, test)))
 
 
@@ -107,10 +106,9 @@ def means(rows: Sequence[Row]) -> Means:
     groups = defaultdict(list)
     for row in rows:
         groups[row.codec, row.aim].append(row)
-    figures = [name for name in (*FORMATS, *SEEN, *COSTS) if name != "images"]
     result: Means = {}
     for key, group in groups.items():
-        result[key] = {name: mean([getattr(row, name) for row in group]) for name in figures}
+        result[key] = {name: mean([getattr(row, name) for row in group]) for name in FIGURES}
         result[key]["images"] = len(group)
         result[key]["above"] = sum(row.max_bpp is not None and row.bpp > row.max_bpp for row in group)
     return result
@@ -129,13 +127,13 @@ def against(rows: Sequence[Row], codec: str, anchor: str) -> float | None:
 
 
 def against_cool_chic(rows: Sequence[Row], codec: str) -> float | None:
-    """The same against the points that Cool-Chic published for each picture."""
+    """Like against(), for the points that Cool-Chic published for each picture."""
     images = dict.fromkeys(row.image for row in rows)
     return mean_rate({image: published.cool_chic().get(Path(image).stem, []) for image in images}, rows, codec)
 
 
 def mean_rate(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str) -> float | None:
-    """The same against points by picture."""
+    """The mean of BD-rates against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
     return mean([bd_rate(anchors[image], points(rows, codec, image)) for image in images])
 
@@ -154,15 +152,3 @@ def against_quoted(average: Means, codec: str, other: str) -> float | None:
     if ("one rate" in quoted["averaged"]) is (ONE_QUALITY in codec):
         return None
     return bd_rate([(p["bpp"], p["psnr"]) for p in quoted["points"]], curve(average, codec))
-
-
-def means_table(average: Means) -> str:
-    """A line for each codec and rate; figures that nothing has are left out."""
-    columns = {name: form for name, form in (FORMATS | SEEN | COSTS).items() if any(m[name] for m in average.values())}
-    qualities = any(ONE_QUALITY in codec for codec, _ in average)
-    titles = ["codec", "quality" if qualities else "bpp at most", *(TITLES.get(name, name) for name in columns)]
-    lines = [
-        [codec, f"{aim:g}", *(number(m[name], form) for name, form in columns.items())]
-        for (codec, aim), m in sorted(average.items(), key=lambda item: item[0][1])
-    ]
-    return table(" | ".join(titles), lines)

@@ -1,110 +1,130 @@
-"""Make docs/results, its plots, CSV files and the README's tables from the JSON of benchmarks/results.
+"""Make the tables, plots and CSV files of docs/results and README.md from the JSON of benchmarks/results.
 
-    python -m benchmarks.report [--check] [--root FOLDER]
+    python -m benchmarks.report [--check]
 
-Nobody types a figure of a page. --check writes nothing, and exits with 1 where a document differs from the JSON; it
-needs no matplotlib, as plots are not compared. --root: a folder with benchmarks/results, docs and README.md; this
-checkout's.
+People write the pages. The command replaces what lies between <!-- table NAME --> and <!-- end -->. Behind a measured
+figure of a sentence stands its name, as in 13.9<!-- rate.fewer-than-avif -->: the command compares the two, and exits
+with 1 where a sentence has to change. --check writes nothing, and also exits with 1 where a table or a CSV file would
+change; it needs no matplotlib, as plots are not compared.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
-from pathlib import Path
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 
 from benchmarks.flat import flat
-from benchmarks.report import previews, rate, readme, seen, service, speed, stability
-from benchmarks.report.plots import save
-from benchmarks.report.section import Content, Page, load, table
+from benchmarks.harness.data import ROOT
+from benchmarks.machine import RESULTS
+from benchmarks.perceptual import local
+from benchmarks.report import paper, previews, rate, scenes, seen, service, speed, stability
+from benchmarks.report.plots import Draw, save
+from benchmarks.report.results import rows, sources
 from sgmethod.io.files import write_atomically
-from tests.harness.data import ROOT
 
-# Each page, the JSON that it cannot do without, and further ones.
-MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tuple[str, ...]], ...] = (
-    (rate.page, ("rd/kodak",), ("rd/effort", "rd/avif", "rd/quality")),
-    (
-        speed.page,
-        ("convergence/kodak",),
-        ("convergence/2-megapixels", "convergence/12-megapixels", "speed", "growth"),
+TABLE = re.compile(r"( *)<!-- table ([\w-]+)((?: \S+)*) -->\n.*?<!-- end -->", re.DOTALL)
+FIGURE = re.compile(r"(\S*)<!-- ([\w-]+\.[\w.-]+) -->")
+TABLES: dict[str, Callable[[], str]] = {
+    "readme": rate.readme_table,
+    "rate": rate.codecs_table,
+    "speed": speed.sizes_table,
+    "within-small": partial(speed.within_table, 0.4),
+    "within-large": partial(speed.within_table, 12),
+    "growth-by-pixels": partial(speed.growth, "megapixels"),
+    "growth-by-bytes": partial(speed.growth, "max_bytes"),
+    "previews": previews.by_bytes,
+    "previews-at-512-bytes": previews.at_one_size,
+    "seen": seen.means_table,
+    "seen-local": partial(seen.means_table, local.FIGURES),
+    "stability": stability.rules_table,
+    "scenes": scenes.needs_table,
+    "savings": scenes.savings_table,
+    "service": service.situations,
+}
+# Title, second line and panels of each plot.
+PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
+    "rate": (
+        "Rate against quality",
+        "means of 24 pictures of Kodak",
+        [partial(rate.draw, figure=figure) for figure in ("psnr", "ssimulacra2")],
     ),
-    (previews.page, ("previews/kodak",), ()),
-    (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
-    (stability.page, (), ("stiff", "stability", "strict")),
-    (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
-)
-APART = {"stiff": "picture"}  # of the CSV, besides the usual
-HEAD = """# Results
-
-Each page answers one question. `python -m benchmarks.report` generates all but the page on the paper from the JSON in
-[benchmarks/results](../../benchmarks/results); no figure of these is typed by hand."""
-BY_HAND = ["[The paper](paper.md)", "Which of the paper's gains show here, sentence by sentence and table by table."]
-TAIL = """## Words
-
-- **bpp**: bits per pixel, 8 times the bytes of a file divided by its pixels.
-- Higher is better for **PSNR** (dB), **MS-SSIM** and **SSIMULACRA 2**; lower is better for **LPIPS** (AlexNet) and
-  **DISTS**.
-- **Bits for the same PSNR**: the BD-rate over the range of PSNR that both codecs reach, computed for each picture and
-  averaged over pictures. Negative means fewer bits.
-- **Quoted**: published by others and not measured here; the sources are in
-  [benchmarks/published](../../benchmarks/published).
-- **Mosaic**: a large picture assembled from several of Kodak's.
-
-## Repeat a measurement
-
-The command on each page runs in a checkout after `pip install -e '.[benchmark]'`, or `'.[test]'` for the
-service. It writes to `benchmarks/results` and resumes where it was interrupted. KODAK is a folder with the 24 PNG files
-of [Kodak's set](https://r0k.us/graphics/kodak/), and WEIGHTS the folder that
-`python -m benchmarks.perceptual.weights WEIGHTS` fills. MEASURED and LARGE are the folders `measured` and `large` that
-`python -m benchmarks.perceptual.photographs FOLDER` makes. For a quick trial, run `make bench`, which runs small
-versions of most measurements in ten minutes, or `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25
---rivals`. Both write to `build/bench`."""
+    "speed": (
+        "Speed and memory",
+        "PSNR against seconds, means over the pictures of each size",
+        [partial(speed.draw, megapixels=size) for size in (0.4, 12)],
+    ),
+    "paper": ("Gaussians by structure", "before coding, means of 12 pictures and standard errors", [paper.draw]),
+    "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
+    "seen": (
+        "What people see",
+        "each mark is a picture; right of the line ours is better",
+        [partial(seen.draw, figure=figure) for figure in ("ssimulacra2", "lpips", "dists")],
+    ),
+    "stability": (
+        "Stability",
+        "the worst error of kernels by the Gaussians' ratio of axes, and the limit",
+        [partial(stability.draw, rule=rule) for rule in (stability.VALUE, stability.GRADIENT)],
+    ),
+    "service": ("The service", "p99 of other clients under each attack", [service.draw]),
+}
+APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 
 
-def pages(results: Path) -> list[Page]:
-    """The pages whose figures were measured."""
-    found = []
-    for make, needed, more in MAKERS:
-        contents = {name: content for name in (*needed, *more) if (content := load(results, name))}
-        if contents and {*needed} <= {*contents}:
-            found.append(make(contents))
-    return found
+@cache
+def figures() -> dict[str, float | None]:
+    """Every figure that a sentence may have, by its mark."""
+    parts = (rate, speed, scenes, previews, seen, stability, service)
+    return {mark: value for part in parts for mark, value in part.figures().items()}
 
 
-def index(made: list[Page]) -> str:
-    """A line for each page, and the words that all use."""
-    lines = [[f"[{page.title}]({page.name}.md)", page.conclusion] for page in made]
-    return "\n\n".join([HEAD, table("page | result", [*lines, BY_HAND]), TAIL]) + "\n"
+def filled(text: str) -> str:
+    """A page with its tables as the JSON has them. Raises KeyError for a table that is not known."""
+
+    def made(match: re.Match[str]) -> str:
+        indent, name, words = match.groups()
+        content = sources(words.split()) if name == "sources" else TABLES[name]()
+        return f"{indent}<!-- table {name}{words} -->\n{content}\n{indent}<!-- end -->"
+
+    return TABLE.sub(made, text)
+
+
+def stale(text: str) -> Iterator[str]:
+    """The marked figures of a page that differ from the JSON, each as a line."""
+    for shown, mark in FIGURE.findall(text):
+        digits = re.search(r"-?[\d,]*\.?\d+$", shown)
+        value = figures().get(mark)
+        if digits is None or value is None:
+            yield f"{shown or 'no figure'} ({mark}): {'no such figure' if value is None else 'no number'}"
+            continue
+        decimals = len(digits[0].partition(".")[2])
+        if f"{value:,.{decimals}f}" != digits[0]:
+            yield f"{digits[0]} ({mark}): the JSON has {value:,.{decimals + 1}f}"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
-    parser.add_argument("--root", type=Path, default=ROOT)
-    options = parser.parse_args()
-    root: Path = options.root
-    results, docs = root / "benchmarks" / "results", root / "docs"
-    made = pages(results)
-    texts = {docs / "results" / f"{page.name}.md": f"{page.text()}\n" for page in made}
-    texts |= {docs / "results" / "README.md": index(made)}
-    contents = {name: content for page in made for name, content in page.contents.items()}
-    texts |= {
-        results / "csv" / f"{name}.csv": flat(content["rows"], APART.get(name, ""))
-        for name, content in contents.items()
-    }
-    texts |= {root / "README.md": readme.filled((root / "README.md").read_text(), results)}
-    if options.check:
-        stale = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
-        if stale:
-            names = ", ".join(str(path.relative_to(root)) for path in stale)
-            raise SystemExit(f"{names}: not what the JSON says; run python -m benchmarks.report")
-        return
-    for page in made:
-        if page.panels:
-            save(page.panels, page.title, page.of, docs / "plots" / page.name)
-    for path, text in texts.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
+    is_check = parser.parse_args().check
+    pages = {path: path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "results").glob("*.md")))}
+    texts = {path: filled(text) for path, text in pages.items()}
+    for text in pages.values():
+        for name in (name for _, table, names in TABLE.findall(text) if table == "sources" for name in names.split()):
+            texts[RESULTS / "csv" / f"{name}.csv"] = flat(rows(name), APART.get(name, ""))
+    errors = [f"{path.relative_to(ROOT)}: {line}" for path, text in pages.items() for line in stale(text)]
+    changed = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
+    if is_check:
+        errors += [f"{path.relative_to(ROOT)}: run python -m benchmarks.report" for path in changed]
+    else:
+        for path in changed:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, texts[path].encode())
+        for name, (title, of, panels) in PLOTS.items():
+            save(panels, title, of, ROOT / "docs" / "plots" / name)
+    if errors:
+        sys.exit("\n".join(errors))
 
 
 if __name__ == "__main__":

@@ -6,11 +6,11 @@ Narrow, with the legend below, so that two beside each other in the README have 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.report.section import Draw
+Draw = Callable[[Any], None]  # on the axes of matplotlib
 
 WIDTH_IN, HEIGHT_IN, LINE_IN = 5.4, 3.2, 0.18  # of a panel; of a line of title or legend
 LEGEND_COLUMNS = 2

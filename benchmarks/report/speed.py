@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 from benchmarks.report.plots import style
-from benchmarks.report.section import MISSING, Content, Draw, Page, seconds, several, table
-from benchmarks.speed.growth import AXES, exponent, growth_table, means
+from benchmarks.report.results import Row, load, rows, seconds
+from benchmarks.speed.growth import exponent, growth_table
+from benchmarks.tables import MISSING, number, table
 
-SIZES = ("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels")
+SIZES = {0.4: "convergence/kodak", 2: "convergence/2-megapixels", 12: "convergence/12-megapixels"}
 METHODS = {
     ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
     ("rd", ""): "`rd`, tuned for PSNR",
@@ -25,152 +24,106 @@ METHODS = {
     ("webp", "4"): "WebP, method 4",
     ("jpeg", "0"): "JPEG",
 }
+SECONDS = {0.4: (0.03, 0.1, 0.3, 1, 3, 10, 60), 12: (1, 3, 10, 30, 100, 300)}
+WITHIN = {
+    "rd": "`rd`, tuned for PSNR",
+    "rd visual": "`rd`, tuned for the eye (the default)",
+    "paper": "`paper`",
+    "avif": "AVIF, `tune=psnr`",
+    "jpegxl": "JPEG XL",
+    "webp": "WebP",
+}
 DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
-DECODERS = {"jpeg": "libjpeg-turbo", "avif": "AVIF"}
-GROWTH = (
-    "Seconds by pixels for a fixed size of the file, and by bytes for a fixed size of the picture, means over "
-    "photographs of a camera. AVIF of a large picture cannot be as small as some of these files and is then at its "
-    "lowest quality; reduced, its sides are first divided by two or more."
-)
-Rows = Sequence[dict[str, Any]]
 
 
-def page(contents: Mapping[str, Content]) -> Page:
-    """The page from convergence/*.json, speed.json and growth.json, as far as there are."""
-    by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
-    ends = dict.fromkeys((min(by_size), max(by_size)))
-    panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
-    speed, growth = contents.get("speed"), contents.get("growth")
-    return Page(
-        name="speed",
-        title="Speed and memory",
-        question="How long do encoding and decoding take at 0.25 bits per pixel on the same cores, and how does that "
-        "grow with the picture? Each cell gives the time of one encode and the PSNR it reached.",
-        table=sizes_table(by_size),
-        conclusion=" ".join(
-            [
-                hurry(by_size),
-                *([by_pixels(growth)] if growth else []),
-                *([decoding(speed["rows"])] if speed else []),
-            ]
-        ),
-        limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
-        "- Repeatable seconds: a time differs from hour to hour, so trust the ratios more.\n"
-        f"{unused(by_size)}"
-        "- The search for the quality that fits a size, which other codecs' times leave out.",
-        command="python -m benchmarks --full --images KODAK --only speed,convergence\n"
-        "python -m benchmarks.speed growth --images LARGE --megapixels 0.75,3,12 --bytes 500,2000,10000,50000 "
-        "--repeats 1 --out benchmarks/results/growth.json",
-        contents=contents,
-        panels=panels,
-        of="PSNR against seconds, means over the pictures of each size",
-        appendix=[
-            *([grows(speed["rows"])] if speed else []),
-            *([GROWTH, *(growth_table(growth["rows"], growth["settings"], axis) for axis in AXES)] if growth else []),
-        ],
+def at(megapixels: float, method: str, setting: str) -> dict[str, float] | None:
+    """Means of a method and setting over the pictures of one size."""
+    mine = [row for row in rows(SIZES[megapixels]) if (row["method"], row["setting"]) == (method, setting)]
+    return (
+        {name: statistics.fmean(row[name] for row in mine) for name in ("seconds", "psnr", "bytes")} if mine else None
     )
 
 
-def by_pixels(growth: Content) -> str:
-    """How an encode into a fixed number of bytes grows with the picture, in a sentence."""
-    found = dict(means(growth["rows"], growth["settings"], "megapixels"))
-    (small, first, _), *_, (large, last, _) = found["rd visual"]
-    size = f"{growth['settings']['max_bytes']:,} bytes"
-    return f"An encode of {large:g} megapixels into {size} takes {last / first:.1f} times as long as one of {small:g}."
-
-
-def size_of(content: Content) -> float:
-    """Megapixels of the pictures in a JSON."""
-    return float(content["rows"][0]["megapixels"])
-
-
-def at(rows: Rows, method: str, setting: str) -> tuple[float, float] | None:
-    """Mean seconds and dB of a method and setting."""
-    mine = [row for row in rows if (row["method"], row["setting"]) == (method, setting)]
-    if not mine:
-        return None
-    return statistics.fmean(row["seconds"] for row in mine), statistics.fmean(row["psnr"] for row in mine)
-
-
-def sizes_table(by_size: Mapping[float, Rows]) -> str:
+def sizes_table() -> str:
     """A line for each method, a column for each size."""
     lines = []
     for key, name in METHODS.items():
-        found = [at(rows, *key) for rows in by_size.values()]
-        if any(found):
-            lines.append([name, *(f"{seconds(one[0])} s, {one[1]:.1f} dB" if one else MISSING for one in found)])
-    counts = {size: len({row["picture"] for row in rows}) for size, rows in by_size.items()}
+        found = [at(size, *key) for size in SIZES]
+        lines.append([name, *(f"{seconds(m['seconds'])} s, {m['psnr']:.1f} dB" if m else MISSING for m in found)])
+    counts = {size: len({row["picture"] for row in rows(name)}) for size, name in SIZES.items()}
     titles = [f"{size:g} megapixels ({n} picture{'s' * (n > 1)})" for size, n in counts.items()]
     return table(" | ".join(["method", *titles]), lines)
 
 
-def hurry(by_size: Mapping[float, Rows]) -> str:
-    """The smallest and the largest size beside AVIF, in a sentence."""
-    told = []
-    for size in dict.fromkeys((min(by_size), max(by_size))):
-        ours, avif = (at(by_size[size], *key) for key in (("rd", ""), ("avif", "6")))
-        if ours and avif:
-            change = f"{'gains' if ours[1] > avif[1] else 'loses'} {abs(ours[1] - avif[1]):.1f} dB"
-            told.append(f"takes {ours[0] / avif[0]:.0f} times as long and {change} at {size:g} megapixels")
-    if not told:
-        return "AVIF was not measured."
-    return f"Compared with AVIF at speed 6, an encode tuned for PSNR {', and '.join(told)}."
+def growth(axis: str) -> str:
+    """Seconds along the pixels or the bytes."""
+    return growth_table(rows("growth"), load("growth")["settings"], axis)
 
 
-def unused(by_size: Mapping[float, Rows]) -> str:
-    """A line on how much smaller AVIF's files are, whose settings are coarse."""
-    rows = by_size[max(by_size)]
-    ours, avif = (
-        [row["bytes"] for row in rows if (row["method"], row["setting"]) == key] for key in (("rd", ""), ("avif", "6"))
-    )
-    if not ours or not avif:
-        return ""
-    smaller = 100 * (1 - statistics.fmean(avif) / statistics.fmean(ours))
-    return (
-        f"- Equal sizes: AVIF's settings are coarse, and its files at speed 6 are {smaller:.0f} % smaller than ours at "
-        f"{max(by_size):g} megapixels.\n"
-    )
-
-
-def decoding(rows: Rows) -> str:
-    """Milliseconds of a decode at about Kodak's size and of the largest, beside others, in a sentence."""
-    told = []
-    sizes = [row for row in rows if row["what"] == "size"]
-    for row in (row for row in sizes if row["megapixels"] in (0.4, sizes[-1]["megapixels"])):
-        others = row["rivals_decode_ms"]
-        pairs = [(title, others[name]) for name, title in DECODERS.items() if name in others]
-        beside = several([f"{row['decode_ms'] / theirs:.1f} times {title}'s time" for title, theirs in pairs])
-        told.append(f"{row['decode_ms']:.1f} ms at {row['megapixels']:g} megapixels ({beside})")
-    return f"A decode takes {several(told)}." if told else ""
-
-
-def grows(rows: Rows) -> str:
-    """The powers with which time and memory grow, in a sentence."""
-    sizes = [row for row in rows if row["what"] == "size"]
+def figures() -> dict[str, float]:
+    """The figures of sentences, by mark."""
+    found: dict[str, float] = {}
+    for size in (0.4, 12):
+        ours, avif = at(size, "rd", ""), at(size, "avif", "6")
+        assert ours and avif
+        found[f"speed.times-avif-{size:g}mp"] = ours["seconds"] / avif["seconds"]
+        found[f"speed.gain-{size:g}mp"] = ours["psnr"] - avif["psnr"]
+        found[f"speed.avif-unused-{size:g}mp"] = 100 * (1 - avif["bytes"] / ours["bytes"])
+        visual = at(size, "rd visual", "")
+        assert visual
+        found[f"speed.rd-{size:g}mp"], found[f"speed.avif-{size:g}mp"] = visual["seconds"], avif["seconds"]
+    sizes = [row for row in rows("speed") if row["what"] == "size"]
+    for row in (row for row in sizes if row["megapixels"] in (0.4, 24)):
+        end = f"{row['megapixels']:g}mp"
+        found[f"speed.decode-{end}"] = row["decode_ms"]
+        for name, ms in row["baselines_decode_ms"].items():
+            found[f"speed.{name}-decode-{end}"] = ms
+            found[f"speed.times-{name}-decode-{end}"] = row["decode_ms"] / ms
+    found["speed.memory-24mp"] = sizes[-1]["encode_mib"]
     pixels = [row["pixels"] for row in sizes]
-    figures = {
-        "an encode": [statistics.median(row["encode_s"]) for row in sizes],
-        "a decode": [row["decode_ms"] for row in sizes],
-        "an encode's memory": [row["encode_mib"] for row in sizes],
-    }
-    told = [f"{exponent(pixels, values) or 0:.2f} for {what}" for what, values in figures.items()]
-    most = f"{sizes[-1]['encode_mib']:,.0f} MiB at {sizes[-1]['megapixels']:g} megapixels"
-    return f"Cost grows as a power of the number of pixels: {several(told)} ({most}). The CSV of speed has each size."
+    for name in ("encode_s", "decode_ms", "encode_mib"):
+        found[f"speed.power-{name}"] = exponent(pixels, [median(row[name]) for row in sizes]) or 0
+    return found | growing()
 
 
-def draw(axes: Any, rows: Rows, size: float) -> None:
+def growing() -> dict[str, float]:
+    """Seconds of photographs of a camera, by mark: method, megapixels and bytes."""
+    groups: dict[str, list[float]] = {}
+    for row in rows("growth"):
+        method = f"{row['method']} {row['setting']}".strip().replace(" ", "-")
+        groups.setdefault(f"growth.{method}-{row['megapixels']:g}mp-{row['max_bytes']}", []).append(row["seconds"])
+    found = {mark: statistics.fmean(values) for mark, values in groups.items()}
+    found["growth.times"] = found["growth.rd-visual-12mp-10000"] / found["growth.rd-visual-0.75mp-10000"]
+    return found
+
+
+def median(value: float | list[float]) -> float:
+    """The median of repeated measurements, or the only one."""
+    return statistics.median(value) if isinstance(value, list) else value
+
+
+def draw(axes: Any, megapixels: float) -> None:
     """PSNR against seconds at one size."""
+    of_size: list[Row] = rows(SIZES[megapixels])
     lows = []
     for k, method in enumerate(DRAWN):
-        mine = [row for row in rows if row["method"] == method]
-        if not mine:
-            continue
-        settings = dict.fromkeys(row["setting"] for row in mine)
-        points = sorted(point for setting in settings if (point := at(mine, method, setting)))
+        settings = dict.fromkeys(row["setting"] for row in of_size if row["method"] == method)
+        found = [m for setting in settings if (m := at(megapixels, method, setting))]
+        points = sorted((m["seconds"], m["psnr"]) for m in found)
         look = {"linestyle": "none"} if method in ("webp", "jpeg") else {}
         axes.plot(*zip(*points, strict=True), **style(k) | look | {"label": LABELS.get(method, method)})
         lows.append(max(db for _, db in points))
-    axes.set(
-        xscale="log", xlabel=f"seconds, {size:g} megapixels", ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None)
-    )
+    label = f"seconds, {megapixels:g} megapixels"
+    axes.set(xscale="log", xlabel=label, ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None))
+
+
+def within_table(megapixels: float) -> str:
+    """The best PSNR of each method whose encode takes at most so many seconds, means over the pictures of one size."""
+    lines = []
+    for method, name in WITHIN.items():
+        settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
+        found = [m for setting in settings if (m := at(megapixels, method, setting))]
+        best = [max((m["psnr"] for m in found if m["seconds"] <= s), default=None) for s in SECONDS[megapixels]]
+        lines.append([name, *(number(psnr, ".1f") for psnr in best)])
+    return table(" | ".join(["", *(f"{s:g} s" for s in SECONDS[megapixels])]), lines)

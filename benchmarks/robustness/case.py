@@ -1,4 +1,4 @@
-"""What a case comes to: the worst figure seen under a rule, and the verdict."""
+"""A case: the worst figure seen under a rule, and the verdict."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Found = tuple[float | None, str]  # the worst figure, None if it is no number; a
 
 @dataclass(frozen=True)
 class Case:
-    """Something to try. limit: the worst figure allowed, None where it is only told."""
+    """Something to try. limit: the worst figure allowed, None where the figure is only reported."""
 
     name: str
     rule: str
@@ -28,7 +28,7 @@ class Case:
         if worst is not None and not math.isfinite(worst):
             worst = None
         kept = worst is not None and (self.limit is None or worst <= self.limit)
-        verdict = "told" if kept and self.limit is None else "kept" if kept else "broken"
+        verdict = "no limit" if kept and self.limit is None else "kept" if kept else "broken"
         tried = {"case": self.name, "rule": self.rule, "limit": self.limit}
         return {**tried, "worst": worst, "verdict": verdict, "note": note}
 

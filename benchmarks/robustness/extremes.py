@@ -15,13 +15,13 @@ from pathlib import Path
 
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
-from benchmarks.robustness import fits, kernels, strict
+from benchmarks.robustness import fits, kernels
 from benchmarks.robustness.case import Cases
 
 SETS: dict[str, Callable[[argparse.Namespace], Cases]] = {
     "kernels": lambda _: kernels.cases(),
-    "fits": lambda options: fits.cases(fits.Size(options.side, options.seeds, options.generations)),
-    "strict": lambda _: strict.cases(),
+    "fits": lambda options: fits.cases(options.side, options.seeds, options.generations),
+    "strict": lambda _: fits.strict_cases(),
 }
 
 
@@ -29,9 +29,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", type=some_of(SETS, "set"), default=",".join(SETS))
     parser.add_argument("--cases", default="", help="those whose name begins so; all")
-    parser.add_argument("--side", type=int, default=fits.Size.side, help="pixels along the picture that is fitted")
-    parser.add_argument("--seeds", type=int, default=fits.Size.seeds)
-    parser.add_argument("--generations", type=int, default=fits.Size.generations)
+    parser.add_argument("--side", type=int, default=64, help="pixels along the picture that is fitted")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--generations", type=int, default=10)
     parser.add_argument("--out", type=Path, default=RUNS / "stability.json")
     options = parser.parse_args()
     record = Record(options.out, "benchmarks.robustness extremes", {"side": options.side})

@@ -4,9 +4,10 @@ time limits."""
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 from unittest.mock import patch
@@ -15,11 +16,12 @@ import numpy as np
 
 from benchmarks.pictures import Pixels, photograph
 from benchmarks.robustness.case import Case, Cases, Found
-from benchmarks.robustness.stiff.pictures import text
+from benchmarks.robustness.pictures import PICTURES as HARD
+from benchmarks.robustness.pictures import text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import PROFILES, Profile, Tune
+from sgmethod.profiles import PROFILES, TUNES, Profile, Tune
 from sgmethod.rd import place as rd
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
@@ -42,15 +44,6 @@ KINDS: dict[str, tuple[Profile, Tune]] = {
 }
 
 
-@dataclass(frozen=True)
-class Size:
-    """How much is tried: pixels along a side, seeds, generations."""
-
-    side: int = 64
-    seeds: int = 10
-    generations: int = 10
-
-
 def step(side: int) -> Pixels:
     """Black beside white: one edge, and nothing else."""
     pixels = np.zeros((side, side, 3), np.uint8)
@@ -61,12 +54,12 @@ def step(side: int) -> Pixels:
 PICTURES: dict[str, Callable[[int], Pixels]] = {"photograph": photograph, "text": text, "step": step}
 
 
-def cases(size: Size) -> Cases:
-    """Bad starts of profile rd on every picture, the rest on the photograph."""
-    budget, pixels = Budget("bpp", BPP), photograph(size.side)
+def cases(side: int, seeds: int, generations: int) -> Cases:
+    """Bad starts of profile rd on every picture, the rest on the photograph. side: of pictures, in pixels."""
+    budget, pixels = Budget("bpp", BPP), photograph(side)
     for kind, (profile, tune) in KINDS.items():
         for name in PICTURES if profile == "rd" else ("photograph",):
-            picture = PICTURES[name](size.side)
+            picture = PICTURES[name](side)
             for start, patched in starts(profile).items():
                 measure = partial(worse, picture, budget, profile, tune, patched)
                 yield Case(f"{name}, {kind}, {start}", RULE, 0.0, measure)
@@ -79,19 +72,14 @@ def cases(size: Size) -> Cases:
         yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n), "rd", "psnr"))
     for count in (1, 11, 12, 13, 30, 100, pixels.size, 10 * pixels.size):
         yield Case(f"{count:,} bytes", SIZE_RULE, 0, partial(beyond, pixels, count))
-    yield Case(
-        f"{size.seeds} seeds", "dB between the best and the worst", SPREAD_LIMIT_DB, partial(spread, pixels, size.seeds)
-    )
-    yield Case(
-        f"{size.generations} generations",
-        "dB lost from the first to the last, each encoded from the one before",
-        GENERATIONS_LIMIT_DB,
-        partial(lost, pixels, size.generations),
-    )
+    rule = "dB between the best and the worst"
+    yield Case(f"{seeds} seeds", rule, SPREAD_LIMIT_DB, partial(spread, pixels, seeds))
+    rule = "dB lost from the first to the last, each encoded from the one before"
+    yield Case(f"{generations} generations", rule, GENERATIONS_LIMIT_DB, partial(lost, pixels, generations))
 
 
 def starts(profile: str) -> dict[str, Patch]:
-    """What may be wrong with the first Gaussians."""
+    """Ways in which the first Gaussians may be wrong."""
 
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
         def placed(*arguments: Any) -> Gaussians:
@@ -108,7 +96,7 @@ def starts(profile: str) -> dict[str, Patch]:
         return patched
 
     def equal(g: Gaussians) -> None:
-        for values in (g.means, g.factors, g.colors):
+        for values in g.arrays:
             values[:] = values[0]
 
     def singular(g: Gaussians) -> None:
@@ -120,17 +108,12 @@ def starts(profile: str) -> dict[str, Patch]:
 
         return spoil
 
-    bad = [(math.nan, "not a number"), (math.inf, "infinite")]
-    return {
-        "as it is": nullcontext,
-        "all Gaussians equal at the start": spoiled(equal),
-        "singular shapes at the start": spoiled(singular),
-        **{
-            f"every second {name[:-1]} {word} at the start": spoiled(some(v, name))
-            for v, word in bad
-            for name in ("means", "factors")
-        },
-    }
+    found: dict[str, Patch] = {"as it is": nullcontext, "all Gaussians equal at the start": spoiled(equal)}
+    found["singular shapes at the start"] = spoiled(singular)
+    for value, word in ((math.nan, "not a number"), (math.inf, "infinite")):
+        for name in ("means", "factors"):
+            found[f"every second {name[:-1]} {word} at the start"] = spoiled(some(value, name))
+    return found
 
 
 def fast(settings: Settings) -> Settings:
@@ -153,7 +136,7 @@ def worse(
     settings: Settings | None = None,
     limit_s: float | None = None,
 ) -> Found:
-    """How far the file is below the start of its own fit, and below a picture of one colour."""
+    """Measure by how much the file is worse than the start of its fit, or than a single colour."""
     with patched():
         encoded = encode(pixels, budget, profile, tune=tune, settings=settings, time_limit_s=limit_s)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
@@ -171,15 +154,43 @@ def beyond(pixels: Pixels, count: int) -> Found:
 
 
 def spread(pixels: Pixels, seeds: int) -> Found:
-    """How far seeds of the same encode are apart in PSNR."""
+    """Measure the spread of PSNR over seeds of the same encode."""
     found = [encode(pixels, Budget("bpp", BPP), tune="psnr", seed=seed).stats.psnr for seed in range(seeds)]
     return max(found) - min(found), f"{min(found):.2f} to {max(found):.2f} dB"
 
 
 def lost(pixels: Pixels, generations: int) -> Found:
-    """How much PSNR repeated encodes lose against the first picture."""
+    """Measure how much PSNR is lost when each encode gets the picture decoded before."""
     shown, found = pixels, []
     for _ in range(generations):
         shown = decode(encode(shown, Budget("bpp", BPP), tune="psnr").data)
         found.append(psnr(shown, pixels))
     return found[0] - found[-1], " ".join(f"{db:.2f}" for db in found)
+
+
+STRICT_RULE = (
+    "encodes that np.errstate(all='raise') or a filter of errors ends, of the bits per pixel and tunings tried"
+)
+STRICT_BPP = (0.3, 1.0, 3.0)
+
+
+def strict_cases() -> Cases:
+    """Hard pictures in a program that turns warnings into errors, and has NumPy raise on underflow."""
+    for name in HARD:
+        yield Case(name, STRICT_RULE, 0, partial(failures, HARD[name]))
+
+
+def failures(make: Callable[[], Pixels]) -> Found:
+    """Count the encodes of a picture that fail, and give the first error."""
+    pixels, errors = make(), []
+    with np.errstate(all="raise"), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for bpp in STRICT_BPP:
+            for tune in TUNES:
+                try:
+                    decode(encode(pixels, Budget("bpp", bpp), tune=tune).data)
+                except BudgetError:  # a picture of a few pixels has less than the smallest file
+                    pass
+                except (ArithmeticError, Warning) as error:
+                    errors.append(f"{type(error).__name__}: {error}")
+    return len(errors), errors[0] if errors else ""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,22 +14,22 @@ from torch import Tensor
 
 from benchmarks.robustness.case import Case, Cases, Found
 from sgmethod.bitstream.v2 import MAX_QUANTUM
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
+from tests.definitions import drawing
 
 SIZE = (96, 64)
-FEW = 40  # Gaussians of a case
-CROWD = 3000
+GAUSSIANS = 40  # Gaussians of a case
+MANY_GAUSSIANS = 3000
 VALUE_LIMIT, GRADIENT_LIMIT = 1e-5, 1e-3
 HELD_UP_TO = 1e3  # the ratio of axes up to which gradients have a limit
 NEAR = 0.3  # scales from the middle of a pixel, which a Gaussian smaller than a pixel may miss
-LEAST = 1e-30  # no picture shows what is below; kernels may take denormal numbers for zero
+MIN_MAGNITUDE = 1e-30  # no picture shows what is below; kernels may take denormal numbers for zero
 VALUE_RULE = "error of a pixel, over the sum of the magnitudes of the colours there, 1e-30 at least"
 GRADIENT_RULE = "error of a gradient against float64, over the largest of its kind, 1e-30 at least"
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """How a version draws: cut-off, and whether in a pyramid."""
 
     name: str
@@ -60,9 +60,9 @@ def extremes() -> dict[str, tuple[Gaussians, bool]]:
     for power in range(2, 7):
         found[f"centres 1e{power} pixels outside"] = outside(10.0**power), True
     one = scattered()
-    point, shape = np.full((CROWD, 2), 32.25, np.float32), np.tile(one.factors[:1], (CROWD, 1))
-    colors = np.random.default_rng(1).normal(0, 0.1, (CROWD, 3)).astype(np.float32)
-    found[f"{CROWD:,} on one point"] = Gaussians(point, shape, colors), True
+    point, shape = np.full((MANY_GAUSSIANS, 2), 32.25, np.float32), np.tile(one.factors[:1], (MANY_GAUSSIANS, 1))
+    colors = np.random.default_rng(1).normal(0, 0.1, (MANY_GAUSSIANS, 3)).astype(np.float32)
+    found[f"{MANY_GAUSSIANS:,} on one point"] = Gaussians(point, shape, colors), True
     means, factors = (np.concatenate([values, values]) for values in (one.means, one.factors))
     cancelled = np.concatenate([one.colors, np.float32(1e-6) - one.colors])
     found["colours that cancel to 1e-6"] = Gaussians(means, factors, cancelled), True
@@ -75,34 +75,34 @@ def extremes() -> dict[str, tuple[Gaussians, bool]]:
 
 
 def scattered(scale: float = 2.0, ratio: float = 1.5) -> Gaussians:
-    """FEW over the picture at any angle; the minor axis is scale, the major one ratio times that. Half of those
+    """GAUSSIANS over the picture at any angle; the minor axis is scale, the major one ratio times that. Half of those
     smaller than a pixel lie near the middle of one, where they are seen."""
     random = np.random.default_rng(0)
-    means = random.uniform((0, 0), SIZE, (FEW, 2))
+    means = random.uniform((0, 0), SIZE, (GAUSSIANS, 2))
     if scale < 1:
         means[::2] = np.floor(means[::2]) + 0.5 + scale * random.normal(0, NEAR, means[::2].shape)
-    angle = random.uniform(0, math.pi, FEW)
-    minor = scale * np.exp(random.normal(0, 0.2, FEW))
+    angle = random.uniform(0, math.pi, GAUSSIANS)
+    minor = scale * np.exp(random.normal(0, 0.2, GAUSSIANS))
     major = ratio * minor
     cosine, sine = np.cos(angle), np.sin(angle)
     xx = (major * cosine) ** 2 + (minor * sine) ** 2
     l1 = np.sqrt(xx)
     l2 = (major**2 - minor**2) * sine * cosine / l1
     factors = np.stack([l1, l2, major * minor / l1], axis=1)
-    colors = random.normal(0, 0.5, (FEW, 3))
+    colors = random.normal(0, 0.5, (GAUSSIANS, 3))
     return Gaussians(*(values.astype(np.float32) for values in (means, factors, colors)))
 
 
 def outside(distance: float) -> Gaussians:
     """Centres so far away on every side, wide enough to reach the picture."""
     near = scattered(scale=distance)
-    angle = np.linspace(0, 2 * math.pi, FEW, endpoint=False)
+    angle = np.linspace(0, 2 * math.pi, GAUSSIANS, endpoint=False)
     means = np.stack([48 + distance * np.cos(angle), 32 + distance * np.sin(angle)], axis=1)
     return Gaussians(means.astype(np.float32), near.factors, near.colors)
 
 
 def largest() -> Gaussians:
-    """What the coarsest file of the largest picture makes of numbers that are too large for it."""
+    """Numbers that are too large, as the coarsest file of the largest picture stores them."""
     side, n = native.MAX_SIDE, 6
     parameters = native.RdParameters(side, side, MAX_QUANTUM)
     means = np.array([(0, 0), (side, 0), (0, side), (side, side), (48, 32), (1e9, -1e9)], np.float32)
@@ -139,7 +139,7 @@ def gradients(gaussians: Gaussians, model: Model) -> Found:
     for name, tensor, *found in zip(Gaussians.__annotations__, tensors, *every, strict=True):
         assert tensor.grad is not None
         exact = tensor.grad.numpy()
-        scale = np.maximum(np.abs(exact).max(axis=0), LEAST)
+        scale = np.maximum(np.abs(exact).max(axis=0), MIN_MAGNITUDE)
         for values in found:
             errors = np.abs(values - exact).max(axis=0) / scale
             if not errors.max() <= worst:
@@ -157,7 +157,7 @@ def raster(gaussians: Gaussians, model: Model, isa: int) -> native.Rasterization
 def backward(gaussians: Gaussians, model: Model, isa: int) -> list[FloatArray]:
     """The kernels' gradients of the sum of the picture times upstream()."""
     image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
-    out = [np.empty_like(values) for values in (gaussians.means, gaussians.factors, gaussians.colors)]
+    out = [np.empty_like(values) for values in gaussians.arrays]
     over = raster(gaussians, model, isa)
     over.render(gaussians.colors, image)
     over.backward(gaussians.colors, upstream().float().numpy(), *out)
@@ -166,19 +166,18 @@ def backward(gaussians: Gaussians, model: Model, isa: int) -> list[FloatArray]:
 
 def defined(gaussians: Gaussians, model: Model, tensors: list[Tensor] | None = None) -> Tensor:
     """The picture by its definition, float64."""
-    draw = reference.render_pyramid if model.pyramid else reference.render
+    draw = drawing.render_pyramid if model.pyramid else drawing.render
     means, factors, colors = tensors or exact_tensors(gaussians)
     return draw(means, factors, colors, SIZE, model.cutoff)
 
 
 def exact_tensors(gaussians: Gaussians) -> list[Tensor]:
     """Means, factors and colours in float64, with gradients."""
-    arrays = gaussians.means, gaussians.factors, gaussians.colors
-    return [torch.from_numpy(values.astype(np.float64)).requires_grad_() for values in arrays]
+    return [torch.from_numpy(values.astype(np.float64)).requires_grad_() for values in gaussians.arrays]
 
 
 def upstream() -> Tensor:
-    """What the picture is weighed with, [3, H, W]; rounded to float32, which the kernels get."""
+    """The gradient of the loss by the picture, [3, H, W]; rounded to float32 for the kernels."""
     return torch.from_numpy(np.random.default_rng(3).standard_normal((3, SIZE[1], SIZE[0]), np.float32)).double()
 
 
@@ -187,14 +186,12 @@ def summed(gaussians: Gaussians, cutoff: float) -> NDArray[np.float64]:
     largest colour where there is none."""
     x, y = (np.arange(side) + 0.5 for side in SIZE)
     total = np.zeros((3, SIZE[1], SIZE[0]))
-    largest = max(float(np.abs(gaussians.colors).max()), LEAST)
-    for mean, (l1, l2, l3), color in zip(
-        *(values.astype(np.float64) for values in (gaussians.means, gaussians.factors, gaussians.colors)), strict=True
-    ):
+    largest = max(float(np.abs(gaussians.colors).max()), MIN_MAGNITUDE)
+    for mean, (l1, l2, l3), color in zip(*(values.astype(np.float64) for values in gaussians.arrays), strict=True):
         z1 = (x[None, :] - mean[0]) / l1
         z2 = (y[:, None] - mean[1] - l2 * z1) / l3
         total += np.abs(color)[:, None, None] * (z1 * z1 + z2 * z2 < 2 * cutoff + 1)
-    return np.where(total > 0, np.maximum(total, LEAST), largest)
+    return np.where(total > 0, np.maximum(total, MIN_MAGNITUDE), largest)
 
 
 def threads() -> Iterator[int]:

@@ -1,8 +1,8 @@
-"""How the service answers while it encodes, while some clients mean harm, and while processes are killed.
+"""Measure the service while it encodes, under attack, and while its processes are killed.
 
-python -m benchmarks.service load [--help]       latencies beside an encode that takes every core
+python -m benchmarks.service load [--help]       latencies during an encode
 python -m benchmarks.service attacks [--help]    other clients' latencies, and memory, under each attack
-python -m benchmarks.service chaos [--help]      kills and restarts at random, and the ledger of jobs after them
+python -m benchmarks.service chaos [--help]      random kills and restarts, and what became of the jobs
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Clients that mean harm, in a process of its own: attackers.py NAME HOST:PORT SECONDS JOB
+"""Attackers, in a process of their own: attackers.py NAME HOST:PORT SECONDS JOB
 
-They come from addresses of their own, ask again as soon as they are answered, and keep no rule. JOB: one whose picture
-may be had. "ready" is printed when their files are made; what they were answered with, as JSON, at the end. They are
-nice: an attack comes from other machines, whose cores it takes.
+They come from addresses of their own, and send the next request as soon as they have an answer. JOB: a job whose
+picture they may fetch. Prints "ready" once their files are made, and the statuses of all answers as JSON at the end.
+The process runs at a low priority, because real attackers would use the cores of other machines.
 """
 
 from __future__ import annotations
@@ -13,15 +13,17 @@ import itertools
 import json
 import os
 import resource
-import struct
 import sys
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 
-from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from tests.harness.pictures import SMALL
+import numpy as np
+from PIL import Image
+
+from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from benchmarks.harness.pictures import SMALL, saved
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"
@@ -35,13 +37,18 @@ Request = Callable[["Crowd", str], Awaitable[str]]
 
 @dataclass(frozen=True)
 class Attack:
-    """What attackers do. words: for a reader; at_once: how many do it, from how many addresses; request: what each does
-    again and again, whose answer is a status or a word."""
+    """An attack. words: its description; at_once: the number of attackers, and addresses that of their addresses;
+    request: makes the request that each repeats, and that returns a status or a word."""
 
     words: str
     at_once: int
     request: Callable[[], Request]
     addresses: int = 1
+
+
+async def status_of(reader: asyncio.StreamReader) -> str:
+    """The status in the first line of an answer."""
+    return (await reader.readline()).split()[1].decode()
 
 
 class Crowd:
@@ -94,8 +101,11 @@ class Crowd:
             with contextlib.suppress(ConnectionError):  # refused before the body was read: the answer is there
                 writer.write(body)
                 await writer.drain()
-            status = (await reader.readline()).split()[1].decode()
-            return status, await reader.read()
+            return await status_of(reader), await reader.read()
+
+    async def post(self, source: str, path: str, body: bytes) -> str:
+        """The status of the answer to a POST."""
+        return (await self.asked(source, f"POST {path}", body))[0]
 
 
 def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
@@ -103,25 +113,15 @@ def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
 
     def prepared() -> Request:
         body = make()
-
-        async def post(crowd: Crowd, source: str) -> str:
-            return (await crowd.asked(source, f"POST {path}", body))[0]
-
-        return post
+        return lambda crowd, source: crowd.post(source, path, body)
 
     return prepared
 
 
 def plain_tiff() -> bytes:
-    """A TIFF as large as an upload may be, with nothing wrong in it."""
-    side = 4600
-    pixels = side * side * 3
-    tags = [
-        *((256, 4, 1, side), (257, 4, 1, side), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 2)),
-        *((273, 4, 1, 8 + 2 + 10 * 12 + 4), (277, 3, 1, 3), (278, 4, 1, side), (279, 4, 1, pixels), (284, 3, 1, 1)),
-    ]
-    head = struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags)
-    return head + struct.pack("<I", 0) + os.urandom(1 << 20) * (pixels // (1 << 20)) + bytes(pixels % (1 << 20))
+    """An ordinary TIFF, almost as large as an upload may be."""
+    pixels = np.random.default_rng(0).integers(0, 256, (4600, 4600, 3), np.uint8)
+    return saved(Image.fromarray(pixels), "TIFF")
 
 
 def large_pictures() -> Request:
@@ -141,11 +141,7 @@ def large_pictures() -> Request:
 def hopeless() -> Request:
     """Submit jobs that cannot succeed."""
     queries = itertools.cycle(HOPELESS)
-
-    async def post(crowd: Crowd, source: str) -> str:
-        return (await crowd.asked(source, f"POST /encode?{next(queries)}", SMALL))[0]
-
-    return post
+    return lambda crowd, source: crowd.post(source, f"/encode?{next(queries)}", SMALL)
 
 
 def idle() -> Request:
@@ -153,8 +149,8 @@ def idle() -> Request:
 
     async def connect(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, _):
-            said = await reader.readline()
-            return said.split()[1].decode() if said else "closed"
+            answer = await reader.readline()
+            return answer.split()[1].decode() if answer else "closed"
 
     return connect
 
@@ -181,10 +177,8 @@ def streams() -> Request:
     async def watch(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
             writer.write(f"GET /jobs/{crowd.job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            status = (await reader.readline()).split()[1].decode()
-            if status == "200":
-                while await reader.readline():
-                    pass
+            if (status := await status_of(reader)) == "200":
+                await reader.read()
             return status
 
     return watch
@@ -199,14 +193,14 @@ def untaken() -> Request:
             writer.write(f"GET /decode/{crowd.job}.png?scale=8 HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             await asyncio.sleep(PATIENCE_S / 2)
             writer.transport.resume_reading()  # type: ignore[attr-defined]
-            return (await reader.readline()).split()[1].decode()
+            return await status_of(reader)
 
     return ask
 
 
 TIFF, PNG, JPEG = 7_990_000, 5_590_000, 3_725_000  # as many as an upload may hold
 ATTACKS = {
-    "none": Attack("nobody", 0, idle),
+    "none": Attack("no attack", 0, idle),
     "tiff": Attack("TIFF of 8 million strips, 64 MB", 10, posting("/encode?bpp=1", lambda: tiff_of_many_strips(TIFF))),
     "png": Attack("PNG of 5.6 million chunks, 67 MB", 10, posting("/encode?bpp=1", lambda: png_of_many_chunks(PNG))),
     "jpeg": Attack(
@@ -219,7 +213,7 @@ ATTACKS = {
     "idle-many": Attack("idle connections of 101 addresses", 10_100, idle, 101),
     "slow": Attack("uploads at 2 kB a second", 1000, slow_uploads),
     "streams": Attack("streams of events", 1000, streams),
-    "untaken": Attack("large pictures that nobody takes", 1000, untaken),
+    "untaken": Attack("large pictures that are not read", 1000, untaken),
 }
 
 

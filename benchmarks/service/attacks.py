@@ -1,11 +1,12 @@
-"""What other clients notice while some mean harm, and what memory the web process takes.
+"""Latency of other clients, and memory of the web process, during attacks.
 
     python -m benchmarks.service attacks [--seconds 60] [--only tiff,decode] [--out FILE]
 
-Each attack meets a fresh `python -m service web` with default settings but a long queue, in which others' jobs may
-wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) ask as fast as
-they are answered, each from an address of its own or together from one; somebody else, from another address, asks for
-seven things at fixed moments. Ten times as many at once as tests/service/limits has, or as large as an upload may be.
+Each attack meets a fresh `python -m service web` with default settings but a long queue, in which jobs of other
+clients may wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) send
+requests as fast as they are answered, from one address or several. A client at another address sends seven kinds of
+requests at fixed moments. Attacks have ten times as many clients as tests/service/api, or files of the
+largest size allowed.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import some_of
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.nginx import Nginx, make_certificate
+from benchmarks.harness.service import Service
 from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
-from benchmarks.service.generator import generated
-from benchmarks.service.measured import made_picture
-from tests.harness.data import ROOT
-from tests.harness.nginx import Nginx, make_certificate
-from tests.harness.service import Service
+from benchmarks.service.generator import Request, send_all
+from benchmarks.service.pictures import made_picture
 
 VICTIM = "127.0.0.2"
-AT_MOST = {"p99_ms": 1000, "web_mb": 400}
+LIMITS = {"p99_ms": 1000, "web_mb": 400}
 FILE = ROOT / "service" / "page" / "samples" / "cat.sg"
-# No worker runs: others' jobs may wait, and that they do is no trouble.
+# No worker runs, so jobs of the other client wait.
 SETTINGS: dict[str, Any] = {
     "queue_length": 1_000_000,
     "source_retention_s": 3600,
@@ -39,18 +40,16 @@ SETTINGS: dict[str, Any] = {
 WARM_S, LONGER_S = 3.0, 3.0
 
 
-def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
-    """What somebody else asks for, by its name in the results: a request of benchmarks.service.generator."""
-    image = folder / "image.png"
-    image.write_bytes(made_picture(256, 192))
+def requests(job: str, waiting: str) -> dict[str, Request]:
+    """The requests of the other client, by name in the results."""
     return {
-        "GET /livez": "10 GET /livez",
-        "GET /readyz": "2 GET /readyz",
-        "GET /jobs/ID": f"5 GET /jobs/{waiting}",
-        "GET /bitstreams/ID.sg": f"5 GET /bitstreams/{job}.sg",
-        "GET /decode/ID.png": f"5 GET /decode/{job}.png",
-        "POST /decode": f"5 POST /decode {FILE}",
-        "POST /encode": f"5 POST /encode {image}",
+        "GET /livez": Request(10, "GET", "/livez"),
+        "GET /readyz": Request(2, "GET", "/readyz"),
+        "GET /jobs/ID": Request(5, "GET", f"/jobs/{waiting}"),
+        "GET /bitstreams/ID.sg": Request(5, "GET", f"/bitstreams/{job}.sg"),
+        "GET /decode/ID.png": Request(5, "GET", f"/decode/{job}.png"),
+        "POST /decode": Request(5, "POST", "/decode", FILE.read_bytes()),
+        "POST /encode": Request(5, "POST", "/encode", made_picture(256, 192)),
     }
 
 
@@ -62,29 +61,28 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
         proxy = Nginx(Path(temporary), make_certificate(Path(temporary)), [service.url], tls=False)
         try:
             job, waiting = service.published(FILE.read_bytes()), service.accepted()
-            wanted = asked_for(job, waiting, Path(temporary))
-            generated(proxy.url, WARM_S, *wanted.values(), source=VICTIM)
+            others = requests(job, waiting)
+            send_all(proxy.url, WARM_S, [*others.values()], VICTIM)
             attacked = job if name == "untaken" else waiting
             with _attackers(name, proxy.url, seconds + LONGER_S, attacked) as attackers:
                 assert attackers.stdout is not None
                 assert attackers.stdout.readline() == "ready\n"
                 time.sleep(1)
-                spreads = generated(proxy.url, seconds, *wanted.values(), source=VICTIM)
+                spreads = send_all(proxy.url, seconds, [*others.values()], VICTIM)
                 answers = json.loads(attackers.communicate()[0])
             web_mb = round(peak_bytes(service.process.pid) / 1e6, 1)
         finally:
             proxy.stop()
             status = service.stop()
         log = service.log.read_text()
-    others = dict(zip(wanted, spreads, strict=True))
     worst_ms = max(spread["p99_ms"] for spread in spreads)
     failed = sum(spread["failed"] for spread in spreads)
     took_place = sum(answers.values()) >= attack.at_once  # or this machine had no core for the attackers
     return {
-        **{"attack": name, "words": attack.words, "at_once": attack.at_once, "answers": answers, "others": others},
-        **{"others_failed": failed, "others_worst_p99_ms": worst_ms},
+        **{"attack": name, "words": attack.words, "at_once": attack.at_once, "answers": answers},
+        **{"others": dict(zip(others, spreads, strict=True)), "others_failed": failed, "others_worst_p99_ms": worst_ms},
         **{"web_mb": {"most": web_mb}, "tracebacks": log.count("Traceback"), "exit_status": status},
-        "met": failed == 0 and worst_ms <= AT_MOST["p99_ms"] and web_mb <= AT_MOST["web_mb"] and took_place,
+        "met": failed == 0 and worst_ms <= LIMITS["p99_ms"] and web_mb <= LIMITS["web_mb"] and took_place,
     }
 
 
@@ -105,7 +103,7 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, default=RUNS / "service" / "attacks.json")
     options = parser.parse_args()
-    record = Record(options.out, "benchmarks.service attacks", {"seconds": options.seconds, "at_most": AT_MOST})
+    record = Record(options.out, "benchmarks.service attacks", {"seconds": options.seconds, "at_most": LIMITS})
     for name in options.only:
         if not record.has(attack=name):
             record.add(measure(name, options.seconds))

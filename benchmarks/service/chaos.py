@@ -1,17 +1,15 @@
-"""Kills, stops, restarts and cancels at random while a real service works, then draws up a ledger.
+"""Kill, stop, restart and cancel at random while a real service works, then count its jobs and files.
 
     python -m benchmarks.service chaos [--jobs 200] [--seed 1] [--database-url sqlite | postgresql | postgresql://...]
 
-It prints the ledger and exits with 1 unless it balances: every accepted job is done, has failed or was
-cancelled; what is done was published once and can be fetched; after a sweep nothing else is left. With the bare
-word "postgresql" it starts a server of its own, and restarts that now and then too. Pictures are tiny, so that
-most of the time goes to processes that come and go.
+Prints a ledger, and exits with 1 unless it balances: every accepted job is done, failed or cancelled; each result was
+published once and can be fetched; after a sweep nothing else is left. With the bare word "postgresql" it starts a
+server of its own, and restarts that now and then too. Pictures are tiny: most time goes to processes that start.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import random
 import shutil
@@ -23,10 +21,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.postgres_server import HINT, PostgresServer, find_binaries
 from benchmarks.machine import RUNS, command, origin, write_json
 from benchmarks.service.killed import ChaosService
-from benchmarks.service.measured import made_picture
-from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
+from benchmarks.service.pictures import made_picture
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
 STUCK_AFTER_S = 180.0  # without any job that ends
@@ -43,19 +41,17 @@ WEIGHTS = {
 
 
 class Submitter(threading.Thread):
-    """Get a number of jobs accepted, each under a key of its own, asking again until the answer is 202.
+    """Submit jobs, each under a key of its own, repeating each request until the answer is 202.
 
-    trouble: an answer that no job should get, after which nothing more was submitted.
+    error: an answer that no job should get, after which nothing more was submitted.
     """
 
     def __init__(self, service: ChaosService, jobs: int, seed: int) -> None:
         super().__init__(name="submitter", daemon=True)
-        self._service = service
-        self._jobs = jobs
-        self._random = random.Random(seed + 1)
+        self._service, self._jobs, self._random = service, jobs, random.Random(seed + 1)
         self.accepted: list[str] = []
         self.asked_again = 0
-        self.trouble = ""
+        self.error = ""
 
     def run(self) -> None:
         for number in range(self._jobs):
@@ -64,33 +60,22 @@ class Submitter(threading.Thread):
             image = made_picture(48, 32, number)
             if self._random.random() < 0.05:
                 image = image[: len(image) // 2]  # its header is whole: the codec refuses
-            job_id = self._accepted(image, form, f"job-{number}")
-            if job_id is None:
-                return
-            self.accepted.append(job_id)
+            more = {"files": {"image": image}, "data": form, "headers": {"Idempotency-Key": f"job-{number}"}}
+            while (answer := self._service.ask("POST", "/encode", **more)) is None or answer.status_code != 202:
+                if answer is not None and answer.status_code not in (429, 503):
+                    self.error = f"POST /encode: {answer.status_code} {answer.text}"
+                    return
+                self.asked_again += 1
+                time.sleep(0.5)
+            self.accepted.append(str(answer.json()["id"]))
             time.sleep(self._random.uniform(0, 0.5))
-
-    def _accepted(self, image: bytes, form: dict[str, str], key: str) -> str | None:
-        while True:
-            answer = self._service.ask(
-                "POST", "/encode", files={"image": image}, data=form, headers={"Idempotency-Key": key}
-            )
-            if answer is not None and answer.status_code == 202:
-                return str(answer.json()["id"])
-            if answer is not None and answer.status_code not in (429, 503):
-                self.trouble = f"POST /encode: {answer.status_code} {answer.text}"
-                return None
-            self.asked_again += 1
-            time.sleep(0.5)
 
 
 class Chaos:
-    """What happens to the service, and what has been seen of its jobs meanwhile."""
+    """Random events, and what was seen of the jobs meanwhile."""
 
     def __init__(self, service: ChaosService, submitter: Submitter, postgres: PostgresServer | None, seed: int) -> None:
-        self._service = service
-        self._submitter = submitter
-        self._postgres = postgres
+        self._service, self._submitter, self._postgres = service, submitter, postgres
         self._random = random.Random(seed)
         self._asleep: list[tuple[float, int]] = []
         self.happened: Counter[str] = Counter()
@@ -99,10 +84,8 @@ class Chaos:
         self.changed: set[str] = set()
 
     def rage(self) -> None:
-        """Let things happen at random until all jobs are submitted."""
-        weights = dict(WEIGHTS)
-        if self._postgres is None:
-            del weights["database restarted"]
+        """Let events happen at random until all jobs are submitted."""
+        weights = {name: weight for name, weight in WEIGHTS.items() if self._postgres or name != "database restarted"}
         while self._submitter.is_alive():
             (event,) = self._random.choices([*weights], [*weights.values()])
             if self._do(event):
@@ -114,7 +97,7 @@ class Chaos:
         self._wake(float("inf"))
 
     def _do(self, event: str) -> bool:
-        """Let an event happen; whether there was anything to do it to."""
+        """Let an event happen; return whether it could."""
         match event:
             case "encoder killed":
                 return self._service.kill_one("encoder", self._random)
@@ -123,8 +106,7 @@ class Chaos:
             case "web process killed":
                 return self._service.kill_one("web", self._random)
             case "worker stopped for a while":
-                sleeper = self._service.stop_worker(self._random)
-                if sleeper:
+                if sleeper := self._service.stop_worker(self._random):
                     self._asleep.append((time.monotonic() + self._random.uniform(0.5, 6), sleeper))
                 return bool(sleeper)
             case "job cancelled":
@@ -161,7 +143,7 @@ class Chaos:
         return True
 
     def look(self) -> dict[str, Any] | None:
-        """All jobs by id as they are now, None if nobody says; notes results that changed once published."""
+        """All jobs by id, None if the service does not answer. Records results that changed once published."""
         jobs = self._service.jobs()
         for job_id, job in (jobs or {}).items():
             if job["state"] == "done":
@@ -171,63 +153,49 @@ class Chaos:
         return jobs
 
     def settle(self) -> dict[str, Any]:
-        """Wait until every job has ended, or none has for long; all jobs by id."""
-        ended, since = -1, time.monotonic()
+        """Wait until no job is queued or running, or none has finished for long; return all jobs by id."""
+        finished, since = -1, time.monotonic()
         while time.monotonic() - since < STUCK_AFTER_S:
             if (jobs := self.look()) is None:
                 continue
             states = Counter(job["state"] for job in jobs.values())
             if not states["queued"] and not states["running"]:
                 return jobs
-            if states["done"] + states["failed"] != ended:
-                ended, since = states["done"] + states["failed"], time.monotonic()
+            if states["done"] + states["failed"] != finished:
+                finished, since = states["done"] + states["failed"], time.monotonic()
             time.sleep(0.5)
         return self.look() or {}
 
 
-def fetch_all(service: ChaosService, jobs: dict[str, Any]) -> dict[str, str]:
-    """SHA-256 of the bitstream of each job that is done, as it can be fetched."""
-    hashes = {}
-    for job_id, job in jobs.items():
-        if job["state"] == "done":
-            answer = service.ask("GET", f"/bitstreams/{job_id}.sg")
-            if answer is not None and answer.status_code == 200 and len(answer.content) == job["result"]["bytes"]:
-                hashes[job_id] = hashlib.sha256(answer.content).hexdigest()
-    return hashes
+def can_be_fetched(service: ChaosService, job_id: str, job: dict[str, Any]) -> bool:
+    """Whether the service returns the bitstream of a job that is done."""
+    answer = service.ask("GET", f"/bitstreams/{job_id}.sg")
+    return answer is not None and answer.status_code == 200 and len(answer.content) == job["result"]["bytes"]
 
 
 def ledger(service: ChaosService, submitter: Submitter, chaos: Chaos) -> tuple[dict[str, int], bool]:
-    """The lines of the ledger, and whether it balances. Ends the service."""
+    """The lines of the ledger, and whether it balances. Stops the service."""
     jobs = chaos.settle()
-    fetched = fetch_all(service, jobs)
+    done, failed = ({i for i, job in jobs.items() if job["state"] == state} for state in ("done", "failed"))
+    unfetched = [job_id for job_id in done if not can_be_fetched(service, job_id, jobs[job_id])]
     assert service.stop() == 0
     accepted = set(submitter.accepted)
-    by_state = {state: {i for i, job in jobs.items() if job["state"] == state} for state in ("done", "failed")}
-    done, failed = by_state["done"], by_state["failed"]
-    twice = chaos.changed | service.published_twice()
-    orphans = service.sweep()
-    published = {f"bitstreams/{job_id}.{jobs[job_id]['attempt']}.sg" for job_id in done}
-    lines = {
-        "accepted": len(accepted),
-        "done": len(done),
-        "failed": len(failed),
-        "cancelled": len(chaos.cancelled),
+    free = {"accepted": len(accepted), "done": len(done), "failed": len(failed), "cancelled": len(chaos.cancelled)}
+    free["files that kills left behind, removed by the sweep"] = service.sweep()
+    published, files = {f"bitstreams/{job_id}.{jobs[job_id]['attempt']}.sg" for job_id in done}, set(service.files())
+    zero = {
         "lost": len(accepted - done - failed - chaos.cancelled - set(jobs)),
         "stuck": len(set(jobs) - done - failed),
         "never accepted, yet there": len(set(jobs) - accepted) + len(set(jobs) & chaos.cancelled),
-        "done, but not to be fetched": len(done - set(fetched)),
-        "published twice": len(twice),
-        "files that kills left behind, removed by the sweep": orphans,
-        "files left over after that": len(set(service.files()) - published),
-        "files missing": len(published - set(service.files())),
+        "done, but not to be fetched": len(unfetched),
+        "published twice": len(chaos.changed | service.published_twice()),
+        "files left over after that": len(files - published),
+        "files missing": len(published - files),
         "processes left over": len(service.processes_left()),
     }
-    free = ("accepted", "done", "failed", "cancelled", "files that kills left behind, removed by the sweep")
-    sums = lines["accepted"] == lines["done"] + lines["failed"] + lines["cancelled"]
-    balanced = sums and not any(count for name, count in lines.items() if name not in free)
-    why = Counter(jobs[job_id]["error"]["code"] for job_id in failed)
-    lines = {**lines, **{f"failed because {code}": count for code, count in why.items()}}
-    return lines, balanced
+    balanced = free["accepted"] == free["done"] + free["failed"] + free["cancelled"] and not any(zero.values())
+    why = Counter(f"failed because {jobs[job_id]['error']['code']}" for job_id in failed)
+    return {**free, **zero, **why}, balanced
 
 
 def main() -> int:
@@ -239,13 +207,11 @@ def main() -> int:
     parser.add_argument(
         "--out", type=Path, help="default: chaos-sqlite.json or chaos-postgresql.json of build/bench/service"
     )
-    arguments = parser.parse_args()
+    options = parser.parse_args()
     head = {"command": command("benchmarks.service chaos"), **origin()}
-    postgres = None
-    url = arguments.database_url
+    postgres, url = None, options.database_url
     if url == "postgresql":
-        binaries = find_binaries()
-        if binaries is None:
+        if (binaries := find_binaries()) is None:
             raise SystemExit(HINT)
         postgres = PostgresServer(binaries)
         url = postgres.new_database()
@@ -253,26 +219,25 @@ def main() -> int:
     began = time.monotonic()
     service = ChaosService(folder, url)
     try:
-        submitter = Submitter(service, arguments.jobs, arguments.seed)
-        chaos = Chaos(service, submitter, postgres, arguments.seed)
+        submitter = Submitter(service, options.jobs, options.seed)
+        chaos = Chaos(service, submitter, postgres, options.seed)
         submitter.start()
         chaos.rage()
-        submitter.join()
-        if submitter.trouble:
-            raise SystemExit(submitter.trouble)
+        if submitter.error:
+            raise SystemExit(submitter.error)
         lines, balanced = ledger(service, submitter, chaos)
     finally:
         service.kill_all()
         if postgres is not None:
             postgres.close()
-    kind = "sqlite" if arguments.database_url == "sqlite" else "postgresql"
+    kind = "sqlite" if options.database_url == "sqlite" else "postgresql"
     row = {
         **{"database": kind, "balanced": balanced, "ledger": lines},
         **{"happened": dict(sorted(chaos.happened.items())), "asked_again": submitter.asked_again},
         **{"seconds": round(time.monotonic() - began)},
     }
-    settings = {"jobs": arguments.jobs, "seed": arguments.seed, "pause_s": PAUSE_S, "weights": WEIGHTS}
-    write_json(arguments.out or RUNS / "service" / f"chaos-{kind}.json", {**head, "settings": settings, "rows": [row]})
+    settings = {"jobs": options.jobs, "seed": options.seed, "pause_s": PAUSE_S, "weights": WEIGHTS}
+    write_json(options.out or RUNS / "service" / f"chaos-{kind}.json", {**head, "settings": settings, "rows": [row]})
     print(json.dumps(row, indent=1))
     if balanced:
         shutil.rmtree(folder)

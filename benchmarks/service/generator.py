@@ -1,100 +1,79 @@
-"""Requests at fixed moments, however long the answers before them take, in a process of its own.
+"""Requests at fixed moments, however long the answers to earlier ones take.
 
-    python -m benchmarks.service.generator HOST:PORT SECONDS [--from ADDRESS] 'RATE METHOD PATH [FILE]'...
-
-prints latencies as JSON. FILE: the body. A latency counts from the moment at which the request was due, so a server (or
-a generator) that falls behind shows in every request that had to wait; wrk waits with it. A plain client over asyncio's
-streams, as the server has the same cores.
+A latency counts from the moment at which the request was due, so a service (or generator) that falls behind shows in
+every request that had to wait. Load generators such as wrk send the next request only after an answer, and hide that.
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
-import json
-import subprocess
 import sys
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tests.harness.data import ROOT
-
 TIMEOUT_S = 10.0
-BUFFER_BYTES = 1 << 24
+BUFFER_BYTES = 1 << 24  # a whole picture fits: a smaller buffer would stop and start reading for every 64 KiB
 Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """One kind of request, and how often a second it is made; {} in its path stands for how often it was before."""
+class Request:
+    """A kind of request. rate: how many a second; path: {} in it stands for the number of the request."""
 
     rate: float
     method: str
     path: str
     body: bytes = b""
 
-    @classmethod
-    def of(cls, text: str) -> Wanted:
-        """Read an argument of the command line."""
-        rate, method, path, *file = text.split()
-        return cls(float(rate), method, path, Path(file[0]).read_bytes() if file else b"")
-
 
 class Client:
-    """A client that keeps connections and uses them again. source: the address that they come from."""
+    """An HTTP client with connections that are used again. source: the address that they come from."""
 
-    def __init__(self, address: str, source: str | None = None) -> None:
-        self._host, _, port = address.rpartition(":")
-        self._port = int(port)
-        self._source = source
+    def __init__(self, address: str, source: str | None) -> None:
+        self._host, _, self._port = address.rpartition(":")
+        self._source = (source, 0) if source else None
         self._idle: deque[Connection] = deque()
 
-    async def ask(self, wanted: Wanted) -> int:
-        """The status of the answer, whose body has been read whole."""
+    async def ask(self, method: str, path: str, body: bytes) -> int:
+        """The status of the answer, whose body has been read."""
         while self._idle:
             connection = self._idle.pop()
             try:
-                return await self._asked(connection, wanted)
+                return await self._ask_over(connection, method, path, body)
             except (ConnectionError, asyncio.IncompleteReadError):  # closed for being idle
                 connection[1].close()
-        # A whole picture fits: a smaller buffer would stop and start reading for every 64 KiB.
-        source = None if self._source is None else (self._source, 0)
-        opened = await asyncio.open_connection(self._host, self._port, limit=BUFFER_BYTES, local_addr=source)
-        return await self._asked(opened, wanted)
+        opened = await asyncio.open_connection(self._host, self._port, limit=BUFFER_BYTES, local_addr=self._source)
+        return await self._ask_over(opened, method, path, body)
 
-    async def _asked(self, connection: Connection, wanted: Wanted) -> int:
+    async def _ask_over(self, connection: Connection, method: str, path: str, body: bytes) -> int:
         reader, writer = connection
-        head = f"{wanted.method} {wanted.path} HTTP/1.1\r\nHost: {self._host}\r\n"
-        if wanted.method == "POST":
-            head += f"Content-Type: image/*\r\nContent-Length: {len(wanted.body)}\r\n"
-        writer.write(head.encode() + b"\r\n" + wanted.body)
-        answer = (await reader.readuntil(b"\r\n\r\n")).lower().split(b"\r\n")
-        length = next((int(line.split(b":")[1]) for line in answer if line.startswith(b"content-length:")), 0)
-        await reader.readexactly(length)
+        length = f"Content-Type: image/*\r\nContent-Length: {len(body)}\r\n" if body else ""
+        writer.write(f"{method} {path} HTTP/1.1\r\nHost: {self._host}\r\n{length}\r\n".encode() + body)
+        head = (await reader.readuntil(b"\r\n\r\n")).lower().split(b"\r\n")
+        await reader.readexactly(next((int(line[15:]) for line in head if line.startswith(b"content-length:")), 0))
         self._idle.append(connection)
-        return int(answer[0].split()[1])
+        return int(head[0].split()[1])
 
     def close(self) -> None:
-        """Let go of all connections."""
+        """Close all connections."""
         for _, writer in self._idle:
             writer.close()
 
 
-async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, object]:
-    """Latencies in milliseconds of requests that are due `rate` times a second, and how many failed."""
+async def series(client: Client, request: Request, seconds: float) -> dict[str, Any]:
+    """Send one kind of request; return quantiles of the latencies in milliseconds, and how many requests failed."""
     latencies: list[float] = []
     failures: Counter[str] = Counter()
 
-    async def one(due: float, number: int) -> None:
-        numbered = replace(wanted, path=wanted.path.replace("{}", f"{number:06}"))
+    async def send(due: float, number: int) -> None:
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                status = await client.ask(numbered)
+                status = await client.ask(request.method, request.path.replace("{}", f"{number:06}"), request.body)
             if status >= 400:
                 failures[str(status)] += 1
         except (OSError, TimeoutError, asyncio.IncompleteReadError) as error:
@@ -103,47 +82,23 @@ async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, ob
 
     began = time.perf_counter()
     async with asyncio.TaskGroup() as tasks:
-        for number in range(int(wanted.rate * seconds)):
-            due = began + number / wanted.rate
+        for number in range(int(request.rate * seconds)):
+            due = began + number / request.rate
             await asyncio.sleep(max(0.0, due - time.perf_counter()))
-            tasks.create_task(one(due, number))
+            tasks.create_task(send(due, number))
     if failures:
-        print(f"{wanted.method} {wanted.path}: {dict(failures)}", file=sys.stderr)
-    return {"ms": latencies, "failed": failures.total()}
+        print(f"{request.method} {request.path}: {dict(failures)}", file=sys.stderr)
+    p50, p99, most = (round(float(ms), 2) for ms in np.percentile(latencies, (50, 99, 100)))
+    return {"requests": len(latencies), "failed": failures.total(), "p50_ms": p50, "p99_ms": p99, "most_ms": most}
 
 
-async def run(client: Client, seconds: float, wanted: list[Wanted]) -> list[dict[str, object]]:
-    """Run all series at once."""
-    done = await asyncio.gather(*(series(client, one, seconds) for one in wanted))
-    client.close()
-    return list(done)
+def send_all(url: str, seconds: float, requests: Sequence[Request], source: str | None = None) -> list[dict[str, Any]]:
+    """Send all kinds of requests at once; return what series() measured of each."""
 
+    async def run() -> list[dict[str, Any]]:
+        client = Client(url.removeprefix("http://"), source)
+        found = await asyncio.gather(*(series(client, request, seconds) for request in requests))
+        client.close()
+        return list(found)
 
-def spread(series: dict[str, Any]) -> dict[str, Any]:
-    """Latencies of one series of requests, from what the generator printed."""
-    p50, p99, most = (round(float(ms), 2) for ms in np.percentile(series["ms"], (50, 99, 100)))
-    return {"requests": len(series["ms"]), "failed": series["failed"], "p50_ms": p50, "p99_ms": p99, "most_ms": most}
-
-
-def generated(url: str, seconds: float, *wanted: str, source: str | None = None) -> list[dict[str, Any]]:
-    """What the generator measured, for each of the wanted requests."""
-    origin = [] if source is None else ["--from", source]
-    address = url.removeprefix("http://")
-    command = [sys.executable, "-m", "benchmarks.service.generator", address, str(seconds), *origin, *wanted]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
-    return [spread(series) for series in json.loads(done.stdout)]
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("address")
-    parser.add_argument("seconds", type=float)
-    parser.add_argument("wanted", nargs="+")
-    parser.add_argument("--from", dest="source")
-    options = parser.parse_args()
-    client = Client(options.address, options.source)
-    print(json.dumps(asyncio.run(run(client, options.seconds, [Wanted.of(text) for text in options.wanted]))))
-
-
-if __name__ == "__main__":
-    main()
+    return asyncio.run(run())

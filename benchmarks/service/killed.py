@@ -1,4 +1,4 @@
-"""The service that `chaos` kills."""
+"""The service that chaos.py kills."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from typing import Any
 
 import httpx
 
-from tests.harness.data import ROOT
-from tests.harness.processes import PATIENCE_S, Kind, Process, processes
-from tests.harness.service import ServiceProcess
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.processes import PATIENCE_S, Kind, Process, processes
+from benchmarks.harness.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
     **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
@@ -94,9 +94,9 @@ class ChaosService(ServiceProcess):
         return int(match.group(1))
 
     def published_twice(self) -> set[str]:
-        """Jobs that two workers say they published."""
-        said = Counter(re.findall(r"job ([0-9a-f]{32}): done, ", self.log.read_text()))
-        return {job_id for job_id, times in said.items() if times > 1}
+        """Jobs that were published twice, by the log."""
+        published = Counter(re.findall(r"job ([0-9a-f]{32}): done, ", self.log.read_text()))
+        return {job_id for job_id, times in published.items() if times > 1}
 
     def processes_left(self) -> set[int]:
         """Processes of ours that are still there a moment after the service has ended."""

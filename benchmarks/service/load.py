@@ -1,28 +1,29 @@
-"""How fast the running service answers while it encodes.
+"""Measure how fast the service answers while it encodes.
 
     python -m benchmarks.service load [--seconds 30] [--out FILE]
 
-It starts `python -m service serve` and encodes a picture of 768x512 at 0.25 bpp. While another encode takes every core
-that it gets, the generator asks for the picture as PNG 50 or 200 times a second, and for /livez 20 times a second: once
-with no picture kept in memory, so that each request decodes, and twice with the default, after one request.
+Starts `python -m service serve` and encodes a picture of 768x512 at 0.25 bpp. While another encode runs, the picture is
+requested as PNG 50 or 200 times a second, and /livez 20 times a second: once so that each request is decoded, and
+twice so that all but the first are answered from memory.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import ServiceProcess
 from benchmarks.machine import RUNS, Record
-from benchmarks.service.generator import generated
-from benchmarks.service.measured import LoadService, made_picture, running
+from benchmarks.service.generator import Request, send_all
+from benchmarks.service.pictures import made_picture
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 LIVE_RATE = 20.0
-AT_MOST_MS = {"GET /decode/ID.png": {"p50_ms": 12.0, "p99_ms": 40.0}, "GET /livez": {"p99_ms": 20.0}}
+LIMITS_MS = {"GET /decode/ID.png": {"p50_ms": 12.0, "p99_ms": 40.0}, "GET /livez": {"p99_ms": 20.0}}
 
 
 @dataclass(frozen=True)
@@ -34,20 +35,34 @@ class Case:
     query: str = ""
 
 
-# A picture is in memory once it was asked for; a little less of its file makes another one.
+# A picture stays in memory once it was requested. A slightly shorter prefix of its file counts as another picture.
 CASES = (Case("decoded each time", 50, "?prefix=0.99{}"), Case("from memory", 50), Case("from memory, 200", 200))
+
+
+class LoadService(ServiceProcess):
+    """A service under load, whose answers may take long."""
+
+    timeout_s = 300.0
+
+    def submit(self, image: bytes, bpp: float, time_limit_s: float) -> str:
+        """Submit a job and return its id."""
+        query = {"bpp": bpp, "time_limit_s": time_limit_s}
+        answer = self.client.post("/encode", content=image, params=query, headers={"Content-Type": "image/png"})
+        return str(answer.raise_for_status().json()["id"])
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """The status of a job."""
+        job: dict[str, Any] = self.client.get(f"/jobs/{job_id}").json()
+        return job
 
 
 def under_load(service: LoadService, job: str, case: Case, seconds: float) -> list[dict[str, Any]]:
     """Latencies of the picture and of /livez while an encode runs."""
     busy = service.submit(made_picture(3072, 2048, 1), 1.0, seconds + 60)
-    service.wait(busy, "running")
-    while not service.client.get(f"/jobs/{busy}").json()["trace"]:
-        time.sleep(0.1)
-    series = generated(
-        service.url, seconds, f"{case.rate} GET /decode/{job}.png{case.query}", f"{LIVE_RATE} GET /livez"
-    )
-    if service.client.get(f"/jobs/{busy}").json()["state"] != "running":
+    wait_until(lambda: service.job(busy)["trace"], service.timeout_s)
+    picture = Request(case.rate, "GET", f"/decode/{job}.png{case.query}")
+    series = send_all(service.url, seconds, [picture, Request(LIVE_RATE, "GET", "/livez")])
+    if service.job(busy)["state"] != "running":
         raise SystemExit("the encode ended too early: nothing was measured under load")
     service.client.delete(f"/jobs/{busy}")
     return series
@@ -55,14 +70,18 @@ def under_load(service: LoadService, job: str, case: Case, seconds: float) -> li
 
 def measure(case: Case, image: bytes, seconds: float) -> dict[str, Any]:
     """The row of one case."""
-    with tempfile.TemporaryDirectory() as temporary, running(Path(temporary) / "data") as service:
-        job = service.submit(image, BPP, ENCODE_S)
-        result = service.wait(job, "done")["result"]
-        size = len(service.client.get(f"/decode/{job}.png").content)
-        series = under_load(service, job, case, seconds)
-    spreads = dict(zip(AT_MOST_MS, series, strict=True))
+    with tempfile.TemporaryDirectory() as temporary:
+        service = LoadService(Path(temporary) / "data")
+        try:
+            job = service.submit(image, BPP, ENCODE_S)
+            result = wait_until(lambda: service.job(job)["result"], service.timeout_s)
+            size = len(service.client.get(f"/decode/{job}.png").content)
+            series = under_load(service, job, case, seconds)
+        finally:
+            assert service.stop() == 0
+    spreads = dict(zip(LIMITS_MS, series, strict=True))
     met = all(
-        found["failed"] == 0 and all(found[name] <= most for name, most in AT_MOST_MS[request].items())
+        found["failed"] == 0 and all(found[name] <= most for name, most in LIMITS_MS[request].items())
         for request, found in spreads.items()
     )
     return {
@@ -77,7 +96,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RUNS / "service" / "load.json")
     options = parser.parse_args()
     image = made_picture(*SIZE)
-    settings = {"picture": "a made picture", "size": list(SIZE), "seconds": options.seconds, "at_most_ms": AT_MOST_MS}
+    settings = {"picture": "a made picture", "size": list(SIZE), "seconds": options.seconds, "at_most_ms": LIMITS_MS}
     record = Record(options.out, "benchmarks.service load", settings)
     for case in CASES:
         if not record.has(case=case.name):

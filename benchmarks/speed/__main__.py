@@ -15,11 +15,11 @@ import sys
 from pathlib import Path
 
 from benchmarks.arguments import numbers, run_part, some_of
+from benchmarks.harness.data import PHOTOGRAPHS
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
-from benchmarks.rd.rivals import versions
+from benchmarks.rd.baselines import versions
 from benchmarks.speed import growth, kernels, sizes
-from tests.harness.data import PHOTOGRAPHS
 
 PARTS = ("sizes", "kernels")
 GAUSSIANS = 5000  # on which the kernels are timed
@@ -44,7 +44,7 @@ def main() -> None:
             record.add({"what": "size", **sizes.row(paths, megapixels, options.bpp, options.repeats)})
     if "kernels" in options.only and not record.has(what="kernel"):
         gaussians = kernels.fitted(kernels.load(paths[0]), GAUSSIANS, options.steps)
-        for row in kernels.measure(kernels.Jobs(gaussians), options.rounds):
+        for row in kernels.measure(gaussians, options.rounds):
             record.add({"what": "kernel", **row})
 
 

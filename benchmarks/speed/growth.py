@@ -1,4 +1,4 @@
-"""How the time of an encode grows with the pixels, and with the bytes, beside AVIF.
+"""Measure how the time of an encode grows with the pixels and with the bytes, compared with AVIF.
 
     python -m benchmarks.speed growth --images FOLDER [--most 3] [--megapixels 0.75,1.5,3,6,12] [--at-bytes 10000]
                                       [--bytes 500,2000,10000,50000,200000] [--at-megapixels 12] [--repeats 3]
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,13 @@ import numpy as np
 from benchmarks.arguments import integers, numbers
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
-from benchmarks.rd.rivals import AvifForPsnr, ReducedAvif, Rival, versions
+from benchmarks.rd.baselines import AvifForPsnr, Baseline, ReducedAvif, versions
 from benchmarks.tables import MISSING, mean, number, table
 from sgmethod import encode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 
-RIVALS: dict[str, Callable[[int], Rival]] = {"avif": AvifForPsnr, "avif reduced": ReducedAvif}
+BASELINES: dict[str, Callable[[int], Baseline]] = {"avif": AvifForPsnr, "avif reduced": ReducedAvif}
 SPEEDS = (10, 6, 4)  # the quickest first: its quality is where the search of the next one begins
 TUNES = {"rd": "psnr", "rd visual": "visual"}
 AXES = {"megapixels": "max_bytes", "max_bytes": "megapixels"}  # what grows, and what is fixed meanwhile
@@ -64,15 +64,15 @@ def measure(record: Record, picture: str, source: Pixels, size: tuple[float, int
         if not record.has(**key, method=method):
             record.add({**key, "method": method, "setting": "", **ours(pixels, size[1], tune, repeats)})
     bpp = 8 * size[1] / (pixels.shape[0] * pixels.shape[1])
-    for method, make in RIVALS.items() if versions() else ():
+    for method, make in BASELINES.items() if versions() else ():
         near = None
         for speed in SPEEDS:
             if record.has(**key, method=method, setting=str(speed)):
                 continue
-            rival = make(speed)
-            file = rival.best(pixels, bpp, near)
+            baseline = make(speed)
+            file = baseline.best(pixels, bpp, near)
             near = file.quality
-            row = {"bytes": len(file.data), "psnr": psnr(rival.decode(file.data), pixels), "seconds": file.encode_s}
+            row = {"bytes": len(file.data), "psnr": psnr(baseline.decode(file.data), pixels), "seconds": file.encode_s}
             record.add({**key, "method": method, "setting": str(speed), **row})
 
 
@@ -81,40 +81,30 @@ def name_of(row: dict[str, Any]) -> str:
     return f"{row['method']}, speed {row['setting']}" if row["setting"] else str(row["method"])
 
 
-def means(rows: Rows, settings: dict[str, Any], axis: str) -> Iterator[tuple[str, list[tuple[float, float, float]]]]:
-    """For each method and setting: along the axis, seconds and PSNR, means over the pictures."""
-    fixed = AXES[axis]
-    along = [row for row in rows if row[fixed] == settings[fixed]]
-    for name in dict.fromkeys(map(name_of, along)):
-        mine = [row for row in along if name_of(row) == name]
-        points = []
-        for at in sorted({row[axis] for row in mine}):
-            group = [row for row in mine if row[axis] == at]
-            points.append((at, *(statistics.fmean(row[name] for row in group) for name in ("seconds", "psnr"))))
-        yield name, points
-
-
 def exponent(x: Sequence[float], y: Sequence[float]) -> float | None:
     """The slope of the line through the logarithms; None for fewer than two points."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len({*x}) > 1 else None
 
 
 def growth_table(rows: Rows, settings: dict[str, Any], axis: str) -> str:
-    """A table of seconds along the axis, and of the power with which they grow."""
-    found = dict(means(rows, settings, axis))
-    every = sorted({at for points in found.values() for at, *_ in points})
-    last = [row for row in rows if row[axis] == every[-1] and row[AXES[axis]] == settings[AXES[axis]]]
+    """A table of seconds along an axis, means over the pictures, and of the power with which they grow."""
+    fixed = AXES[axis]
+    groups: dict[str, dict[float, list[dict[str, Any]]]] = {}
+    for row in rows:
+        if row[fixed] == settings[fixed]:
+            groups.setdefault(name_of(row), {}).setdefault(row[axis], []).append(row)
+    every = sorted({at for group in groups.values() for at in group})
     lines = []
-    for name, points in found.items():
-        seconds = {at: taken for at, taken, _ in points}
+    for name, group in groups.items():
+        seconds = {at: statistics.fmean(row["seconds"] for row in group[at]) for at in sorted(group)}
         power = exponent([*seconds], [*seconds.values()])
-        db = mean([level for at, _, level in points if at == every[-1]])
         cells = [f"{seconds[at]:.2f}" if at in seconds else MISSING for at in every]
-        size = mean([row["bytes"] for row in last if name_of(row) == name])
+        last = group.get(every[-1], [])
+        size = mean([row["bytes"] for row in last])
         above = f" ({size:,.0f} bytes)" if size is not None and size > last[0]["max_bytes"] else ""
-        lines.append([name, *cells, number(power, ".2f"), number(db, ".2f") + above])
+        lines.append([name, *cells, number(power, ".2f"), number(mean([row["psnr"] for row in last]), ".2f") + above])
     unit = "MP" if axis == "megapixels" else "bytes"
-    titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "grows with the power", "PSNR at the last"]
+    titles = ["seconds", *(f"{at:,g} {unit}" for at in every), "exponent", "PSNR in the last column"]
     return table(" | ".join(titles), lines)
 
 

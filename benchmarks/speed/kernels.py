@@ -41,48 +41,39 @@ def fitted(pixels: Pixels, n: int, steps: int) -> Gaussians:
     """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest."""
     settings, clock = replace(PAPER, fit_steps=steps), Clock()
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
-    return fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline(clock))[0]
+    return fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline.from_limit(clock))[0]
 
 
-class Jobs:
-    """What is timed, on one set of Gaussians."""
+def jobs_on(gaussians: Gaussians) -> dict[str, Callable[[int], object]]:
+    """The functions to time, by name. Each takes an instruction set."""
+    image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
+    upstream = np.random.default_rng(0).standard_normal(image.shape, np.float32)
+    gradients = Gaussians.empty(len(gaussians)).arrays
 
-    def __init__(self, gaussians: Gaussians) -> None:
-        self.shapes, self.colors = (gaussians.means, gaussians.factors), gaussians.colors
-        self.image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
-        self.upstream = np.random.default_rng(0).standard_normal(self.image.shape, np.float32)
-        self.gradients = Gaussians.empty(len(gaussians)).arrays
-        self.by_name: dict[str, Callable[[int], None]] = {
-            "binning": self.binning,
-            "forward": self.forward,
-            "forward + backward": self.both,
-        }
+    def binning(isa: int) -> native.Rasterization:
+        return native.Rasterization(gaussians.means, gaussians.factors, *SIZE, isa=isa)
 
-    def binning(self, isa: int) -> None:
-        """Lay Gaussians over the tiles."""
-        native.Rasterization(*self.shapes, *SIZE, isa=isa)
+    def forward(isa: int) -> None:
+        binning(isa).render(gaussians.colors, image)
 
-    def forward(self, isa: int) -> None:
-        """Draw the picture."""
-        native.Rasterization(*self.shapes, *SIZE, isa=isa).render(self.colors, self.image)
+    def both(isa: int) -> None:
+        raster = binning(isa)
+        raster.render(gaussians.colors, image)
+        raster.backward(gaussians.colors, upstream, *gradients)
 
-    def both(self, isa: int) -> None:
-        """Draw the picture, and compute all gradients."""
-        raster = native.Rasterization(*self.shapes, *SIZE, isa=isa)
-        raster.render(self.colors, self.image)
-        raster.backward(self.colors, self.upstream, *self.gradients)
+    return {"binning": binning, "forward": forward, "forward + backward": both}
 
 
-def measure(jobs: Jobs, rounds: int) -> Iterator[dict[str, Any]]:
+def measure(gaussians: Gaussians, rounds: int) -> Iterator[dict[str, Any]]:
     """Milliseconds of all jobs for each instruction set, with one thread and with all, taking turns."""
-    every = native.thread_count()
+    every, jobs = native.thread_count(), jobs_on(gaussians)
     samples = defaultdict(list)
     for _ in range(rounds):
         for threads in sorted({1, every}):
             native.set_thread_count(threads)
-            jobs.forward(0)  # starts the threads
+            jobs["forward"](0)  # starts the threads
             for isa in range(native.best_isa() + 1):
-                for name, job in jobs.by_name.items():
+                for name, job in jobs.items():
                     began = time.perf_counter()
                     job(isa)
                     samples[name, isa, threads].append(1e3 * (time.perf_counter() - began))

@@ -13,10 +13,10 @@ from typing import Any
 
 from benchmarks.machine import peak_bytes
 from benchmarks.pictures import Pixels, sized
-from benchmarks.rd.rivals import Avif, Jpeg, Rival, versions
+from benchmarks.rd.baselines import Avif, Baseline, Jpeg, versions
 from sgmethod import Budget, decode, encode
 
-RIVALS: dict[str, Callable[[], Rival]] = {"jpeg": Jpeg, "avif": Avif}
+BASELINES: dict[str, Callable[[], Baseline]] = {"jpeg": Jpeg, "avif": Avif}
 DECODES = 9  # of each codec, in turns; the first does not count
 
 
@@ -38,7 +38,7 @@ def row(paths: Sequence[Path], megapixels: float, bpp: float, repeats: int) -> d
 
 
 def alone(function: Callable[..., dict[str, Any]], *arguments: object) -> dict[str, Any]:
-    """What a function returns in a process of its own."""
+    """Run a function in a process of its own and return its result."""
     with get_context("spawn").Pool(1) as pool:
         return pool.apply(function, arguments)
 
@@ -56,9 +56,9 @@ def beside(paths: Sequence[Path], megapixels: float, data: bytes) -> dict[str, A
     pixels = sized(paths, 0, megapixels)
     decodes: dict[str, Callable[[], Pixels]] = {"rd": lambda: decode(data)}
     bpp = 8 * len(data) / (pixels.shape[0] * pixels.shape[1])
-    for name, make in RIVALS.items() if versions() else ():
-        rival = make()
-        decodes[name] = partial(rival.decode, rival.best(pixels, bpp).data)
+    for name, make in BASELINES.items() if versions() else ():
+        baseline = make()
+        decodes[name] = partial(baseline.decode, baseline.best(pixels, bpp).data)
     times: dict[str, list[float]] = {name: [] for name in decodes}
     for _ in range(DECODES + 1):
         for name, run in decodes.items():
@@ -66,4 +66,4 @@ def beside(paths: Sequence[Path], megapixels: float, data: bytes) -> dict[str, A
             run()
             times[name].append(1e3 * (time.perf_counter() - began))
     shown = {name: round(statistics.median(taken[1:]), 3) for name, taken in times.items()}
-    return {"decode_ms": shown.pop("rd"), "rivals_decode_ms": shown}
+    return {"decode_ms": shown.pop("rd"), "baselines_decode_ms": shown}

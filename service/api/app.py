@@ -1,4 +1,4 @@
-"""The web process: the application with its context, its routes and its middleware, behind uvicorn.
+"""The web process: the application with its context, routes and middleware, run by uvicorn.
 
 Slow, crowded and malformed connections are the proxy's concern (docs/nginx.conf).
 """
@@ -25,7 +25,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from service.api.cache import PictureCache
-from service.api.callers import Gate
+from service.api.callers import Authentication
 from service.api.context import Context
 from service.api.health import VERSION
 from service.api.metrics import Metrics
@@ -36,7 +36,7 @@ from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
 from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
-from service.process.loops import survived
+from service.process.loops import log_errors
 from service.process.supervisor import BACKLOG
 from service.sandbox.client import Sandbox
 from service.settings import Settings, listed
@@ -50,14 +50,15 @@ FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
-KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
+KEEP_ALIVE_S = 75  # longer than a proxy keeps connections, so that it does not send a request as one closes
 
 log = logging.getLogger(__name__)
 
 
 class PageFiles(StaticFiles):
-    """The files of the pages. A web worker, which loads modules, has the policy of its own file in Firefox, and of the
-    page in Chromium.
+    """Serves the files of the pages.
+
+    A web worker that loads modules is subject to the policy of its own file in Firefox, and to the page's in Chromium.
     """
 
     def file_response(self, *args: Any, **options: Any) -> Response:
@@ -69,7 +70,7 @@ class PageFiles(StaticFiles):
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context: Context = app.state.context
-    # What exists now stays. Each search of it for garbage held the loop for 70 ms.
+    # Objects that exist now are permanent. Searching them for garbage blocked the loop for 70 ms.
     gc.collect()
     gc.freeze()
     reloading = asyncio.create_task(_reload_keys(context))
@@ -79,10 +80,10 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 async def _reload_keys(context: Context) -> None:
-    """Follow the file of keys. What cannot be read leaves the keys as they were: nobody is let in by a mistake."""
+    """Reload the file of keys when it changes. If it cannot be read, the previous keys stay."""
     while context.settings.api_keys_file is not None:
         await asyncio.sleep(KEYS_POLL_S)
-        with survived("reloading the API keys"):
+        with log_errors("reloading the API keys"):
             try:
                 names = await to_thread.run_sync(context.settings.read_keys)
             except ValueError as error:
@@ -93,10 +94,10 @@ async def _reload_keys(context: Context) -> None:
 
 
 def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
-    """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
+    """Serve until SIGTERM or SIGINT, then finish requests within the grace time.
 
-    absent: layers that the sandbox lacks; listen: gives the socket, and is called once the application is complete.
-    Raises JobTableError, MissingPackagesError, OSError.
+    absent: layers that the sandbox lacks; listen: opens the socket, called once the application is complete. Raises
+    JobTableError, MissingPackagesError, OSError.
     """
     config = uvicorn.Config(
         _application(settings, sandbox, Metrics(absent), lambda: server.should_exit),
@@ -113,22 +114,22 @@ def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], liste
     )
     server = uvicorn.Server(config)
     for number in (signal.SIGTERM, signal.SIGINT):
-        # These handlers hold until uvicorn sets its own, and again when it has stopped and raises the signal once
-        # more. An end that was asked for is no failure.
+        # Used until uvicorn sets its own handlers, and when it raises the signal again after stopping: a requested end
+        # is not a failure.
         signal.signal(number, server.handle_exit)
     server.run(sockets=[listen()])
 
 
 def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: Callable[[], bool]) -> ASGIApp:
-    """The application with its middleware; stopping: whether the server is to stop."""
+    """Build the application with its middleware. stopping: returns whether the server is shutting down."""
     app = FastAPI(
         title="sgmethod",
         version=VERSION,
         description="Encode photographs as 2D Gaussians, and decode them.",
         lifespan=_lifespan,
-        docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours
+        docs_url=None,  # both pages load scripts from other hosts, which our policy forbids
         redoc_url=None,
-        redirect_slashes=False,  # it would repeat whatever host the client named
+        redirect_slashes=False,  # a redirect would repeat the client's Host
     )
     context = app.state.context = Context(
         settings,
@@ -143,7 +144,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         metrics,
     )
     install_problem_handlers(app)
-    # The gate does the work; this is how the document says so.
+    # Authentication checks the key; this documents it.
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
     app.mount("/static/sgmethod", PageFiles(packages=[("sgmethod", "javascript/src")]))  # the decoder and <sg-img>
     app.mount("/static", PageFiles(directory=STATIC))
@@ -157,11 +158,12 @@ def _page(path: Path) -> Callable[[], FileResponse]:
 
 
 def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
-    """The middleware, from the inside out. It stands outside FastAPI, whose answer to an unexpected error skips its
-    own.
+    """Add the middleware, from the inside out.
+
+    It wraps FastAPI, because FastAPI's answer to an unexpected error bypasses its own middleware.
     """
     settings = context.settings
-    app = Gate(app, context.keys, settings)
+    app = Authentication(app, context.keys, settings)
     app = BodyLimit(app, settings.max_upload_bytes)
     if settings.cors_origins:
         app = CORSMiddleware(
@@ -169,9 +171,9 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
             allow_origins=listed(settings.cors_origins),
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
             allow_headers=[
-                *("Authorization", "Idempotency-Key", "If-None-Match", "Prefer", "X-Request-Id"),
+                *("Authorization", "Idempotency-Key", "If-None-Match", "X-Request-Id"),
                 *("traceparent", "tracestate"),  # which a page with OpenTelemetry sends with every request
             ],
-            expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],
+            expose_headers=["ETag", "Location", "Retry-After", "X-Request-Id"],
         )
     return RequestLog(app, context.metrics)

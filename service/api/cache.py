@@ -1,4 +1,4 @@
-"""The pictures that were asked for last."""
+"""A cache of the most recently requested pictures."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 from service.api.problems import ProblemError
 
-GONE = 410  # for all who ask; other refusals may be for one client alone, or for one of two jobs with equal files
+DELETED = 410  # applies to every client; other refusals may be for one client, or for one of two jobs with equal files
 
 
 class _Making:
-    """A file that is being made. waiting: how many requests it is for."""
+    """A file that is being made, and the number of requests that wait for it."""
 
     def __init__(self, making: Coroutine[Any, Any, bytes]) -> None:
         self.task = asyncio.create_task(making)
@@ -21,7 +21,7 @@ class _Making:
 
 
 class PictureCache:
-    """The picture files asked for last, by entity tag, as many as fit into max_bytes. For the event loop alone."""
+    """The most recently requested picture files by entity tag, up to max_bytes. Use it in the event loop only."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
@@ -33,8 +33,10 @@ class PictureCache:
         return etag in self._files
 
     async def get_or_make(self, etag: str, make: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
-        """The file, from memory or from `make`, which runs once for all who ask for it meanwhile, as long as one of
-        them waits. When it is refused to the first of them, the others have it made in their own names.
+        """Return the file from memory, or from `make`.
+
+        Concurrent requests for one file share one call of `make`, which is cancelled when none of them waits any more.
+        If it refuses the request that started it, the others try again in their own names.
         """
         while True:
             if etag in self._files:
@@ -48,7 +50,7 @@ class PictureCache:
             try:
                 file = await asyncio.shield(making.task)
             except ProblemError as refusal:
-                if is_mine or refusal.status == GONE:
+                if is_mine or refusal.status == DELETED:
                     raise
             else:
                 self._put(etag, file)
@@ -61,7 +63,7 @@ class PictureCache:
                         del self._making[etag]
 
     def _put(self, etag: str, file: bytes) -> None:
-        """Keep the file if it fits at all; others go to make room."""
+        """Store the file if it fits at all, and evict the oldest files to make space."""
         if etag in self._files or len(file) > self._max_bytes:
             return
         self._files[etag] = file

@@ -1,4 +1,4 @@
-"""Identifies and authorises callers before a byte of the body is read."""
+"""Identify and authorise callers before a byte of the body is read."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from service.api.requests import header_line
 from service.keys import KeyRing, Link
 from service.settings import Settings, listed
 
-# A page must load before a person can give it a key, and probes have none.
+# The page loads before a user can enter a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", PAGE, "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
-NETWORK_BITS = 64  # of an IPv6 address, which tell customers apart; the rest is each customer's own
+NETWORK_BITS = 64  # of an IPv6 address, which identify a customer's network
 UNKNOWN = "unknown"
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
@@ -31,10 +31,10 @@ _LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})(\.[a-z]{2,4})?")
 
 @dataclass(frozen=True)
 class Caller:
-    """client: takes turns with others, the owner of a key or else an address; owner: whose key came with the
-    request; linked_job: the one job that a link lets its bearer read, until link_expires (seconds since 1970).
+    """The caller of a request. All fields but `client` are None where the service has no API keys.
 
-    All but the client are None where the service has no keys, and everything is everyone's.
+    client: takes turns with other clients, the owner of a key or else an address; owner: owner of the API key;
+    linked_job: the one job that a link gives access to; link_expires: seconds since 1970.
     """
 
     client: str
@@ -44,7 +44,7 @@ class Caller:
 
 
 def address_of(peer: Sequence[object] | None) -> str:
-    """Who a peer (host, port) is: an IPv4 address or an IPv6 network."""
+    """Return the client's address: an IPv4 address, or the network of an IPv6 address. peer: (host, port)."""
     address = _address_in(str(peer[0])) if peer else None
     if isinstance(address, ipaddress.IPv6Address):
         mapped = address.ipv4_mapped
@@ -60,7 +60,7 @@ def _address_in(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | No
 
 
 def _name_in(host: str) -> str:
-    """The name or address in a Host header; empty if it cannot be read."""
+    """Return the name or address in a Host header; empty if it is malformed."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
@@ -68,24 +68,24 @@ def _name_in(host: str) -> str:
 
 
 def path_of(scope: Scope) -> str:
-    """The path without the prefix under which a proxy shows the service."""
+    """Return the path without the prefix under which a proxy serves this."""
     path: str = scope["path"]
     return path.removeprefix(scope.get("root_path", ""))
 
 
 def _without_link(scope: Scope) -> bytes:
-    """The query as the routes know it. A link that is not needed, as beside a key, does no harm."""
+    """Return the query without a link's parameters. They are harmless where they are not needed, as beside a key."""
     query: bytes = scope["query_string"]
     if _LINKED_PATH.fullmatch(path_of(scope)) is None:
         return query
     return b"&".join(part for part in query.split(b"&") if not part.startswith((b"expires=", b"signature=")))
 
 
-class Gate:
-    """Middleware that identifies the caller for the routes, or refuses.
+class Authentication:
+    """Middleware that identifies the caller, or refuses the request.
 
-    Where there are no keys, whatever a browser on this machine loads could call the service, so pages of other sites
-    are kept out: by the name that they have reached it under, and by their origin where something would change.
+    Without API keys, any page in a browser on this machine could call the service. Pages of other sites are kept out:
+    by the host name that they used, and by their Origin where the request would change something.
     """
 
     def __init__(self, app: ASGIApp, keys: KeyRing, settings: Settings) -> None:
@@ -112,16 +112,16 @@ class Gate:
         if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
             return Caller(address)
         scheme, _, key = (header_line(Headers(scope=scope), "authorization") or "").partition(" ")
-        # A key that comes with a link stands for itself: if it is not known, the link does not help.
+        # A key takes precedence over a link: an unknown key fails even on a valid link.
         return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
 
     def _check_site(self, headers: Headers, method: str) -> None:
-        """Raises ProblemError 421 or 403."""
+        """Raise ProblemError 421 for an unknown host name, or 403 for a change requested by another site."""
         host, origin = headers.get("host"), headers.get("origin")
         name = _name_in(host or "")
-        # Plain probes speak HTTP/1.0 and name no host; browsers always do.
+        # Simple probes use HTTP/1.0 without a Host; browsers always send one.
         if host is not None and not {"*", name} & self._host_names and _address_in(name) is None:
-            raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
+            raise ProblemError(421, "the service does not answer to this host name; SG_HOST_NAMES may list it")
         if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
             return
         if origin.partition("://")[2] != host:

@@ -1,4 +1,4 @@
-"""What handlers work with: made once, and given to each by FastAPI."""
+"""The context of handlers: created once, and passed to each by FastAPI."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", exampl
 
 @dataclass(frozen=True)
 class Context:
-    """The pieces of the running service.
+    """The parts of the running service.
 
-    tasks: what the sandbox does for clients; accepting: turns in which an upload is held in memory, which bounds what
-    all of them take together; streams: of events, and waits; stopping: whether the service is to stop.
+    tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; streams: bounds event streams
+    and requests that wait; stopping: returns whether the service is shutting down.
 
-    reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: those of
-    probes. Each kind has its own, so that what waits for a lock or a silent bucket holds up nothing else.
+    reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: threads for
+    probes. The pools are separate, so that a lock or a silent bucket does not block anything else.
     """
 
     settings: Settings
@@ -58,26 +58,26 @@ class Context:
     storing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
 
     async def read(self, ask: Callable[..., T], *values: object) -> T:
-        """What a call that reads the job table gives."""
+        """Run a function that reads the job table, in a thread."""
         return await to_thread.run_sync(ask, *values, limiter=self.reading)
 
     async def write(self, change: Callable[..., T], *values: object) -> T:
-        """What a call that changes the job table gives."""
+        """Run a function that changes the job table, in a thread."""
         return await to_thread.run_sync(change, *values, limiter=self.writing)
 
     async def store(self, ask: Callable[..., T], *values: object) -> T:
-        """What a call of the storage gives."""
+        """Run a function that uses the storage, in a thread."""
         return await to_thread.run_sync(ask, *values, limiter=self.storing)
 
     def discard(self, key: str) -> None:
-        """Remove a file that no job needs. Where that fails it is left to the sweep: what was asked for is done."""
+        """Remove a file that no job needs. If that fails, the sweep removes it later."""
         try:
             self.storage.delete(key)
         except OSError as error:
             log.warning("%s cannot be removed yet: %s", key, error)
 
 
-# As plain functions, these would wait for one of the threads that files of the page are read in.
+# Async, since plain functions would wait for a thread of the pool that serves the page's files.
 async def _context(request: Request) -> Context:
     context: Context = request.app.state.context
     return context
@@ -93,12 +93,12 @@ UseCaller = Annotated[Caller, Depends(_caller)]
 
 
 def no_such_job() -> ProblemError:
-    """The answer to an id without a job, well formed or not."""
+    """Return the answer to an id without a job, whether or not the id is well formed."""
     return ProblemError(404, "there is no such job")
 
 
 async def _known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> Job:
-    """The job, if the caller may know of it; a foreign one looks the same as none."""
+    """Return the job if the caller may see it. A job of another owner looks like none."""
     if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
         raise no_such_job()
     job = await context.read(context.table.get, job_id, caller.owner)

@@ -1,4 +1,4 @@
-"""New jobs: from a request to a job in the table, whose file is the answer if it is done in time."""
+"""Handlers that accept new jobs, and may wait to answer with the finished file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
-from service.api.pictures import PictureQuery, bitstream, open_image, picture
+from service.api.pictures import bitstream, open_image, picture
 from service.api.problems import FOR_NOW, ProblemError
 from service.api.requests import (
     FORM_TYPE,
@@ -29,7 +29,9 @@ from service.api.requests import (
     wanted_wait_s,
     wants_picture,
 )
-from service.jobs.job import Job, JobTableError, KeyReusedError, LimitError, NewJob, SourceImage, new_job_id
+from service.errors import JobTableError, KeyReusedError, LimitError
+from service.jobs.job import Job, NewJob, SourceImage, new_job_id
+from service.pictures import PictureOptions
 from service.storage.files import source_key
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
@@ -41,12 +43,6 @@ PARAMETERS: list[dict[str, Any]] = [
         "in": "header",
         "description": "the same key again answers with the job it first made",
         "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
-    },
-    {
-        "name": "Prefer",
-        "in": "header",
-        "description": "`wait=30` is the same as the query parameter; what cannot be read is ignored",
-        "schema": {"type": "string"},
     },
     *({"name": name, "in": "query", "schema": schema} for name, schema in OPTION_SCHEMAS.items()),
 ]
@@ -67,7 +63,7 @@ IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a client asks for, whatever the settings make of it. image: tells the image from others."""
+    """A client's request, independent of settings. image: identifies the image."""
 
     owner: str | None
     key: str | None
@@ -76,7 +72,7 @@ class _Asked:
 
     @property
     def fingerprint(self) -> str:
-        """A digest of the request."""
+        """Digest of the request."""
         words = f"{self.options.model_dump_json(exclude_unset=True)} {self.image}"
         return hashlib.sha256(words.encode()).hexdigest()
 
@@ -84,8 +80,10 @@ class _Asked:
 async def encode(
     request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
-    """Submit an image for encoding, with at most one budget. With `wait`, the response is the finished file (or the
-    decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
+    """Submit an image for encoding, with at most one budget.
+
+    With `wait`, the response is the finished file (or the decoded picture, if the Accept header asks for one) when the
+    job is done in time; otherwise 202 and the job as JSON.
     """
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
@@ -102,8 +100,9 @@ async def encode(
 async def encode_again(
     job: KnownJob, request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
-    """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
-    deleted. Takes the options of `POST /encode`, in the query or in a form.
+    """Start a new job with the image of an existing one, without uploading it again.
+
+    410 once that image has been deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
     asked = _Asked(caller.owner, key, read_options(await fields_alone(request)), job.id)
     again = await _first(asked, context)
@@ -122,9 +121,9 @@ async def _digest(file: UploadFile, context: Context) -> str:
 
 
 async def _first(asked: _Asked, context: Context) -> Job | None:
-    """The job that the same request has made already. Raises KeyReusedError.
+    """Return the job that the same request has already made. Raises KeyReusedError.
 
-    Before anything else is looked at: what was refused now was accepted then.
+    Checked before anything else: what would be refused now may have been accepted then.
     """
     if asked.key is None:
         return None
@@ -132,15 +131,15 @@ async def _first(asked: _Asked, context: Context) -> Job | None:
 
 
 def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) -> Job:
-    """Store the image, then put the job into the job table; only then may the client be told."""
+    """Store the image, then insert the job. Only then may the client get an answer."""
     request = asked.options.request(header, context.settings.max_time_limit_s)
     priority = asked.options.priority
     new = NewJob(new_job_id(), request, header, asked.fingerprint, asked.key, asked.owner, priority)
-    free_bytes = context.storage.free_bytes()
-    if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
+    free_bytes = context.storage.free_bytes()  # a large upload is a temporary file there, and so counted already
+    if free_bytes is not None and free_bytes < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
     context.storage.put(source_key(new.id), image)
-    try:  # if the table fails, the image stays for the sweep: the row may have been written anyway
+    try:  # after an error of the table, the image stays for the sweep: the row may have been written
         job, is_new = context.table.submit(new)
     except (LimitError, KeyReusedError):
         context.discard(source_key(new.id))
@@ -153,34 +152,39 @@ def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) 
 
 
 async def _answer(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response:
-    """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError.
+    """Answer with the finished file if the client waits and the job is done in time, else with the accepted job.
 
-    What a client would try again later is no refusal here: it would submit the image again.
+    An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
-    if context.streams.is_full(client):  # too many wait already
-        wait_s = 0
-    if wait_s:
-        headers["Preference-Applied"] = f"wait={wait_s}"
-    later = JSONResponse(view.model_dump(), 202, headers)
-    try:
-        ended = await job_within(request, job, wait_s, context, client) if wait_s else None
-    except JobTableError:
-        return later
+    file = None
+    if wait_s and not context.streams.is_full(client):
+        try:
+            file = await _file_within(request, context, job, wait_s, client)
+        except ProblemError as problem:
+            if problem.status not in FOR_NOW:
+                problem.headers.update(headers)
+                raise
+        except (JobTableError, OSError):
+            pass
+    if file is None:
+        return JSONResponse(view.model_dump(), 202, headers)
+    file.headers.update({**headers, **VARIES})
+    return file
+
+
+async def _file_within(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response | None:
+    """Return the bitstream, or the picture that Accept asks for; None if the job is not done within wait_s seconds.
+
+    Raises ProblemError, JobTableError, OSError.
+    """
+    ended = await job_within(request, job, wait_s, context, client)
     if ended is None:
-        return later
+        return None
     if ended.error is not None and ended.state == "failed":
         status = 422 if ended.error.code == "refused" else 500
-        raise ProblemError(status, ended.error.detail, headers=headers, code=ended.error.code, id=ended.id)
-    try:
-        if wants_picture(request):
-            answer = await picture(ended, accepted_format(request), PictureQuery(), context, request)
-        else:
-            answer = await bitstream(ended, context, request)
-    except (ProblemError, OSError, JobTableError) as trouble:
-        if isinstance(trouble, ProblemError) and trouble.status not in FOR_NOW:
-            raise
-        return later
-    answer.headers.update({**headers, **VARIES})
-    return answer
+        raise ProblemError(status, ended.error.detail, code=ended.error.code, id=ended.id)
+    if wants_picture(request):
+        return await picture(ended, accepted_format(request), PictureOptions(), context, request)
+    return await bitstream(ended, context, request)

@@ -1,4 +1,4 @@
-"""Whether the service lives, is ready and is busy: answers that never wait behind work."""
+"""Handlers of health checks and metrics, which never wait behind other work."""
 
 from __future__ import annotations
 
@@ -14,55 +14,57 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from service.api import models
 from service.api.context import Context, UseContext
 from service.api.problems import ProblemError
-from service.jobs.job import Census, JobTableError
+from service.errors import JobTableError
+from service.jobs.job import Counts
 
 log = logging.getLogger(__name__)
 
 VERSION = version("sgmethod")
-STALLED_LEASES = 4  # for which jobs may wait without a sign of life from any worker
-PATIENCE_S = 2.0  # a table that takes longer is no better than none
+STALLED_LEASES = 4  # for which jobs may wait while no worker reports
+PATIENCE_S = 2.0  # a table that takes longer counts as unavailable
 
 
 async def live() -> models.HealthView:
-    """200 as long as the web process answers."""
+    """Return 200 while the web process answers."""
     return models.HealthView(status="ok", version=VERSION)
 
 
 async def ready(context: UseContext) -> models.HealthView:
-    """200 if jobs are accepted and processed: the job table and storage respond, the sandbox does tasks, and workers
-    take jobs.
+    """Return 200 if jobs are accepted and processed.
+
+    The job table and the storage respond, the sandbox does tasks, and workers take jobs.
     """
-    census = await _census(context)
-    if census is None:
+    counts = await _counts(context)
+    if counts is None:
         raise ProblemError(503, "the job table is not responding, or takes no changes", reason="table")
     free_bytes = await _free_bytes(context)
     if free_bytes < context.settings.min_free_bytes:
         raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
-    if census.waiting_s is not None:
-        stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
+    if counts.waiting_s is not None:
+        stalled_s = counts.waiting_s if counts.silent_s is None else min(counts.waiting_s, counts.silent_s)
         if stalled_s > STALLED_LEASES * context.settings.lease_s:
             detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
     if trouble := await context.tasks.trouble(PATIENCE_S):
-        log.error("the sandbox does no tasks: %s", trouble)
-        raise ProblemError(503, "the sandbox does no tasks, without which no image is read", reason="sandbox")
+        log.error("the sandbox is not working: %s", trouble)
+        raise ProblemError(503, "the sandbox is not working, so images cannot be read", reason="sandbox")
     return models.HealthView(status="ok", version=VERSION)
 
 
 async def metrics(context: UseContext) -> Response:
-    """Metrics in Prometheus' text format."""
-    census = await _census(context)
+    """Return metrics in Prometheus' text format."""
+    counts = await _counts(context)
     with suppress(ProblemError):
         context.metrics.free_bytes.set(await _free_bytes(context))
     context.metrics.cache_bytes.set(context.pictures.bytes)
     context.metrics.streams.set(context.streams.open)
-    return Response(context.metrics.text(census), media_type=CONTENT_TYPE_LATEST)
+    return Response(context.metrics.text(counts), media_type=CONTENT_TYPE_LATEST)
 
 
-async def _census(context: Context) -> Census | None:
-    def ask() -> Census:
+async def _counts(context: Context) -> Counts | None:
+    def ask() -> Counts:
         context.table.check_writable()
-        return context.table.census()
+        return context.table.counts()
 
     try:
         with fail_after(PATIENCE_S):
@@ -73,7 +75,7 @@ async def _census(context: Context) -> Census | None:
 
 
 async def _free_bytes(context: Context) -> float:
-    """Bytes that still fit into the storage. Raises ProblemError 503 if it does not answer."""
+    """Return the free space of the storage. Raises ProblemError 503 if it does not respond."""
 
     def ask() -> int | None:
         context.storage.check()

@@ -1,4 +1,4 @@
-"""Jobs: looked at, listed, waited for, followed, linked to, stopped, removed."""
+"""Handlers of existing jobs: get, list, wait, follow, link, stop and remove."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters, while_client_waits
-from service.jobs.job import FINAL_STATES, Job, JobState, JobTableError
+from service.errors import JobTableError
+from service.jobs.job import FINAL_STATES, Job, JobState
 from service.keys import Link
 from service.storage.files import source_key
 
 log = logging.getLogger(__name__)
 
 LONGEST_LINK_S = 7 * 86_400
-EVENTS_POLL_S = 0.5  # workers write progress down as often
-FIRST_POLL_S, POLL_S = 0.05, 0.2  # soon at first, since a small picture takes less than the latter
+EVENTS_POLL_S = 0.5  # as often as workers report progress
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
 class PageQuery(Parameters):
-    """Which jobs are listed."""
+    """Query parameters of a page of jobs."""
 
     limit: int = Field(default=50, ge=1, le=200)
     before: int | None = Field(default=None, ge=1, le=2**53)
@@ -37,13 +38,13 @@ class PageQuery(Parameters):
 
 
 class LinksQuery(Parameters):
-    """For how long links hold."""
+    """Lifetime of the links."""
 
     expires_s: int = Field(default=3600, ge=1, le=LONGEST_LINK_S, description="seconds until the links expire")
 
 
 async def status(job: KnownJob, context: UseContext, response: Response) -> models.JobView:
-    """State, queue position, progress, trace so far, and the result or error."""
+    """Return state, queue position, progress, trace and the result or error."""
     response.headers.update(NEVER_STORED)
     return models.with_trace(job, await context.read(context.table.trace, job.id), context.settings)
 
@@ -51,7 +52,7 @@ async def status(job: KnownJob, context: UseContext, response: Response) -> mode
 async def jobs(
     context: UseContext, caller: UseCaller, response: Response, query: Annotated[PageQuery, Query()]
 ) -> models.JobPage:
-    """All jobs, newest first, in pages; with API keys, only those of the caller's key."""
+    """List jobs, newest first, in pages; with API keys, only those of the caller's key."""
     response.headers.update(NEVER_STORED)
     limit, settings = query.limit, context.settings
     page = await context.read(context.table.page, limit + 1, query.before, caller.owner, query.state)
@@ -62,7 +63,7 @@ async def jobs(
 
 
 async def job_within(request: Request, job: Job, seconds: int, context: Context, client: str) -> Job | None:
-    """The job once it has ended, None if it has not in time. Raises ProblemError 409 if it is removed meanwhile."""
+    """Wait for the job to end; None after so many seconds. Raises ProblemError 409 if it is removed meanwhile."""
     with context.streams.one(client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 
@@ -82,7 +83,7 @@ async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
 
 
 async def _one_stream(context: UseContext, caller: UseCaller) -> AsyncIterator[None]:
-    """One of the places for streams, until the stream ends. Raises ProblemError 503."""
+    """Occupy a place for a stream until it ends. Raises ProblemError 503."""
     with context.streams.one(caller.client):
         yield
 
@@ -90,13 +91,13 @@ async def _one_stream(context: UseContext, caller: UseCaller) -> AsyncIterator[N
 StreamPlace = Annotated[None, Depends(_one_stream)]
 
 
-# The place comes first: too many streams are refused before a job is looked up.
+# The place is first, so that a stream too many is refused before the job is looked up.
 async def events(_place: StreamPlace, job: KnownJob, context: UseContext) -> AsyncIterator[ServerSentEvent]:
-    """Server-sent events: "state" with the job whenever it changes, "trace" with new points and the progress, and
-    finally "done" or "failed" with the job, or "removed".
+    """Send server-sent events.
 
-    Every stream starts from the beginning, so after a broken connection simply open a new one. A new attempt starts
-    a new trace.
+    "state" with the job whenever it changes, "trace" with new points and the progress, and finally "done" or "failed"
+    with the job, or "removed". Every stream starts from the beginning, so after a broken connection simply open a new
+    one. A new attempt starts a new trace.
     """
     try:
         async for event in _story(job, context):
@@ -137,7 +138,7 @@ async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
 async def links(
     job: KnownJob, context: UseContext, response: Response, query: Annotated[LinksQuery, Query()]
 ) -> models.LinksView:
-    """Links to the picture and the bitstream that anyone can open until they expire."""
+    """Create links to the picture and the bitstream that anyone can open until they expire."""
     response.headers.update(NEVER_STORED)
     secret = context.settings.link_secret.get_secret_value()
     if not secret:
@@ -153,8 +154,10 @@ async def links(
 
 
 async def stop(job: KnownJob, context: UseContext, response: Response) -> models.AcceptedView:
-    """Finish a running job early and keep its result, which stays within the budget. This takes about a quarter of the
-    time spent so far. A finished job is unchanged; 409 for a queued or failed one, which has no result to keep.
+    """Finish a running job early and keep its result, which stays within the budget.
+
+    This takes about a quarter of the time spent until then. A finished job is unchanged; 409 for a queued or failed
+    one, which has no result to keep.
     """
     view = models.accepted(job, context.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})
@@ -171,8 +174,8 @@ async def remove(job: KnownJob, context: UseContext) -> Response:
     """Cancel the job if it is not done, and delete everything stored for it."""
     removed = await context.write(context.table.remove, job.id)
     if removed is not None:
-        # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
+        # A worker that runs it loses its claim at the next heartbeat, and removes its own files.
         await context.store(context.discard, source_key(removed.id))
         if removed.result is not None:
             await context.store(context.discard, removed.result.bitstream_key)
-    return Response(status_code=204)  # without a body, and so without a type of it
+    return Response(status_code=204)  # a Response, since JSON would have a Content-Type

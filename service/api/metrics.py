@@ -1,4 +1,4 @@
-"""What Prometheus may read: requests as they pass, decodes, and the job table at the moment of asking."""
+"""Prometheus metrics: of requests and decodes as they happen, and of the job table when asked."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from prometheus_client.registry import Collector
 from starlette.types import Scope
 
 from service.api.problems import REFUSAL
-from service.jobs import endings
-from service.jobs.job import Census
+from service.jobs import outcomes
+from service.jobs.job import Counts
 from service.process.loops import failures
 from service.sandbox.confinement import LAYERS
 
@@ -22,7 +22,7 @@ BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56,
 
 
 def _gauges(name: str, words: str, label: str, values: Iterable[tuple[str, float]]) -> Metric:
-    """One figure for each value of a label."""
+    """Return one gauge with a value for each label."""
     family = GaugeMetricFamily(name, words, labels=[label])
     for which, value in values:
         family.add_metric([which], value)
@@ -30,51 +30,51 @@ def _gauges(name: str, words: str, label: str, values: Iterable[tuple[str, float
 
 
 class _TableFigures(Collector):
-    """What the job table tells of all workers and web processes together. census: None if it does not answer."""
+    """Metrics from the job table, over all workers and web processes. counts: None if it does not respond."""
 
     def __init__(self) -> None:
-        self.census: Census | None = None
+        self.counts: Counts | None = None
 
     def collect(self) -> Iterator[Metric]:
-        census = self.census
-        yield GaugeMetricFamily("sgmethod_job_table_up", "Whether the job table answers.", census is not None)
-        failed = "Failures of background work that nobody foresaw, since the process started."
-        by_process = {"web": failures.total(), **(census.failures if census else {})}
+        counts = self.counts
+        yield GaugeMetricFamily("sgmethod_job_table_up", "Whether the job table answers.", counts is not None)
+        failed = "Unexpected failures of background work since the process started."
+        by_process = {"web": failures.total(), **(counts.failures if counts else {})}
         yield _gauges("sgmethod_background_failures", failed, "process", by_process.items())
-        if census is None:
+        if counts is None:
             return
-        yield _gauges("sgmethod_jobs", "Jobs in the table.", "state", census.jobs.items())
+        yield _gauges("sgmethod_jobs", "Jobs in the table.", "state", counts.jobs.items())
         seen = "Since the last sign of life of a worker, which gives one every 2 s."
-        since = {worker: max(0.0, seconds) for worker, seconds in census.workers.items()}
+        since = {worker: max(0.0, seconds) for worker, seconds in counts.workers.items()}
         yield _gauges("sgmethod_worker_seen_seconds", seen, "worker", since.items())
         waited = "Since the job ended whose webhook has been waiting for longest."
         for name, words, value in (
-            ("stored_bytes", "Bytes of images and bitstreams.", census.stored_bytes),
-            ("oldest_job_waits_seconds", "Age of the oldest queued job.", max(0.0, census.waiting_s or 0.0)),
-            ("workers_silent_seconds", "Since any worker was heard from.", max(0.0, census.silent_s or 0.0)),
-            ("webhooks_waiting", "Webhooks to be delivered.", census.notices),
-            ("oldest_webhook_waits_seconds", waited, max(0.0, census.notice_waits_s)),
+            ("stored_bytes", "Bytes of images and bitstreams.", counts.stored_bytes),
+            ("oldest_job_waits_seconds", "Age of the oldest queued job.", max(0.0, counts.waiting_s or 0.0)),
+            ("workers_silent_seconds", "Since any worker was heard from.", max(0.0, counts.silent_s or 0.0)),
+            ("webhooks_waiting", "Webhooks to be delivered.", counts.deliveries),
+            ("oldest_webhook_waits_seconds", waited, max(0.0, counts.delivery_waits_s)),
         ):
             yield GaugeMetricFamily(f"sgmethod_{name}", words, value)
-        yield from _totals(census.totals)
+        yield from _totals(counts.totals)
 
 
 def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
-    for ending in endings.ENDINGS:
-        words = f"Jobs {ending}, since the job table was made."
-        yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, so_far.get(ending, 0.0))
-    names = [str(most).replace("inf", "+Inf") for most in endings.BUCKETS_S]
-    numbers = accumulate(so_far.get(endings.bucket(most), 0.0) for most in endings.BUCKETS_S)
+    for outcome in outcomes.OUTCOMES:
+        words = f"Jobs {outcome}, since the job table was made."
+        yield CounterMetricFamily(f"sgmethod_jobs_{outcome}", words, so_far.get(outcome, 0.0))
+    names = [str(most).replace("inf", "+Inf") for most in outcomes.BUCKETS_S]
+    numbers = accumulate(so_far.get(outcomes.bucket(most), 0.0) for most in outcomes.BUCKETS_S)
     yield HistogramMetricFamily(
         "sgmethod_encode_seconds",
         "From the claim of a job to its file.",
         buckets=[*zip(names, numbers, strict=True)],
-        sum_value=so_far.get(endings.SECONDS, 0.0),
+        sum_value=so_far.get(outcomes.SECONDS, 0.0),
     )
 
 
 class Metrics:
-    """The figures of one web process, and of the job table. absent: layers of the sandbox that the system lacks."""
+    """Metrics of this web process and of the job table. absent: layers of the sandbox that the system lacks."""
 
     def __init__(self, absent: Collection[str] = ()) -> None:
         self._registry = registry = CollectorRegistry()
@@ -110,8 +110,8 @@ class Metrics:
         registry.register(self._table)
 
     def note(self, scope: Scope, status: int, seconds: float) -> None:
-        """Count a request whose answer begins, by the route that took it."""
-        # Labels come from fixed sets: what a client makes up must not fill the memory.
+        """Count a request when its response begins, by its route."""
+        # Labels come from fixed sets, so that clients cannot create metrics without limit.
         route = getattr(scope.get("route"), "path", "none")
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.requests.labels(method, route, status).inc()
@@ -123,12 +123,12 @@ class Metrics:
             self.key_requests.labels(state["caller"].owner).inc()
 
     def accept(self, owner: str | None) -> None:
-        """Count a job that was accepted, and whose API key it came with."""
+        """Count an accepted job, in total and for its API key."""
         self.accepted.inc()
         if owner is not None:
             self.key_jobs.labels(owner).inc()
 
-    def text(self, census: Census | None) -> bytes:
-        """Everything, in Prometheus's text format. census: the job table's figures, None if it does not answer."""
-        self._table.census = census
+    def text(self, counts: Counts | None) -> bytes:
+        """Return all metrics in Prometheus' text format. counts: of the job table; None if it does not respond."""
+        self._table.counts = counts
         return generate_latest(self._registry)

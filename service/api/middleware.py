@@ -1,4 +1,4 @@
-"""What stands before the application: a line in the log for each request, and a limit on its body."""
+"""Middleware around the application: logging of requests, and the limit on bodies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from service.logs import request_id
 log = logging.getLogger("access")
 
 ID_HEADER = "X-Request-Id"
-RESPONSE_HEADERS = {  # unless an answer sets them itself
+RESPONSE_HEADERS = {  # defaults
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
@@ -26,8 +26,9 @@ _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
 class RequestLog:
-    """Middleware: logs and counts each request, by an id that the client gives or that is made, and completes its
-    answer with headers. Queries are left out of the log: they may hold the signature of a link.
+    """Middleware that logs and counts requests, and adds an id and security headers to responses.
+
+    The id is the client's own if it sends one. Queries are not logged, since they may contain a link's signature.
     """
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
@@ -41,7 +42,7 @@ class RequestLog:
         given = Headers(scope=scope).get(ID_HEADER, "")
         name = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
         method, path, state = scope["method"], scope["path"], scope.setdefault("state", {})
-        if method == "HEAD" and not path.endswith("/events"):  # streams of events do not end
+        if method == "HEAD" and not path.endswith("/events"):  # event streams never end
             scope = {**scope, "method": "GET"}  # the server sends no body
         status, size, started = 0, 0, time.monotonic()
 
@@ -70,7 +71,7 @@ class RequestLog:
 
 
 class BodyLimit:
-    """Middleware: reading a body of more than max_bytes raises ProblemError 413 in the application."""
+    """Middleware that raises ProblemError 413 in the application when it reads a body of more than max_bytes."""
 
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
         self._app = app

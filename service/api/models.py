@@ -1,4 +1,4 @@
-"""The JSON of every answer: jobs as clients see them, and as the OpenAPI document describes them."""
+"""The JSON of every response, which the OpenAPI document describes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.jobs.job import Job, JobError, JobState, JsonObject, Priority
 from service.settings import Settings
 
-# Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
+# Progress at the start and the end of each phase; each counts its own steps.
 PHASES = {
     "start": (0.0, 0.0),
     "fit": (0.0, 0.6),
@@ -19,7 +19,7 @@ PHASES = {
     "joint": (0.0, 1.0),  # profile rd does both at once
     "done": (1.0, 1.0),
 }
-MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and again
+MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches repeatedly
 
 Figure = float | int | str | None
 
@@ -66,7 +66,7 @@ class AcceptedView(BaseModel):
 class BudgetView(BaseModel):
     """The budget of an encode."""
 
-    kind: str = Field(description='"bpp", "bytes", "looks", "psnr", "quality" or "gaussians"')
+    kind: str = Field(description='"bpp", "bytes", "quality", "psnr" or "gaussians"')
     value: float
 
 
@@ -144,7 +144,7 @@ class HealthView(BaseModel):
 
 
 def accepted(job: Job, settings: Settings) -> AcceptedView:
-    """The job's id, and where its resources are on this host."""
+    """Return the job's id and the paths of its resources."""
     return AcceptedView(
         id=job.id,
         status_url=f"{settings.root_path}/jobs/{job.id}",
@@ -154,24 +154,24 @@ def accepted(job: Job, settings: Settings) -> AcceptedView:
 
 
 def expires_at(job: Job, settings: Settings) -> float | None:
-    """When the job is removed, in seconds since 1970; None while that is not known, or never."""
+    """Return when the job is removed, in seconds since 1970; None if it is not finished, or is kept for ever."""
     kept_s = settings.retention_s
     return job.finished_at + kept_s if job.finished_at is not None and kept_s else None
 
 
 def summary(job: Job, settings: Settings) -> JobSummary:
-    """The job without its trace."""
+    """Return the job without its trace."""
     return JobSummary.model_validate(_members(job, settings))
 
 
 def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
-    """The job and how its fit went so far."""
+    """Return the job with its trace and progress."""
     done = 1.0 if job.state == "done" else progress(trace)
     return JobView.model_validate({**_members(job, settings), "progress": done, "trace": thinned(trace)})
 
 
 def _members(job: Job, settings: Settings) -> JsonObject:
-    """The members of a summary; pydantic makes times of seconds."""
+    """Return the fields of a summary; pydantic converts times from seconds."""
     request, image, stats = job.request, job.image, job.result.stats if job.result else {}
     return {
         **vars(request),
@@ -183,13 +183,13 @@ def _members(job: Job, settings: Settings) -> JsonObject:
         "image_expires_at": None if job.finished_at is None else job.finished_at + settings.source_retention_s,
         "result": {name: value for name, value in stats.items() if name != "notes"} if job.result else None,
         "notes": stats.get("notes", []),
-        # A queued job can carry the error of its last crash, which is no concern of the client's yet.
+        # A queued job may have the error of its last crash, which clients do not need.
         "error": job.error if job.state == "failed" else None,
     }
 
 
 def progress(trace: Sequence[JsonObject]) -> float:
-    """Estimated share of the work that is done at the best of the points, 0 to 1."""
+    """Estimate the share of the work that is done, 0 to 1."""
     return max(map(_progress, trace), default=0.0)
 
 
@@ -200,7 +200,7 @@ def _progress(point: JsonObject) -> float:
 
 
 def thinned(trace: Sequence[JsonObject]) -> list[dict[str, Figure]]:
-    """At most MAX_TRACE_POINTS of the points, evenly spread, with the first and the last."""
+    """Return at most MAX_TRACE_POINTS of the points, evenly spaced, including the first and the last."""
     last = len(trace) - 1
     chosen = trace
     if last >= MAX_TRACE_POINTS:

@@ -1,7 +1,7 @@
-"""What an encode is asked for beside its image: one model for the form, the query and the OpenAPI document.
+"""The options of an encode: one model for the form, the query and the OpenAPI document.
 
-Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the picture. The encoder
-refuses them too; it cannot be asked here, since it loads libraries that a web process does without.
+Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the image. The encoder
+refuses them too, but it loads libraries that a web process does without.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, Priority, SourceImage
-from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
-from sgmethod.metrics.looks import SMALLEST_SIDE
+from sgmethod.bitstream.container import smallest_file
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, bytes_value, default_budget
+from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.profiles import (
     DEFAULT_EFFORT,
     DEFAULT_PROFILE,
@@ -55,8 +55,8 @@ def _number(text: str, info: ValidationInfo) -> float:
     return float(text)
 
 
-def _looks(text: str, info: ValidationInfo) -> float:
-    return LOOKS[text] if text in LOOKS else _number(text, info)
+def _quality(text: str, info: ValidationInfo) -> float:
+    return QUALITIES[text] if text in QUALITIES else _number(text, info)
 
 
 def _effort(text: str, info: ValidationInfo) -> int:
@@ -69,14 +69,17 @@ def _given(description: str, example: float, **extra: Any) -> Any:
 
 
 _positive = partial(_given, exclusiveMinimum=0)
-LOOKS_SCHEMA = {
-    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*LOOKS]}]
+QUALITY_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*QUALITIES]}]
+}
+BYTES_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)?[kM]B?$"}]
 }
 Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
 class EncodeOptions(BaseModel):
-    """The options. Give at most one budget; the default is 0.3 bits per pixel.
+    """The options of an encode. Give at most one budget; the default is 0.3 bits per pixel.
 
     Raises ValidationError, BudgetError, or ProblemError 422.
     """
@@ -84,12 +87,13 @@ class EncodeOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
-    bytes: Number = _positive("budget: maximum bytes", 20_000)
-    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks), WithJsonSchema(LOOKS_SCHEMA)] = _given(
-        "budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60
+    bytes: Annotated[float | SkipJsonSchema[None], BeforeValidator(bytes_value), WithJsonSchema(BYTES_SCHEMA)] = _given(
+        "budget: maximum bytes, such as 20000, 20k or 1.5MB", 20_000
+    )
+    quality: Annotated[float | SkipJsonSchema[None], BeforeValidator(_quality), WithJsonSchema(QUALITY_SCHEMA)] = (
+        _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
     )
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
-    quality: Number = _positive("budget: quantisation quality, above 0 and up to 100; profile rd only", 50)
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
     profile: Annotated[str, AfterValidator(checked_profile)] = Field(
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
@@ -116,14 +120,14 @@ class EncodeOptions(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The budget that is given, or the default. Raises BudgetError."""
+        """The budget given, or the default. Raises BudgetError."""
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
     def request(self, image: SourceImage, longest_s: float) -> EncodeRequest:
-        """The encoder's part of the request. longest_s: the longest time limit in seconds, which is also the default.
+        """Return the encoder's part of the request. longest_s: the longest and default time limit in seconds.
 
-        Raises BudgetError or ProblemError 422 if no file of the image could come of it.
+        Raises BudgetError or ProblemError 422 if no file of the image could meet it.
         """
         seconds = longest_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
@@ -137,15 +141,15 @@ class EncodeOptions(BaseModel):
         return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
-        """The budget; the default is raised to the smallest file that a tiny image can have."""
+        """Return the budget. The default is raised to the smallest possible file for a tiny image."""
         budget = self.budget
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
-        if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
-            detail = f"profile {self.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
+        if budget.kind == "quality" and not isinstance(settings, RdSettings):
+            detail = f"profile {self.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians"
             raise ProblemError(422, detail)
-        if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
-            raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
+        if budget.kind == "quality" and min(image.width, image.height) < SMALLEST_SIDE:
+            raise ProblemError(422, f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
         if budget.kind == "gaussians":
             budget.max_gaussians(image.width, image.height)  # raises BudgetError
         allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
@@ -163,7 +167,7 @@ OPTION_SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 def read_options(fields: Iterable[tuple[str, str]]) -> EncodeOptions:
-    """The options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
+    """Parse the options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
     texts: dict[str, str] = {}
     for name, value in fields:
         if name in texts:

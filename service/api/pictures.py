@@ -1,18 +1,14 @@
-"""Finished jobs as pictures and as bitstreams, what running ones have so far, what other codecs make of as many bytes,
-and pictures of bitstreams that nobody keeps.
-"""
+"""Handlers that return pictures, bitstreams, previews, and files of other codecs at the same size."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 import math
-import re
 import time
 from collections.abc import Callable, Coroutine
 from email.utils import formatdate
 from typing import Annotated, Any, BinaryIO
-from urllib.parse import quote
 
 from fastapi import Query, Request, Response
 from pydantic import Field
@@ -34,66 +30,43 @@ from service.api.requests import (
     while_client_waits,
 )
 from service.jobs.job import EncodeResult, Job
-from service.sandbox.client import RefusedError
-from service.sandbox.frames import PreviewFigures
-from service.sandbox.pictures import (
+from service.pictures import (
     MAX_SIDES,
     MEDIA_TYPES,
+    ComparisonFormat,
     Drawing,
     PictureFormat,
     PictureOptions,
-    Rival,
-    RivalFormat,
-    matching,
 )
+from service.sandbox.client import RefusedError
+from service.sandbox.frames import PreviewFigures
 from service.storage.files import preview_key, source_key
 from sgmethod.errors import BitstreamError
 
 log = logging.getLogger(__name__)
 
 LATE_S = 60.0
-MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: equal ones take an eighth of a byte each
-LEAST_PREVIEW_BYTES, MOST_PREVIEW_BYTES = 12, 4096
-# No slashes, control characters or ends of lines, and no dot first: systems hide such files.
-FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
-
-
-class PictureQuery(PictureOptions):
-    """The query parameters of a picture: what to draw, and a name to save it under."""
-
-    download: Annotated[
-        str | None,
-        matching(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
-        Field(json_schema_extra={"pattern": FILE_NAME}, description="file name to save the picture under"),
-    ] = None
-
-    def disposition(self) -> dict[str, str]:
-        """The header that makes a browser save the file; none without a name."""
-        if self.download is None:
-            return {}
-        plain = re.sub(r'[^ -~]|["\\%]', "_", self.download)
-        # Browsers take the name in full; the other is for clients that do not know it (RFC 6266, appendix D).
-        full = "" if plain == self.download else f"; filename*=UTF-8''{quote(self.download, safe='')}"
-        return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
+MAX_GAUSSIANS = 1_000_000  # of a posted bitstream, where equal ones take an eighth of a byte each
+MIN_PREVIEW_BYTES, MAX_PREVIEW_BYTES = 12, 4096
 
 
 class PreviewQuery(Parameters):
-    """How large a preview may be."""
+    """Query parameters of a preview."""
 
     bytes: int = Field(
-        default=200, ge=LEAST_PREVIEW_BYTES, le=MOST_PREVIEW_BYTES, description="of the .sg file, 4 characters for 3"
+        default=200, ge=MIN_PREVIEW_BYTES, le=MAX_PREVIEW_BYTES, description="of the .sg file, 4 characters for 3"
     )
 
 
 async def picture(
-    job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, kind: PictureFormat, query: Annotated[PictureOptions, Query()], context: UseContext, request: Request
 ) -> Response:
-    """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
+    """Return the decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
     result = _result_of(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
-    drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
+    drawing = Drawing.from_options(query, kind, size, context.settings.max_pixels)
     pixels = math.prod(drawing.view.size(*size))
-    headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context), **query.disposition()}
+    headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context)}
 
     async def made() -> bytes:
         with await context.store(_open_bitstream, context, job, result) as file:
@@ -108,9 +81,9 @@ async def picture(
 
 
 async def picture_as_accepted(
-    job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, query: Annotated[PictureOptions, Query()], context: UseContext, request: Request
 ) -> Response:
-    """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
+    """Return the decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
     answer = await picture(job, accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
     return answer
@@ -123,8 +96,9 @@ async def _remembered(
     kind: PictureFormat,
     make: Callable[[], Coroutine[Any, Any, bytes]],
 ) -> Response:
-    """The picture file of an entity tag: 304 if the client has it, from memory if it was asked for lately; requests at
-    the same time share one.
+    """Answer with the picture file that the ETag among the headers names.
+
+    304 if the client has it; else from the cache, or from `make`, which concurrent requests share.
     """
     if (answer := not_modified(request, headers)) is not None:
         return answer
@@ -133,7 +107,7 @@ async def _remembered(
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
-async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseContext, request: Request) -> Response:
+async def picture_of_body(query: Annotated[PictureOptions, Query()], context: UseContext, request: Request) -> Response:
     """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
     answer = await picture_of_body_as(accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
@@ -141,18 +115,18 @@ async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseC
 
 
 async def picture_of_body_as(
-    kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+    kind: PictureFormat, query: Annotated[PictureOptions, Query()], context: UseContext, request: Request
 ) -> Response:
     """Decode the bitstream in the body. Nothing is stored."""
     async with body_as_file(request) as upload:
         client = request.state.caller.client
         drawing = context.tasks.draw(client, upload.file, query, kind, max_gaussians=MAX_GAUSSIANS)
         file = await while_client_waits(request, drawing)
-    return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
+    return Response(file, headers=NEVER_STORED, media_type=MEDIA_TYPES[kind])
 
 
 async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Response:
-    """The .sg file."""
+    """Return the .sg file."""
     result = _result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
@@ -166,8 +140,9 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
 
 
 async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -> Response:
-    """A bitstream about as large as the final one, but coarser; the final one once the job is done. Profile rd updates
-    it at most once a second; the other profiles have no preview.
+    """Return a bitstream about as large as the final one, but coarser; the final one once the job is done.
+
+    Profile rd updates it at most once a second; the other profiles have no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
     key = job.result.bitstream_key if job.result else preview_key(job.id, job.attempt)
@@ -186,8 +161,9 @@ async def preview(
     caller: UseCaller,
     query: Annotated[PreviewQuery, Query()],
 ) -> PreviewFigures:
-    """A text that a page shows until the image has loaded, with the image's size and average colour. The image is the
-    body. It is answered at once, without a job, within the limits of decodes. Nothing is stored.
+    """Make a text that a page shows until the image has loaded, with the image's size and average colour.
+
+    The image is the body. The answer comes at once, without a job, within the limits of decodes. Nothing is stored.
     """
     if media_type(request) == FORM_TYPE:
         raise ProblemError(415, "the body must be the image itself, not a form", headers={"Accept": "image/*"})
@@ -196,51 +172,52 @@ async def preview(
         return await while_client_waits(request, context.tasks.preview(caller.client, image, query.bytes))
 
 
-async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: Request) -> Response:
-    """The job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller. If no quality
-    setting gives such a file, the next larger one. Of a screenshot or a drawing, WebP is lossless where that is no
-    larger, and AVIF in 4:4:4. 410 once the image has been deleted.
+async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext, request: Request) -> Response:
+    """Return the job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller.
+
+    If no quality setting gives such a file, the next larger one. For a screenshot or a drawing, WebP is lossless if
+    that is no larger, and AVIF is 4:4:4. 410 once the image has been deleted.
     """
     size = int(_result_of(job).stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
-    check_image_kept(job, context)  # what was made of it goes with it, from memory too
-    headers = {"ETag": f'"{job.id}-rival.{kind}"', **_kept(request, job, context, _image_until(job, context))}
+    check_image_kept(job, context)  # also refuses a cached file
+    headers = {"ETag": f'"{job.id}-comparison.{kind}"', **_kept(request, job, context, _image_until(job, context))}
 
     async def made() -> bytes:
         with await context.store(open_image, context, job) as image:
             pixels = job.image.width * job.image.height
-            return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size), pixels)
+            return await context.tasks.compare(request.state.caller.client, image, kind, size, pixels)
 
     return await _remembered(request, context, headers, kind, made)
 
 
 def open_image(context: Context, job: Job) -> BinaryIO:
-    """The image of a job. Raises ProblemError 410 if it is kept no longer, whether or not it has been removed yet."""
+    """Open the image of a job. Raises ProblemError 410 when its retention time is over, even if it still exists."""
     check_image_kept(job, context)
     try:
         return context.storage.open(source_key(job.id))
     except FileNotFoundError:
-        raise _late(job.created_at) or _image_gone() from None
+        raise _late(job.created_at) or _image_deleted() from None
 
 
 def check_image_kept(job: Job, context: Context) -> None:
-    """Raises ProblemError 410 if the time of a job's image is over."""
+    """Raise ProblemError 410 if the retention time of a job's image is over."""
     until = _image_until(job, context)
     if until is not None and time.time() >= until:
-        raise _image_gone()
+        raise _image_deleted()
 
 
 def _image_until(job: Job, context: Context) -> float | None:
     return None if job.finished_at is None else job.finished_at + context.settings.source_retention_s
 
 
-def _image_gone() -> ProblemError:
+def _image_deleted() -> ProblemError:
     return ProblemError(410, "the image of this job has been deleted; send it again")
 
 
 def _result_of(job: Job) -> EncodeResult:
-    """Raises ProblemError 409 with the state if the job is not done."""
+    """Return the result of a finished job. Raises ProblemError 409 with the state of any other."""
     if job.result is not None:
         return job.result
     detail = f"the job is {job.state}"
@@ -253,7 +230,7 @@ def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryI
     try:
         return context.storage.open(result.bitstream_key)
     except FileNotFoundError as error:
-        if context.table.get(job.id) is None:  # removed while we looked
+        if context.table.get(job.id) is None:  # removed meanwhile
             raise no_such_job() from None
         raise _late(job.finished_at) or _damaged(job, error) from error
 
@@ -264,10 +241,11 @@ def _bitstream(context: Context, job: Job, result: EncodeResult) -> bytes:
 
 
 def _late(stored_at: float | None) -> ProblemError | None:
-    """The refusal of a file that the storage lacks, if it was stored just now: a store that copies between places may
-    have it in a moment.
+    """Return a refusal for a missing file that was stored just now, else None.
+
+    A store that replicates may have the file in a moment.
     """
-    if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # ahead: the clock was put back since
+    if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # far ahead: the clock was set back
         return None
     detail = "the storage does not have this file yet"
     return ProblemError(503, detail, reason="storage", headers=RETRY_AFTER)
@@ -279,12 +257,14 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
 
 
 def _kept(request: Request, job: Job, context: Context, image_until: float | None = None) -> dict[str, str]:
-    """How long clients may cache the file, and when it goes. An answer to a link is cached no longer than the link
-    holds, and one that is made of the image no longer than until image_until.
+    """Return the caching headers of a file.
+
+    A response to a link is cached no longer than the link is valid, and a file made from the image no longer than until
+    image_until.
     """
     ends = [end for end in (request.state.caller.link_expires, image_until) if end is not None]
     most_s = min([LONGEST_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])
-    # Private, because an id is a secret that shared caches should not keep.
+    # Private, because the URL contains a secret id, which shared caches should not store.
     headers = {"Cache-Control": f"private, max-age={most_s}, immutable"}
     if (removed := models.expires_at(job, context.settings)) is not None:
         ends.append(removed)

@@ -14,9 +14,9 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from service.jobs.job import JobTableError, KeyReusedError, LimitError
+from service.errors import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
-from service.sandbox.client import SandboxGoneError, TaskError
+from service.sandbox.client import SandboxUnavailableError, TaskError
 from sgmethod.errors import BudgetError, ViewError
 
 log = logging.getLogger(__name__)
@@ -39,20 +39,19 @@ PROBLEM: dict[str, Any] = {
 }
 FOR_NOW = (429, 503)  # refusals that say when to ask again
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
-FULL_DISK = ("disk is full", "No space left")  # words of SQLite, and of the system and PostgreSQL
-# What figures and logs call a refusal, unless it has a word of its own.
+FULL_DISK = ("disk is full", "No space left")  # in messages of SQLite, and of the system and PostgreSQL
+# The reason in metrics, logs and the type of a problem, unless the problem names its own.
 REASONS = {
     **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
-    **{410: "gone", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
+    **{410: "deleted", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
 }
-REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
+REFUSAL = "refusal"  # the attribute of request.state that holds the reason
 
 
 class ProblemError(Exception):
-    """An answer that refuses: HTTP status, one sentence, extra members and headers.
+    """A response that refuses a request: HTTP status, one sentence, extra members and headers.
 
-    reason: one word of those that the code holds, and nothing that a client has chosen: there is a figure for each.
-    429 and 503 have many causes, and name theirs.
+    reason: a fixed word, never a client's, because each has a metric. 429 and 503 have many causes and always name one.
     """
 
     def __init__(
@@ -67,15 +66,15 @@ class ProblemError(Exception):
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The statuses as responses of the OpenAPI document."""
+    """Return the statuses as responses of the OpenAPI document."""
     return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
 def refused(request: Request, problem: ProblemError) -> Response:
-    """The problem as the answer to a request, whose state then holds the reason."""
+    """Build the response for a problem, and note its reason in the state of the request."""
     setattr(request.state, REFUSAL, problem.reason)
     title = HTTPStatus(problem.status).phrase
-    scope = request.scope  # below a mount, root_path is the mount's own
+    scope = request.scope  # within a mount, root_path includes the mount's path
     kind = f"{scope.get('app_root_path', scope.get('root_path', ''))}{PAGE}#{problem.reason}"
     document = {"type": kind, "title": title, "status": problem.status, "detail": problem.detail}
     headers = {"Cache-Control": "no-store", **problem.headers}
@@ -83,7 +82,7 @@ def refused(request: Request, problem: ProblemError) -> Response:
 
 
 def install_problem_handlers(app: FastAPI) -> None:
-    """Make every error of the application a problem document."""
+    """Answer every error of the application with a problem document."""
     ours = (ProblemError, BudgetError, ViewError, TaskError, JobTableError, KeyReusedError, LimitError)
     for kind in (*ours, RequestValidationError, HTTPException, ClientDisconnect, OSError, Exception):
         app.add_exception_handler(kind, _on_error)
@@ -97,7 +96,7 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
     match error:
         case ProblemError():
             return error
-        case BudgetError() | ViewError() | TaskError() | KeyReusedError():  # say what is wrong with the request
+        case BudgetError() | ViewError() | TaskError() | KeyReusedError():  # whose messages describe the request
             return ProblemError(422, str(error))
         case LimitError():
             return ProblemError(429, str(error), reason=error.reason, headers=RETRY_AFTER)
@@ -114,12 +113,12 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
             return ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
         case JobTableError():
             return _unreachable("the job table", "table", error)
-        case SandboxGoneError():
+        case SandboxUnavailableError():
             return _unreachable("the sandbox", "sandbox", error)
         case OSError():
             return _unreachable("the storage", "storage", error)
-        case _:  # The server logs the traceback; the client learns nothing of the inside.
-            return ProblemError(500, "an error of the service; it has been logged")
+        case _:  # The server logs the traceback; the client gets no details.
+            return ProblemError(500, "an internal error, which has been logged")
 
 
 def _invalid_parameters(error: RequestValidationError) -> ProblemError:
@@ -141,7 +140,7 @@ def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
 
 
 def _allowed_methods(request: Request) -> set[str]:
-    """Methods of all routes at this path; the exception knows those of the first alone."""
+    """Return the methods of all routes at this path; the exception knows only those of the first."""
     methods = set()
     for method in METHODS:
         scope = {**request.scope, "method": method}

@@ -1,4 +1,4 @@
-"""Requests: what their headers ask for, what their bodies bring, and whether their clients are still there."""
+"""Reading of requests: headers, bodies, and whether clients are still connected."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from starlette.datastructures import Headers, UploadFile
 from starlette.requests import ClientDisconnect
 
 from service.api.problems import ProblemError
-from service.sandbox.pictures import MEDIA_TYPES, PictureFormat
+from service.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE = "multipart/form-data"
 LONGEST_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
-MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # by old clients that accept something else
+MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # old clients write the left-hand form
 # Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
 
-IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # of a form, and of the query; the others are options
-MAX_FIELDS, MAX_FIELD_BYTES = 20, 1 << 10  # whose refusal counts in kB
-MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes to a temporary file
-MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
+IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # all other fields are options
+MAX_FIELDS, MAX_FIELD_BYTES = 20, 1 << 10  # limits of a form; its parser reports them in kB
+MEMORY_BYTES = 1 << 20  # of a body; larger ones go to a temporary file
+MAX_WAIT_S = 50  # by default, proxies give up on an answer that has not begun after 60 s
 
-_PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IGNORECASE)
 _WEIGHT = re.compile(r"[01](\.[0-9]{0,3})?|\.[0-9]{1,3}")
 _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 T = TypeVar("T")
@@ -38,21 +37,19 @@ Field = tuple[str, str]
 
 
 class Parameters(BaseModel):
-    """Query parameters, and no others: a misspelt one would be ignored, and the answer kept for long."""
+    """Query parameters. Unknown ones are refused: a misspelt one would be ignored, and the answer cached for long."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 def header_line(headers: Headers, name: str) -> str | None:
-    """All lines of a header as one (RFC 9110, 5.3); None without any. Where one value alone is allowed, several are
-    none.
-    """
+    """Join all lines of a header (RFC 9110, 5.3). Returns None if there are none."""
     lines = headers.getlist(name)
     return ", ".join(lines) if lines else None
 
 
 def media_type(request: Request) -> str:
-    """The body's media type, empty if none is given. Raises ProblemError 415 if several are."""
+    """Return the body's media type; empty if none is given. Raises ProblemError 415 if there are several."""
     given = set(request.headers.getlist("content-type"))
     if len(given) > 1:
         raise ProblemError(415, "the request has more than one Content-Type")
@@ -60,7 +57,7 @@ def media_type(request: Request) -> str:
 
 
 def accepted_format(request: Request) -> PictureFormat:
-    """The format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
+    """Return the format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
     accept = header_line(request.headers, "accept") or "*/*"
     weights: dict[str, float] = {}
     for entry in accept.split(","):
@@ -79,13 +76,13 @@ def accepted_format(request: Request) -> PictureFormat:
 
 
 def wants_picture(request: Request) -> bool:
-    """Whether the Accept header names pictures, and not bitstreams."""
+    """Whether the Accept header names pictures and not bitstreams."""
     accept = (header_line(request.headers, "accept") or "").lower()
     return "image/" in accept and BITSTREAM_TYPE not in accept
 
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
-    """304 if the client has the file of these headers (RFC 9110, 13.1.2); ETag is among them."""
+    """Return 304 if the client has the file with this ETag (RFC 9110, 13.1.2)."""
     given = header_line(request.headers, "if-none-match") if request.method == "GET" else None
     known = [tag.strip().removeprefix("W/") for tag in (given or "").split(",")]
     if "*" not in known and headers["ETag"] not in known:
@@ -97,27 +94,25 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
 async def wanted_wait_s(
     request: Request,
     wait: Annotated[
-        int | None,
+        int,
         Query(
             ge=0,
             le=999_999,
             description=f"seconds to wait for the file; 202 after that, and after {MAX_WAIT_S} seconds at the latest",
         ),
-    ] = None,
+    ] = 0,
 ) -> int:
-    """Seconds that the client would wait; 0 unless it says so. Raises ProblemError 406, before the work is done, if it
-    would wait for a picture in a format that there is not.
+    """Return how many seconds the client would wait; 0 by default.
+
+    Raises ProblemError 406 if it would wait for a picture in a format that is not available.
     """
-    if wait is None:
-        preferred = _PREFER.search(header_line(request.headers, "prefer") or "")  # RFC 7240
-        wait = int(preferred[1]) if preferred else 0
     if wait and wants_picture(request):
         accepted_format(request)
     return min(wait, MAX_WAIT_S)
 
 
 async def idempotency_key(request: Request) -> str | None:
-    """The key by which the client repeats a request. Raises ProblemError 400."""
+    """Return the Idempotency-Key. Raises ProblemError 400."""
     key = header_line(request.headers, "idempotency-key")
     if key is not None and _IDEMPOTENCY_KEY.fullmatch(key) is None:
         raise ProblemError(400, "Idempotency-Key must be 1 to 255 visible ASCII characters")
@@ -126,7 +121,7 @@ async def idempotency_key(request: Request) -> str | None:
 
 @asynccontextmanager
 async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
-    """The whole body as a file, gone with the context. Raises ProblemError 413, from the limit before."""
+    """Read the whole body into a file, deleted at the end of the context. Raises ProblemError 413, from BodyLimit."""
     file = cast(BinaryIO, tempfile.SpooledTemporaryFile(MEMORY_BYTES))  # noqa: SIM115 - upload closes it
     upload = UploadFile(file, size=0)
     try:
@@ -140,10 +135,10 @@ async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
 
 @asynccontextmanager
 async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, list[Field]]]:
-    """The image of POST /encode, and the other fields in its query and form. What is not said to be a form is the image
-    itself, whose first bytes tell its format. What is large goes to temporary files, gone with the context.
+    """Read the image of POST /encode, and the other fields in its query and form.
 
-    Entering raises ProblemError 413 or 422, or HTTPException 400 on what is no form.
+    A body that is not a form is the image itself. Large bodies go to temporary files, deleted at the end of the
+    context. Raises ProblemError 413 or 422, or HTTPException 400 for a malformed form.
     """
     if media_type(request) != FORM_TYPE:
         async with body_as_file(request) as image:
@@ -153,15 +148,15 @@ async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, 
         images = form.getlist(IMAGE_FIELD)
         if len(images) != 1 or not isinstance(images[0], UploadFile):
             raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
-        # As one file is allowed, and the image is one, the others are texts.
+        # Only one file is allowed, and that is the image, so the others are texts.
         texts = [(name, str(value)) for name, value in form.multi_items() if name != IMAGE_FIELD]
         yield images[0], _in_query(request) + texts
 
 
 async def fields_alone(request: Request) -> list[Field]:
-    """The fields of a request that brings no image: in the query, in a form, or in both.
+    """Read the fields of a request without an image, from the query, a form, or both.
 
-    Raises ProblemError 415, or HTTPException 400 on what is no form.
+    Raises ProblemError 415, or HTTPException 400 for a malformed form.
     """
     has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
     if has_body and media_type(request) == FORM_TYPE:
@@ -177,24 +172,24 @@ def _in_query(request: Request) -> list[Field]:
 
 
 async def _refuse_body(request: Request, refusal: ProblemError) -> None:
-    """Raises the refusal if the request brings a byte: what would be ignored must not look as if it were used."""
+    """Raise the refusal if the request has a body, which would otherwise be ignored in silence."""
     async for chunk in request.stream():
         if chunk:
             raise refusal
 
 
 async def no_body(request: Request) -> None:
-    """Raises ProblemError 422 if there is a body."""
+    """Raise ProblemError 422 if there is a body."""
     await _refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
 
 
 async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """The result of the work, which is cancelled when the client has gone; then raises ClientDisconnect.
+    """Return the result of the work, which is cancelled when the client disconnects.
 
-    The body must have been read.
+    The body must have been read. Raises ClientDisconnect.
     """
     working = asyncio.create_task(work)
-    tasks = working, asyncio.create_task(_gone(request))
+    tasks = working, asyncio.create_task(_disconnected(request))
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         if working.done():
@@ -206,6 +201,6 @@ async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> 
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _gone(request: Request) -> None:
+async def _disconnected(request: Request) -> None:
     while (await request.receive())["type"] != "http.disconnect":
         pass

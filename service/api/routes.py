@@ -14,7 +14,7 @@ from service.api.callers import OPEN_PATHS
 from service.api.models import EXAMPLE_ID, AcceptedView
 from service.api.problems import ProblemError, problems
 from service.api.requests import BITSTREAM_TYPE, Parameters, no_body
-from service.sandbox.pictures import MEDIA_TYPES, RIVALS
+from service.pictures import COMPARISONS, MEDIA_TYPES
 
 HOST = "http://127.0.0.1:8000"  # in commands
 PICTURES = tuple(MEDIA_TYPES.values())
@@ -23,11 +23,11 @@ NOT_MODIFIED: dict[Any, Any] = {304: {"description": "the client has it already"
 
 
 async def _no_query(_query: Annotated[Parameters, Query()]) -> None:
-    """Raises RequestValidationError if there are parameters."""
+    """Raise RequestValidationError if there are parameters."""
 
 
 async def _given_once(request: Request) -> None:
-    """Raises ProblemError 422."""
+    """Raise ProblemError 422 for a repeated query parameter."""
     for name in request.query_params:
         if len(request.query_params.getlist(name)) > 1:
             raise ProblemError(422, f"the query parameter {name} is given twice")
@@ -43,10 +43,12 @@ DONE_IN_TIME = {200: {"description": "done in time", "content": dict.fromkeys((B
 
 @dataclass(frozen=True)
 class Route:
-    """curl: a command to copy, in the OpenAPI document and so at /docs, which a test runs; HOST and ID stand for the
-    service and for a job. refusals: statuses of problem documents beside 404 (of what a path names), 422 and 503;
-    files: media types, where the answer is a file; answers: others; document: more for the OpenAPI document; own_query:
-    whether the handler takes query parameters; status: of a success; options: of FastAPI's.
+    """A route of the API.
+
+    curl: a command for the OpenAPI document and /docs, run by a test; HOST and ID stand for the service and a job.
+    refusals: statuses of problem documents besides 404, 422 and 503; files: media types, if the answer is a file;
+    answers: other responses; document: additions to the OpenAPI document; own_query: whether the handler takes query
+    parameters; status: of a success; options: of FastAPI.
     """
 
     name: str  # method and path
@@ -166,12 +168,12 @@ ROUTES = [
         {**NOT_MODIFIED, 204: {"description": "no preview yet"}},
     ),
     Route(
-        "GET /jobs/{job_id}/rival.{kind}",
-        pictures.rival,
+        "GET /jobs/{job_id}/comparison.{kind}",
+        pictures.comparison,
         "The same image in another codec, at the same size",
-        "HOST/jobs/ID/rival.avif -o rival.avif",
+        "HOST/jobs/ID/comparison.avif -o comparison.avif",
         (409, 410, 429),
-        [MEDIA_TYPES[kind] for kind in RIVALS],
+        [MEDIA_TYPES[kind] for kind in COMPARISONS],
         NOT_MODIFIED,
     ),
     Route(
@@ -190,7 +192,7 @@ ROUTES = [
 
 
 def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:
-    """Give the application all routes. key_check: the dependency by which the document says that a key is needed."""
+    """Add all routes to the application. key_check: dependency that documents the API key."""
     for route in ROUTES:
         method, path = route.name.split()
         checks, refusals = [Depends(_given_once)], {*route.refusals, 422, 503}

@@ -1,4 +1,4 @@
-"""Limits on what runs at once: clients take turns, also at the sandbox, and few streams stay open."""
+"""Limits on concurrent work: sandbox tasks, shared fairly between clients, and open streams."""
 
 from __future__ import annotations
 
@@ -14,36 +14,37 @@ from starlette.datastructures import UploadFile
 from service.api.metrics import Metrics
 from service.api.problems import RETRY_AFTER, ProblemError
 from service.jobs.job import SourceImage
+from service.pictures import ComparisonFormat, PictureFormat, PictureOptions
 from service.sandbox.client import RefusedError, Sandbox, TaskError
 from service.sandbox.frames import (
     FORMAT_BYTES,
+    Compare,
     Draw,
     HeaderFigures,
     MakePreview,
-    MakeRival,
     PreviewFigures,
     ReadHeader,
     Result,
     Task,
 )
-from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
 from service.settings import Settings
 from sgmethod.io.formats import is_read
 
 RETRY_SOON = {"Retry-After": "1"}
-# The header of a photograph takes milliseconds and little memory. What takes more was made to.
-HEADERS_AT_ONCE, MOST_WAITING_HEADERS = 3, 100
+# Reading the header of a photograph takes milliseconds and little memory. A file that takes more is hostile.
+HEADERS_AT_ONCE, MAX_WAITING_HEADERS = 3, 100
 HEADER_CPU_S = 1.0
-HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
-WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases before it tells a size; it touches neither
-KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # for which a trial is not repeated: anybody may ask for one
+HEADER_MEMORY_BYTES = 256 << 20  # besides the file itself
+WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases to read the size, and touches neither
+KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # results of a trial are cached, since anyone may request one
 
 
 class Turns:
-    """Places for tasks. Next is one of the client with the fewest running, of those the one served longest ago.
+    """Limits concurrent tasks, shared fairly between clients. Use it in the event loop only.
 
-    places: tasks at once, of which one client never has the last; max_waiting: tasks in line, of which one client
-    has half at most. For the event loop alone.
+    The next task belongs to the client with the fewest running tasks; ties go to the client served longest ago. places:
+    concurrent tasks, of which one client gets all but one; max_waiting: waiting tasks, of which one client may have
+    half.
     """
 
     def __init__(self, places: int, max_waiting: int) -> None:
@@ -56,13 +57,14 @@ class Turns:
 
     @property
     def waiting(self) -> int:
-        """Tasks in line."""
+        """Number of waiting tasks."""
         return sum(map(len, self._lines.values()))
 
     @asynccontextmanager
     async def turn(self, client: str) -> AsyncIterator[None]:
-        """One of the places, for as long as the context. Raises ProblemError 503 or 429, at once, if the line is full
-        or the client's part of it.
+        """Occupy a place for the duration of the context.
+
+        Raises ProblemError 503 at once if the queue is full, or 429 if the client's part of it is.
         """
         await self._enter(client)
         try:
@@ -88,13 +90,13 @@ class Turns:
         except asyncio.CancelledError:
             if place.cancelled():
                 self._forget(client, place)
-            else:  # it came at the same moment
+            else:  # admitted at the same moment
                 self._leave(client)
             raise
 
     def _forget(self, client: str, place: asyncio.Future[None]) -> None:
         line = self._lines.get(client)
-        if line and place in line:  # or it was passed over already
+        if line and place in line:  # else _admit() has removed it
             line.remove(place)
             if not line:
                 del self._lines[client]
@@ -114,33 +116,33 @@ class Turns:
             place = line.popleft()
             if line:
                 self._lines[client] = line
-            if not place.cancelled():  # its task may be about to leave
+            if not place.cancelled():  # its client may be about to leave
                 place.set_result(None)
                 self._running[client] += 1
 
 
 class Streams:
-    """Responses that stay open: streams of events, and requests that wait for a job. For the event loop alone.
+    """Limits responses that stay open: event streams, and requests that wait for a job. Use it in the event loop only.
 
-    most: at once, of which one client has half at most.
+    max_open: concurrent responses, of which one client may have half.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, max_open: int) -> None:
+        self._max_open = max_open
         self._open: Counter[str] = Counter()
 
     @property
     def open(self) -> int:
-        """How many are open."""
+        """Number of open responses."""
         return self._open.total()
 
     def is_full(self, client: str) -> bool:
         """Whether the client may open no more."""
-        return self.open >= self._most or self._open[client] >= -(-self._most // 2)
+        return self.open >= self._max_open or self._open[client] >= -(-self._max_open // 2)
 
     @contextmanager
     def one(self, client: str) -> Iterator[None]:
-        """Open as long as the context. Raises ProblemError 503 if there are too many."""
+        """Count a response as open during the context. Raises ProblemError 503 if there are too many."""
         if self.is_full(client):
             detail = "too many streams of events are open"
             raise ProblemError(503, detail, reason="streams", headers=RETRY_AFTER)
@@ -154,26 +156,26 @@ class Streams:
 
 
 class ClientTasks:
-    """Tasks of the sandbox, each kind with turns of its own. client: whose turn a task takes.
+    """Runs sandbox tasks for clients, each kind with its own limit. client: whose turn a task takes.
 
-    All raise TaskError, ProblemError 429 or 503, and OSError.
+    All methods raise TaskError, ProblemError 429 or 503, and OSError.
     """
 
     def __init__(self, settings: Settings, sandbox: Sandbox, metrics: Metrics) -> None:
         self._sandbox = sandbox
         self._metrics = metrics
-        self._headers = Turns(HEADERS_AT_ONCE, MOST_WAITING_HEADERS)
+        self._headers = Turns(HEADERS_AT_ONCE, MAX_WAITING_HEADERS)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
         self._trying = asyncio.Lock()
         self._next_trial, self._trouble = 0.0, ""
-        self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
+        self._limits: dict[str, Any] = {  # of tasks that decode
             "memory_bytes": settings.job_memory_bytes // 4,
             "cpu_s": settings.decode_time_s,
             "max_pixels": settings.max_pixels,
         }
 
     async def read_header(self, client: str, image: UploadFile) -> SourceImage:
-        """What an image's header says; no pixel is decoded."""
+        """Read the header of an image, without decoding pixels."""
         size_bytes = image.size or 0
         pixels = self._limits["max_pixels"]
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes + WEBP_BYTES_PER_PIXEL * pixels
@@ -189,28 +191,28 @@ class ClientTasks:
         kind: PictureFormat,
         **limits: int,
     ) -> bytes:
-        """The picture file of a bitstream. limits: of the task, where it is known what will be drawn or read."""
+        """Draw a bitstream as a picture file. limits: of the task, if the size of the output is known."""
         task = Draw(**{**self._limits, **limits}, options=options, file_kind=kind)
         began = time.perf_counter()
         made = (await self._ask(self._drawings, client, file, task)).file
-        self._metrics.decode_seconds.observe(time.perf_counter() - began)  # a refusal took no time
+        self._metrics.decode_seconds.observe(time.perf_counter() - began)  # refusals are not counted
         return made
 
-    async def make_rival(self, client: str, file: BinaryIO, rival: Rival, pixels: int) -> bytes:
-        """The rival that is made of an image of so many pixels."""
-        task = MakeRival(**{**self._limits, "max_pixels": pixels}, rival=rival)
+    async def compare(self, client: str, file: BinaryIO, kind: ComparisonFormat, size: int, pixels: int) -> bytes:
+        """Encode an image of so many pixels by another codec, to about `size` bytes."""
+        task = Compare(**{**self._limits, "max_pixels": pixels}, file_kind=kind, size=size)
         return (await self._ask(self._drawings, client, file, task)).file
 
-    async def preview(self, client: str, image: UploadFile, most_bytes: int) -> PreviewFigures:
-        """The preview of an image."""
-        task = MakePreview(**self._limits, most_bytes=most_bytes)
+    async def preview(self, client: str, image: UploadFile, max_bytes: int) -> PreviewFigures:
+        """Make a preview of an image."""
+        task = MakePreview(**self._limits, max_bytes=max_bytes)
         made: PreviewFigures = await self._figures(self._drawings, client, image, task)
         return made
 
     async def _figures(self, turns: Turns, client: str, image: UploadFile, task: Task) -> Any:
-        """What the sandbox finds out about an image.
+        """Return the figures of a task on an image.
 
-        Raises ProblemError 415 for what is in none of the formats, 422 for what is damaged or beyond the limits.
+        Raises ProblemError 415 for an unknown format, 422 for an image that is damaged or beyond the limits.
         """
         try:
             return (await self._ask(turns, client, image.file, task)).figures
@@ -222,7 +224,7 @@ class ClientTasks:
             raise ProblemError(422, f"the image cannot be read: {error}") from error
 
     async def trouble(self, patience_s: float) -> str:
-        """Why the sandbox does no tasks; empty if it has done one within the last seconds, or now."""
+        """Return why the sandbox is not working; empty if it did a task recently, or does one now."""
         async with self._trying:
             if time.monotonic() >= self._next_trial:
                 try:
@@ -236,7 +238,7 @@ class ClientTasks:
     def _worked(self) -> None:
         self._trouble, self._next_trial = "", time.monotonic() + KNOWN_GOOD_S
 
-    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result:
+    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result[Any]:
         async with turns.turn(client):
             result = await self._sandbox.ask(task, file)
         self._worked()

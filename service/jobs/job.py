@@ -1,12 +1,12 @@
-"""What a job is: what was asked for, how far it is, how it ended; and what a job table is told about jobs, and tells.
+"""The job record: request, progress and outcome.
 
     queued --claim--> running --finish--> done
       ^                  |-----fail-----> failed
       '--crash, release, lease over--'
 
-A claim raises the job's `attempt`, the fencing token: heartbeat, finish, fail and release change the row
-only while it is still running at that attempt. A worker that was taken for dead and wakes up again finds
-its token stale, so a job may run twice but is never published twice.
+A claim raises the job's `attempt`, the fencing token: heartbeat, finish, fail and release change the row only while it
+is still running at that attempt. A worker that was taken for dead and wakes up again finds its token stale, so a job
+may run twice but is never published twice.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
-from service.process.loops import TryLaterError
 from sgmethod.budget import BudgetKind
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
@@ -34,18 +33,18 @@ _JOB_ID = re.compile(r"[0-9a-f]{32}")
 
 
 def new_job_id() -> str:
-    """128 random bits: without API keys anyone with the id may read the job, so ids cannot be guessed."""
+    """Return 128 random bits in hexadecimal. They cannot be guessed: without API keys, the id is the only secret."""
     return secrets.token_hex(16)
 
 
 def is_job_id(text: str) -> bool:
-    """Whether text has the form of an id; nothing else ever reaches the table or the disk."""
+    """Whether a text has the form of an id. No other text reaches the table or the disk."""
     return _JOB_ID.fullmatch(text) is not None
 
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's. A row may have words of a later version of this service."""
+    """The options of an encode, named as in sgmethod. A row may have values that only a later version knows."""
 
     budget_kind: SkipValidation[BudgetKind]
     budget_value: float
@@ -57,7 +56,7 @@ class EncodeRequest:
 
 @dataclass(frozen=True)
 class SourceImage:
-    """What the image's header says; width and height in pixels, size in bytes."""
+    """The header of an image; width and height in pixels, size in bytes."""
 
     format: str
     width: int
@@ -67,10 +66,10 @@ class SourceImage:
 
 @dataclass(frozen=True)
 class NewJob:
-    """A job to accept.
+    """A job to insert.
 
-    fingerprint: digest of the request as the client made it, compared when an idempotency key comes again; owner: whose
-    API key came with the request, None where there are no keys.
+    fingerprint: digest of the client's request, compared when an idempotency key is used again; owner: owner of the API
+    key, None without keys.
     """
 
     id: str
@@ -84,7 +83,7 @@ class NewJob:
 
 @dataclass(frozen=True)
 class JobError:
-    """Why a job failed. code: "refused" by the codec, "crashed" or "timed_out"; detail: one sentence."""
+    """The reason why a job failed. code: "refused" by the codec, "crashed" or "timed_out"; detail: one sentence."""
 
     code: str
     detail: str
@@ -92,7 +91,7 @@ class JobError:
 
 @dataclass(frozen=True)
 class EncodeResult:
-    """A finished encode: where its bitstream lies, the bytes' SHA-256 (hex) and the codec's figures."""
+    """A finished encode: key of its bitstream, the SHA-256 (hex) of its bytes, and the codec's figures."""
 
     bitstream_key: str
     sha256: str
@@ -100,7 +99,7 @@ class EncodeResult:
 
     @property
     def size_bytes(self) -> int:
-        """The bitstream's size."""
+        """Size of the bitstream."""
         return int(self.stats.get("bytes", 0))
 
 
@@ -108,9 +107,9 @@ class EncodeResult:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take turns, None
-    unless queued; crashes: attempts that crashed or lost their worker, whose number has a limit; stopped: whether the
-    attempt that runs is to end early, with what it has.
+    number: order of acceptance; position: place in the queue from 1, ignoring that owners take turns, None unless
+    queued; crashes: attempts that crashed or lost their worker; stopped: whether the running attempt is to end early,
+    with what it has.
     """
 
     number: int
@@ -135,54 +134,18 @@ _jobs = TypeAdapter(Job)
 
 
 def job_of(row: Any) -> Job:
-    """A row with its position. What a later version of this service has added to its JSON is left out."""
+    """Return a row with its position as a Job. Fields that a later version has added to its JSON are ignored."""
     return _jobs.validate_python(dict(row))
 
 
 def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
-    """A part of a job as its row has it."""
+    """Return a part of a job as its row stores it."""
     return json.dumps(asdict(value))
-
-
-class JobTableError(TryLaterError):
-    """The job table cannot be read or written just now."""
-
-
-class LimitError(Exception):
-    """A new job would exceed a limit; one sentence. reason: "queue", "own_queue", "quota" or "own_quota"."""
-
-    def __init__(self, reason: str, detail: str) -> None:
-        super().__init__(detail)
-        self.reason = reason
-
-
-class KeyReusedError(Exception):
-    """An idempotency key came again with another request; one sentence."""
-
-
-@dataclass(frozen=True)
-class JobRules:
-    """What holds for all jobs; 0 for any number of jobs or bytes.
-
-    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
-    source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
-    ends; queue_length, own_queue_length: jobs that may wait, of all and of one owner; quota_bytes, own_quota_bytes:
-    the same for bytes that are stored.
-    """
-
-    lease_s: float
-    max_attempts: int
-    source_retention_s: float = 0.0
-    webhooks: tuple[str, ...] = ()
-    queue_length: int = 0
-    own_queue_length: int = 0
-    quota_bytes: int = 0
-    own_quota_bytes: int = 0
 
 
 @dataclass(frozen=True)
 class Claim:
-    """The right of one worker to run a job, until its lease is over. attempt is the fencing token."""
+    """The right of one worker to run a job, until its lease ends. attempt: the fencing token."""
 
     job_id: str
     attempt: int
@@ -191,12 +154,12 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Census:
-    """The table at a glance. Seconds are by the table's own clock.
+class Counts:
+    """Counts over the table. Times are in seconds, by the table's own clock.
 
-    jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; stored_bytes: of
-    images and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background
-    work of each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them; totals: of endings.py.
+    jobs: by state; waiting_s: age of the oldest queued job, None if none waits; stored_bytes: of images and bitstreams;
+    workers: seconds since each last reported, by name; failures: of the background work of each; deliveries: webhooks
+    to be delivered; delivery_waits_s: age of the oldest of them; totals: see outcomes.py.
     """
 
     jobs: Mapping[JobState, int]
@@ -204,11 +167,11 @@ class Census:
     stored_bytes: int
     workers: Mapping[str, float]
     failures: Mapping[str, int]
-    notices: int
-    notice_waits_s: float
+    deliveries: int
+    delivery_waits_s: float
     totals: Mapping[str, float]
 
     @property
     def silent_s(self) -> float | None:
-        """Seconds since any worker was last heard from, None if none is known."""
+        """Seconds since any worker reported, None if none is known."""
         return min(self.workers.values(), default=None)

@@ -15,21 +15,22 @@ from psycopg.conninfo import make_conninfo
 from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
-from service.jobs.engine import ABANDONED, PATIENCE_S, TOKENS_WAITING, Engine, in_words
+from service.errors import JobTableError
+from service.jobs.engine import PATIENCE_S, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.job import JobRules, JobTableError
 from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal
+from service.settings import Settings
 
 NUMBER = "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"
-# The database's clock: those of several machines differ.
+# The database's clock, because clocks of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-# Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
-# stopped within a transaction must not hold its locks for ever. PgBouncer refuses these as startup parameters.
+# Our tables and the engine's have their own schemas. A worker that is stopped within a transaction must not keep its
+# locks. PgBouncer refuses these as startup parameters.
 SESSION = b"""
 SET search_path = sgmethod, sgmethod_engine;
 SET synchronous_commit = on;
@@ -40,7 +41,7 @@ CONNECT: dict[str, str | int] = {
     "keepalives_idle": 10,
     "tcp_user_timeout": 15_000,
     "application_name": "sgmethod",
-    "client_encoding": "utf8",  # from a database in SQL_ASCII, text would come as bytes
+    "client_encoding": "utf8",  # else a database in SQL_ASCII would return text as bytes
 }
 CONNECTIONS = 8
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
@@ -50,7 +51,7 @@ SELECT (SELECT count(*) FROM jobs WHERE state = 'queued') + (SELECT count(*) FRO
 
 
 class _Session:
-    """A connection that takes statements as statements.py has them."""
+    """A connection that takes statements in the form of statements.py."""
 
     def __init__(self, connection: psycopg.Connection[DictRow]) -> None:
         self.connection = connection
@@ -72,16 +73,16 @@ def _translated_errors() -> Iterator[None]:
 
 
 class PostgresJobTable(JobTable):
-    """JobTable on a PostgreSQL database, which is set up when first used.
+    """A job table in a PostgreSQL database, which is set up when first used.
 
-    url: postgresql://user:password@host/database, or what else libpq understands.
+    url: postgresql://user:password@host/database, or another form that libpq understands.
     """
 
-    def __init__(self, url: str, rules: JobRules) -> None:
-        super().__init__(rules)
+    def __init__(self, url: str, settings: Settings) -> None:
+        super().__init__(settings)
         try:
             conninfo = make_conninfo(url, **CONNECT)
-        except psycopg.Error:  # its message may hold the password
+        except psycopg.Error:  # its message may contain the password
             raise JobTableError("SG_DATABASE_URL cannot be read; its password must be percent-encoded") from None
         try:
             with _translated_errors():
@@ -89,9 +90,8 @@ class PostgresJobTable(JobTable):
         except JobTableError as error:
             variables = ["SG_DATABASE_URL", *sorted(name for name in os.environ if name.startswith("PG"))]
             raise JobTableError(f"{', '.join(variables)}: {error}") from error
-        self._engine = Engine(conninfo, rules.lease_s, SESSION)
-        logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # each try to reconnect is a warning
-        # Each connection is checked when it is taken, so one that a restart has broken is not used.
+        logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # it logs a warning for each try to reconnect
+        # Each connection is checked when it is taken, since a restart of the database breaks it.
         self._pool = ConnectionPool(
             conninfo,
             kwargs={"autocommit": True, "row_factory": dict_row},
@@ -99,19 +99,20 @@ class PostgresJobTable(JobTable):
             min_size=1,
             max_size=CONNECTIONS,
             timeout=PATIENCE_S,
-            reconnect_timeout=PATIENCE_S,  # else the pauses between its tries double up to minutes
+            reconnect_timeout=PATIENCE_S,  # else pauses between tries grow to minutes
             check=ConnectionPool.check_connection,
             open=True,
             connection_class=psycopg.Connection[DictRow],
         )
+        self._engine = Engine(self._pool, conninfo, settings.lease_s, SESSION)
 
     @staticmethod
     def _set_up(conninfo: str) -> None:
-        """Make the tables if there are none. Without the pool, so that a wrong address is known at once."""
+        """Create the tables if there are none. This does not use the pool, so a wrong address is reported at once."""
         session_id = "SELECT pg_backend_pid()"
         with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
             before = other.execute(session_id).fetchone()
-            # Begins a transaction. A pooler in transaction mode gives it the session that `other` has just left.
+            # This begins a transaction, which a pooler in transaction mode runs in the session that `other` just left.
             db.execute(SESSION)
             if other.execute(session_id).fetchone() != before:
                 raise JobTableError("the pooler is in transaction mode; let it pool sessions, or connect directly")
@@ -125,7 +126,7 @@ class PostgresJobTable(JobTable):
             if written == 0:
                 db.execute(f"{EPOCH} {SCHEMA.format(number=NUMBER)}".encode())
             if versions.get("engine") != procrastinate.__version__:
-                # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
+                # Tokens are recreated from the table, so an upgrade of the engine starts with empty tables.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")
                 db.execute("CREATE SCHEMA sgmethod_engine")
                 db.execute("SET LOCAL search_path = sgmethod_engine")
@@ -154,19 +155,17 @@ class PostgresJobTable(JobTable):
         assert isinstance(db, _Session)
         self._engine.defer(db.connection)
 
-    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
-        self._engine.deliver(run_next, self._top_up, stop)
+    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        self._engine.dispatch(run_next, self._top_up, stop)
 
     def _top_up(self) -> None:
-        """Add tokens until there is one for each row that a worker can do something about."""
-        lease_s = self._rules.lease_s
+        """Add tokens until there is one for each row that a worker could claim or reconcile."""
+        lease_s = self._settings.lease_s
         with self._transaction() as db:
             if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
-                return  # another worker is at it
-            db.execute(ABANDONED)
+                return  # another worker is doing it
             rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
-            tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
-            for _ in range(rows - tokens):
+            for _ in range(rows - self._engine.waiting()):
                 self._wake(db)
 
     def check_writable(self) -> None:

@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from service.jobs.job import JobRules, JobTableError
+from service.errors import JobTableError
 from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
+from service.settings import Settings
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
@@ -21,18 +22,18 @@ SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_
 
 
 class SqliteJobTable(JobTable):
-    """JobTable on one SQLite file in WAL mode, every commit synced to disk."""
+    """A job table in one SQLite file in WAL mode, every commit synced to disk."""
 
-    def __init__(self, path: Path, rules: JobRules) -> None:
-        super().__init__(rules)
+    def __init__(self, path: Path, settings: Settings) -> None:
+        super().__init__(settings)
         self._path = path
-        self._file: tuple[int, int] | None = None  # which one the idle connections are to
+        self._file: tuple[int, int] | None = None  # device and inode of the file that the idle connections have open
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
         path.touch(mode=0o600)
         self._follow_file()
 
     def _set_up(self) -> None:
-        """Make the tables if there are none."""
+        """Create the tables if there are none."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version not in (0, SCHEMA_VERSION):
@@ -43,10 +44,10 @@ class SqliteJobTable(JobTable):
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def _follow_file(self) -> None:
-        """Let go of a file that was removed or replaced: what is written to it would be lost with its last reader."""
+        """Reopen a file that was replaced: writes to the old one would be lost with its last reader."""
         try:
             found = self._path.stat()
-        except OSError as error:  # SQLite would make an empty file
+        except OSError as error:  # else SQLite would create an empty file
             raise JobTableError(f"{self._path}: {error.strerror}") from error
         file = (found.st_dev, found.st_ino)
         if file == self._file:
@@ -57,11 +58,11 @@ class SqliteJobTable(JobTable):
             self._set_up()
         except JobTableError:
             self.close()
-            self._file = None  # it is set up when it is next asked for
+            self._file = None  # so that the next call sets it up
             raise
 
     def _connect(self, patience_s: float = BUSY_TIMEOUT_S) -> sqlite3.Connection:
-        # A connection serves one thread at a time, though not always the same one.
+        # A connection serves one thread at a time, but not always the same one.
         db = sqlite3.connect(self._path, timeout=patience_s, isolation_level=None, check_same_thread=False)
         db.row_factory = sqlite3.Row
         db.create_function("epoch", 0, time.time)
@@ -69,7 +70,7 @@ class SqliteJobTable(JobTable):
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        """After an SQLite error the connection is thrown away, so the next try is fresh."""
+        """Provide a connection. It is discarded after an SQLite error, so that the next try starts afresh."""
         self._follow_file()
         idle, db = self._idle, None
         try:
@@ -82,7 +83,7 @@ class SqliteJobTable(JobTable):
         except sqlite3.Error as error:
             if db is not None:
                 db.close()
-            # SQLite calls it an I/O error that there is no room for its shared memory.
+            # SQLite reports a full disk as an I/O error if its shared memory does not fit.
             words = "disk is full" if "SHMSIZE" in getattr(error, "sqlite_errorname", "") else error
             raise JobTableError(f"{self._path}: {words}") from error
         except BaseException:
@@ -93,19 +94,19 @@ class SqliteJobTable(JobTable):
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """It holds the write lock from the start, so no transaction fails half-way."""
+        """Provide a transaction that holds the write lock from the start, so that none fails half-way."""
         with self._connection() as db:
             db.execute("BEGIN IMMEDIATE")
-            with db:  # which commits, or takes everything back
+            with db:  # commits, or rolls back
                 yield db
 
     def _alone(self, db: Database) -> None:
-        """Every transaction is."""
+        """Do nothing: every transaction is alone."""
 
     def _wake(self, db: Database) -> None:
-        """Workers look often enough by themselves."""
+        """Do nothing: workers poll often enough."""
 
-    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
         while not stop.requested:
             if not run_next():
                 stop.wait(POLL_S)
@@ -113,7 +114,7 @@ class SqliteJobTable(JobTable):
     def check_writable(self) -> None:
         self._follow_file()
         try:
-            # A new one: the idle ones are from before the disk became read-only. BEGIN IMMEDIATE succeeds even there.
+            # A new connection: idle ones may predate a disk's change to read-only, where BEGIN IMMEDIATE succeeds.
             with closing(self._connect(0.0)) as db:
                 db.execute("DELETE FROM workers WHERE 0")
         except sqlite3.Error as error:

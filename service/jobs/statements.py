@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-SCHEMA_VERSION = 1
-# {number} stands for how each database numbers rows.
+SCHEMA_VERSION = 2
+# {number}: the type of an automatic row number, which depends on the database.
 SCHEMA = """
 CREATE TABLE workers (
     name     TEXT PRIMARY KEY,
     seen_at  DOUBLE PRECISION NOT NULL,
     failures INTEGER NOT NULL
 );
-CREATE TABLE notices (
+CREATE TABLE deliveries (
     job      TEXT NOT NULL,
     address  TEXT NOT NULL,
     body     TEXT NOT NULL,
@@ -21,7 +21,7 @@ CREATE TABLE notices (
     due_at   DOUBLE PRECISION NOT NULL,
     PRIMARY KEY (job, address)
 );
-CREATE INDEX notices_by_time ON notices (address, due_at);
+CREATE INDEX deliveries_by_time ON deliveries (address, due_at);
 CREATE TABLE totals (
     name   TEXT PRIMARY KEY,
     amount DOUBLE PRECISION NOT NULL
@@ -63,11 +63,11 @@ CREATE TABLE trace (
     PRIMARY KEY (job, place)
 );
 """
-CENSUS = """
+COUNTS = """
 SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
     (SELECT CAST(coalesce(sum(image_bytes + file_bytes), 0) AS BIGINT) FROM jobs) AS stored_bytes,
-    (SELECT count(*) FROM notices) AS notices,
-    coalesce(epoch() - (SELECT min(ended_at) FROM notices), 0) AS notice_waits_s
+    (SELECT count(*) FROM deliveries) AS deliveries,
+    coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """
 SELECT_JOB = """
 SELECT jobs.*, CASE WHEN state = 'queued' THEN (
@@ -76,14 +76,14 @@ SELECT jobs.*, CASE WHEN state = 'queued' THEN (
     AND (waiting.priority = 'bulk', waiting.number) <= (jobs.priority = 'bulk', jobs.number)
 ) END AS position FROM jobs
 """
-# For many jobs at once. To count the place of each by itself takes 0.1 s a page where thousands wait.
+# For a page of jobs: counting the position of each separately takes 0.1 s a page when thousands wait.
 SELECT_JOBS = """
 WITH waiting AS (
     SELECT number, row_number() OVER (ORDER BY priority = 'bulk', number) AS position FROM jobs WHERE state = 'queued'
 )
 SELECT jobs.*, waiting.position FROM jobs LEFT JOIN waiting USING (number)
 """
-# Owners take turns by what they have running just now, however many jobs of theirs wait.
+# Owners take turns by the number of their running jobs, however many are queued.
 CLAIM = """
 UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
     lease_until = epoch() + ?
@@ -94,7 +94,7 @@ WHERE state = 'queued' AND number = (
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 ) RETURNING number, id, attempt, request, image
 """
-SIGN = """
+REGISTER = """
 INSERT INTO workers VALUES (?, epoch(), ?)
 ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at, failures = excluded.failures
 """
@@ -111,7 +111,7 @@ DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_byte
 PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
-# A lease that was not renewed in time, or is longer than any because the clock was put back.
+# A lease that was not renewed in time, or is too long because the clock was set back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
 LOST = "WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
 
@@ -120,5 +120,5 @@ class Database(Protocol):
     """A connection."""
 
     def execute(self, statement: str, values: Sequence[Any] = (), /) -> Any:
-        """Run one statement; gives a cursor, as both databases' modules have it, whose rows are read by names."""
+        """Run one statement. Returns a cursor whose rows are read by name, as in both databases' modules."""
         ...

@@ -1,6 +1,6 @@
-"""The job table, whichever database it is in.
+"""The job table, independent of the database.
 
-What differs is in sqlite.py and postgres.py: connections, transactions, and how waiting workers hear of a job.
+sqlite.py and postgres.py contain the differences: connections, transactions, and how a job wakes waiting workers.
 """
 
 from __future__ import annotations
@@ -13,89 +13,87 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from service.jobs import endings
+from service.errors import KeyReusedError, LimitError
+from service.jobs import outcomes
 from service.jobs import statements as sql
-from service.jobs.endings import Notice
 from service.jobs.job import (
     FINAL_STATES,
     JOB_STATES,
-    Census,
     Claim,
+    Counts,
     EncodeRequest,
     EncodeResult,
     Job,
     JobError,
-    JobRules,
     JobState,
     JsonObject,
-    KeyReusedError,
-    LimitError,
     NewJob,
     SourceImage,
     as_json,
     job_of,
 )
+from service.jobs.outcomes import Delivery
 from service.jobs.statements import Database
 from service.process.loops import StopSignal
+from service.settings import Settings
 from service.storage.files import bitstream_key, preview_key, source_key
 
 log = logging.getLogger(__name__)
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
-# When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
+# A worker that was silent for half of its lease is watched for the other half before it counts as lost.
 WATCHED = 1 / 2
-FORGOTTEN_S = 900.0  # a worker silent for longer is no longer listed
-AHEAD_S = 2.0  # a sign of life from further ahead is one from before the clock was put back
+MAX_ATTEMPTS = 4  # crashes until a job fails
+FORGOTTEN_S = 900.0  # a worker that is silent for longer is removed
+AHEAD_S = 2.0  # a report from further ahead was made before the clock was set back
 
 
 class JobTable(ABC):
-    """All jobs, on whatever connections a subclass provides. Every method may raise JobTableError, and may be called
-    from any thread.
+    """All jobs, in a database that a subclass connects to.
 
-    What a method has done is on the disk when it returns.
+    Every method may raise JobTableError, and may be called from any thread. Its changes are on disk when it returns.
     """
 
-    def __init__(self, rules: JobRules) -> None:
-        self._rules = rules
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
         self._overdue: dict[tuple[str, int, float], float] = {}  # claims, and since when (monotonic seconds)
 
     @abstractmethod
     def _connection(self) -> AbstractContextManager[Database]:
-        """A connection on which each statement stands alone. Within, the database's errors become JobTableError."""
+        """Provide a connection in autocommit mode. Within, the database's errors become JobTableError."""
 
     @abstractmethod
     def _transaction(self) -> AbstractContextManager[Database]:
-        """A connection for changes, which all are on disk at the end, or none on an error."""
+        """Provide a connection for changes, which are all on disk at the end, or undone after an error."""
 
     @abstractmethod
     def _alone(self, db: Database) -> None:
-        """Until this transaction ends, no other may accept or claim jobs: what was counted stays true."""
+        """Keep others from accepting or claiming jobs until this transaction ends, so that counts stay valid."""
 
     @abstractmethod
     def _wake(self, db: Database) -> None:
-        """This transaction puts a job into the queue: let a worker know once it is committed."""
+        """Wake a worker once this transaction, which queues a job, is committed."""
 
     @abstractmethod
-    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
-        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stopping is
-        requested.
+    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        """Call run_next, in one thread at a time, whenever there may be a job to claim, until stopping is requested.
 
-        run_next tells whether it ran a job, and never raises.
+        run_next returns whether it ran a job, and never raises.
         """
 
     @abstractmethod
     def check_writable(self) -> None:
-        """Raises JobTableError if the database can be read but not changed."""
+        """Raise JobTableError if the database can be read but not changed."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of connections."""
+        """Close all connections."""
 
     def submit(self, job: NewJob) -> tuple[Job, bool]:
-        """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
+        """Insert a job; return it and True, or its owner's earlier job with the same key and False.
 
-        Raises LimitError, or KeyReusedError if the key stands for another request.
+        Raises LimitError, or KeyReusedError if the key belongs to another request.
         """
         with self._transaction() as db:
             self._alone(db)
@@ -116,54 +114,52 @@ class JobTable(ABC):
             return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
     def first(self, owner: str | None, idempotency_key: str, fingerprint: str) -> Job | None:
-        """The owner's job that a request made which came before under this key; None if it is the first. Raises
-        KeyReusedError.
-        """
+        """Return the owner's job that an earlier request with this key made, else None. Raises KeyReusedError."""
         with self._connection() as db:
             return _first(db, owner, idempotency_key, fingerprint)
 
     def check_queue(self, owner: str | None = None, idempotency_key: str | None = None) -> None:
-        """Raises LimitError if the queue has no room for a new job; one under a known key is not new."""
+        """Raise LimitError if the queue is full for a new job; a job with a known key is not new."""
         with self._connection() as db:
             if _with_key(db, owner, idempotency_key) is None:
                 self._check_queue(db, owner)
 
     def _check_queue(self, db: Database, owner: str | None) -> None:
-        most, own_most = self._rules.queue_length, self._rules.own_queue_length
-        if most and _queued(db) >= most:
+        most, own_most = self._settings.queue_length, self._settings.max_queued_per_key
+        if _queued(db) >= most:
             raise LimitError("queue", "the queue is full; try again later")
-        if owner and own_most and _queued(db, owner) >= own_most:
+        if owner and _queued(db, owner) >= own_most:
             raise LimitError("own_queue", f"this API key already has {own_most} jobs waiting; try again later")
 
     def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
-        most, own_most = self._rules.quota_bytes, self._rules.own_quota_bytes
+        most, own_most = self._settings.quota_bytes, self._settings.quota_bytes_per_key
         if owner and own_most and _stored_bytes(db, owner) + size_bytes > own_most:
             raise LimitError("own_quota", "this API key has reached its storage quota; remove jobs first")
         if most and _stored_bytes(db) + size_bytes > most:
             raise LimitError("quota", "the service has reached its storage quota; remove jobs first")
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
-        """The job, or None if there is none of that id; with an owner, only if it is theirs."""
+        """Return the job with this id, else None; with an owner, only if it is theirs."""
         query = sql.SELECT_JOB + "WHERE id = ? AND owner = coalesce(?, owner)"
         with self._connection() as db:
             row = db.execute(query, (job_id, owner)).fetchone()
         return None if row is None else job_of(row)
 
     def queued(self) -> int:
-        """How many jobs wait."""
+        """Return the number of queued jobs."""
         with self._connection() as db:
             return _queued(db)
 
-    def census(self) -> Census:
-        """How many jobs there are in each state, how long the queue has waited, who works."""
+    def counts(self) -> Counts:
+        """Count jobs by state, stored bytes, workers and outcomes."""
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
-            figures = db.execute(sql.CENSUS).fetchone()
+            figures = db.execute(sql.COUNTS).fetchone()
             seen = db.execute(sql.SEEN, (AHEAD_S,)).fetchall()
-            so_far = endings.totals(db)
-        counts = {row["state"]: row["jobs"] for row in rows}
-        return Census(
-            jobs={state: counts.get(state, 0) for state in JOB_STATES},
+            so_far = outcomes.totals(db)
+        counted = {row["state"]: row["jobs"] for row in rows}
+        return Counts(
+            jobs={state: counted.get(state, 0) for state in JOB_STATES},
             workers={row["name"]: row["seconds"] for row in seen},
             failures={row["name"]: row["failures"] for row in seen},
             totals=so_far,
@@ -173,9 +169,7 @@ class JobTable(ABC):
     def page(
         self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
     ) -> list[Job]:
-        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs; with a
-        state, only those in it.
-        """
+        """Return the newest jobs, newest first, filtered by number below `before`, owner and state."""
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner, "state = ?": state}
         chosen = {condition: value for condition, value in conditions.items() if value is not None}
         where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
@@ -184,24 +178,24 @@ class JobTable(ABC):
             return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
     def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
-        """The trace points of the job's latest attempt, oldest first, without the first `first`."""
+        """Return the trace points of the job's latest attempt, oldest first, from index `first`."""
         query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
         with self._connection() as db:
             return [json.loads(row["point"]) for row in db.execute(query, (job_id, first)).fetchall()]
 
     def remove(self, job_id: str) -> Job | None:
-        """Forget a job in whatever state, and return it. A worker that runs it loses its claim."""
+        """Delete a job in any state, and return it. A worker that runs it loses its claim."""
         with self._transaction() as db:
             row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *, NULL AS position", (job_id,)).fetchone()
             if row is not None and row["state"] not in FINAL_STATES:
-                endings.count(db, "cancelled")
+                outcomes.count(db, "cancelled")
         return None if row is None else job_of(row)
 
     def reconcile(self) -> list[Job]:
-        """Put running jobs whose worker is lost back into the queue; those that crashed too often fail.
+        """Requeue running jobs whose worker is lost; those that crashed too often fail. Returns the jobs that failed.
 
-        A worker is lost when it has not renewed its lease in time, and this object has watched it fail to for a while
-        longer. So call this again and again. Returns the jobs that failed.
+        A worker is lost when its lease has ended and this object has watched it stay silent for a while longer, so call
+        this repeatedly.
         """
         lost = self._lost_claims()
         if not lost:
@@ -211,31 +205,31 @@ class JobTable(ABC):
         return [job for job in jobs if job is not None and job.state == "failed"]
 
     def _lost_claims(self) -> list[tuple[str, int, float]]:
-        """Claims that are overdue, and have been watched for as long as a lease allows.
+        """Return claims that are overdue, and have been watched for half of a lease.
 
-        One look is not enough: clocks jump, and at the end of an outage of the database every lease is over. A worker
-        that lives renews its own meanwhile.
+        One look is not enough: clocks jump, and after a database outage every lease is over. A live worker renews its
+        own meanwhile.
         """
-        watched_s = WATCHED * self._rules.lease_s
+        watched_s = WATCHED * self._settings.lease_s
         query = f"SELECT id, attempt, lease_until FROM jobs {sql.OVERDUE}"
         with self._connection() as db:
-            rows = db.execute(query, (watched_s, self._rules.lease_s)).fetchall()
+            rows = db.execute(query, (watched_s, self._settings.lease_s)).fetchall()
         now = time.monotonic()
         claims = [(row["id"], row["attempt"], row["lease_until"]) for row in rows]
         self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
         return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
 
     def claim(self, worker: str) -> Claim | None:
-        """Take the next queued job for a worker (a name for operators), or None if none may run.
+        """Claim the next queued job for a worker (a name for operators); None if there is none.
 
-        Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
-        the owner served longest ago, then the oldest job.
+        Interactive jobs come before bulk jobs; among equals the owner with the fewest running jobs, then the owner
+        served longest ago, then the oldest job.
         """
-        if self.queued() == 0:  # asked several times a second: look before taking a lock
+        if self.queued() == 0:  # called several times a second, so check before taking a lock
             return None
         with self._transaction() as db:
             self._alone(db)
-            row = db.execute(sql.CLAIM, (worker, self._rules.lease_s)).fetchone()
+            row = db.execute(sql.CLAIM, (worker, self._settings.lease_s)).fetchone()
             if row is None:
                 return None
             db.execute(sql.SERVED, (row["number"],))
@@ -243,55 +237,53 @@ class JobTable(ABC):
             try:
                 request, image = json.loads(row["request"]), json.loads(row["image"])
                 return Claim(row["id"], row["attempt"], EncodeRequest(**request), SourceImage(**image))
-            except TypeError:  # without a field that is not understood, this would encode something else
+            except TypeError:  # an unknown field, which must not be ignored
                 self._fail(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
                 return None
 
-    def sign(self, worker: str, failures: int = 0) -> None:
-        """Note that the worker lives, whether or not it has a job. failures: of its background work so far."""
+    def register(self, worker: str, failures: int = 0) -> None:
+        """Note that the worker is alive, with or without a job. failures: number of failures of its background work."""
         with self._transaction() as db:
-            db.execute(sql.SIGN, (worker, failures))
+            db.execute(sql.REGISTER, (worker, failures))
             db.execute("DELETE FROM workers WHERE epoch() - seen_at NOT BETWEEN ? AND ?", (-AHEAD_S, FORGOTTEN_S))
-            if given_up := endings.give_up_notices(db):
+            if given_up := outcomes.give_up_deliveries(db):
                 log.error("gave up on %d webhooks", given_up)
 
-    def sign_off(self, worker: str) -> None:
+    def unregister(self, worker: str) -> None:
         """Forget a worker that has stopped on request."""
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> Job | None:
-        """Renew the lease and append trace points, `first` being the index of the first of them.
-
-        None: the job is no longer this worker's.
-        """
+        """Renew the lease and append trace points from index `first`. None: the job is no longer this worker's."""
         with self._transaction() as db:
-            job = self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s)
+            job = self._change(db, claim, "lease_until = epoch() + ?", self._settings.lease_s)
             for place, point in enumerate(points if job else (), first):
                 db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.job_id))
             return job
 
     def stop(self, job_id: str) -> bool:
-        """Ask the worker of a running job to end the fit early and publish what there is; a later attempt at the job
-        knows nothing of it. False: the job is not running.
+        """Ask the worker of a running job to end the fit early and publish its result. False: the job is not running.
+
+        A later attempt at the job ignores the request.
         """
         with self._transaction() as db:
             return _update(db, "stopped = 1", "WHERE id = ? AND state = 'running'", job_id) is not None
 
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
-        """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
+        """Publish the result. The call may be repeated. False: the job is no longer this worker's."""
         text = as_json(result)
         with self._transaction() as db:
             job = self._change(db, claim, sql.DONE, text, result.size_bytes, int(self.keeps_sources))
             if job is not None:
                 self._conclude(db, job)
                 return True
-            # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
+            # A commit that succeeded may be reported as failed; then the repeated call must succeed.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
             return row is not None and row["result"] == text
 
     def fail(self, claim: Claim, error: JobError) -> bool:
-        """End an attempt in failure: for good, unless it crashed, which it may do a few times.
+        """End an attempt in failure, for good unless it crashed fewer than MAX_ATTEMPTS times.
 
         False: the job is no longer this worker's.
         """
@@ -299,30 +291,28 @@ class JobTable(ABC):
             return self._fail(db, error, sql.MINE, (claim.job_id, claim.attempt)) is not None
 
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
-        """The job after an attempt that failed; None if the attempt is not its latest."""
+        """Return the job after an attempt that failed; None if the attempt is not its latest."""
         text, crashed = as_json(error), error.code == "crashed"
         job = _update(db, sql.PUT_BACK, where, text, int(crashed), *values)
-        if job is not None and not (crashed and job.crashes < self._rules.max_attempts):
+        if job is not None and not (crashed and job.crashes < MAX_ATTEMPTS):
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
             self._conclude(db, job)
         return job
 
     def _conclude(self, db: Database, job: Job) -> None:
-        """An attempt has ended: count how, and let the operator's addresses hear of the end of the job, or a worker
-        that it waits again.
-        """
-        endings.conclude(db, job, self._rules.webhooks)
+        """Record the outcome of an attempt, and wake a worker if the job is queued again."""
+        outcomes.conclude(db, job, self._settings.webhook_addresses)
         if job.state == "queued":
             self._wake(db)
 
     @property
     def keeps_sources(self) -> bool:
-        """Whether the image of a finished job is kept, and so goes on counting."""
-        return self._rules.source_retention_s > 0
+        """Whether the images of finished jobs are kept, and so count as stored."""
+        return self._settings.source_retention_s > 0
 
     def release(self, claim: Claim) -> bool:
-        """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
+        """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's."""
         with self._transaction() as db:
             mine = self._change(db, claim, "state = 'queued', started_at = NULL") is not None
             if mine:
@@ -334,29 +324,32 @@ class JobTable(ABC):
         """Update the claimed job under its fencing token; None if the token is stale."""
         return _update(db, assignments, sql.MINE, *values, claim.job_id, claim.attempt)
 
-    def due_notice(self, address: str) -> Notice | None:
-        """A notice that a job has ended, for the caller to send now; unless it is said to be delivered, it is due again
-        after a pause, which doubles. sign() gives up those of more than three days ago.
+    def due_delivery(self, address: str) -> Delivery | None:
+        """Take a webhook that the caller has to send now, if one is due.
+
+        Unless delivered() is called, it is due again after a pause, which doubles each time. register() gives up after
+        three days.
         """
         with self._connection() as db:
-            return endings.take_notice(db, address)
+            return outcomes.take_delivery(db, address)
 
-    def notice_delivered(self, notice: Notice) -> None:
-        """Delete a notice that its address has taken."""
+    def delivered(self, delivery: Delivery) -> None:
+        """Delete a webhook that was delivered."""
         with self._transaction() as db:
-            endings.forget_notice(db, notice)
+            outcomes.forget_delivery(db, delivery)
 
-    def forward_notices(self) -> int:
-        """Let notices to addresses that the operator no longer names, as before a correction, go to those named now;
-        returns how many there were. Without any, they stay until they are given up.
+    def forward_deliveries(self) -> int:
+        """Redirect webhooks from addresses that the operator no longer names to the current ones. Returns their number.
+
+        If no address is named, they stay until they are given up.
         """
-        if not self._rules.webhooks:
+        if not self._settings.webhook_addresses:
             return 0
         with self._transaction() as db:
-            return endings.forward_notices(db, self._rules.webhooks)
+            return outcomes.forward_deliveries(db, self._settings.webhook_addresses)
 
     def needed_keys(self) -> set[str]:
-        """Storage keys of the files that some job still needs."""
+        """Return the storage keys of all files that some job still needs."""
         with self._connection() as db:
             rows = db.execute("SELECT id, state, attempt, result, image_bytes FROM jobs").fetchall()
         sources = {source_key(row["id"]) for row in rows if row["image_bytes"]}
@@ -366,12 +359,15 @@ class JobTable(ABC):
         return sources | unpublished | done
 
     def source_removed(self, job_id: str) -> None:
-        """Count the image of a finished job no longer among the stored bytes: it is gone."""
+        """Stop counting the deleted image of a finished job as stored."""
         with self._transaction() as db:
             _update(db, "image_bytes = 0", "WHERE id = ? AND state IN ('done', 'failed')", job_id)
 
     def finished(self, older_than_s: float, *, with_image: bool = False) -> list[str]:
-        """Ids of the jobs that ended over that many seconds ago, oldest first; or only those whose image counts."""
+        """Return ids of jobs that ended more than older_than_s seconds ago, oldest first.
+
+        with_image: only those whose image is kept.
+        """
         ended = "state IN ('done', 'failed') AND finished_at < epoch() - ? AND image_bytes >= ?"
         with self._connection() as db:
             rows = db.execute(f"SELECT id FROM jobs WHERE {ended} ORDER BY number", (older_than_s, int(with_image)))
@@ -379,19 +375,19 @@ class JobTable(ABC):
 
 
 def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
-    """The job after an update, or None if no job fits."""
+    """Return the job after an update, or None if no job matches."""
     row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *, NULL AS position", values).fetchone()
     return None if row is None else job_of(row)
 
 
 def _queued(db: Database, owner: str | None = None) -> int:
-    """How many jobs wait, of one owner or of all."""
+    """Return the number of queued jobs, of one owner or of all."""
     query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
     return int(db.execute(query, (owner,)).fetchone()["jobs"])
 
 
 def _stored_bytes(db: Database, owner: str | None = None) -> int:
-    """Bytes kept for the jobs of one owner or of all."""
+    """Return the bytes stored for the jobs of one owner or of all."""
     query = "SELECT coalesce(sum(image_bytes + file_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
     return int(db.execute(query, (owner,)).fetchone()["bytes"])
 
@@ -404,6 +400,6 @@ def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerp
 
 
 def _with_key(db: Database, owner: str | None, idempotency_key: str | None) -> Any:
-    """The row of the owner's job that was accepted under the key; each owner has keys of their own."""
+    """Return the row of the owner's job with this key; each owner has their own keys."""
     query = sql.SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
     return db.execute(query, (owner or "", idempotency_key)).fetchone()

@@ -1,10 +1,10 @@
-// The service's public API, and words for what it refuses.
+// The service's API, with its errors in plain words.
 
 import { $ } from "./parts.js";
 
 const USUAL = { tune: "visual", effort: 5 };
 
-/** What came in place of what was asked for. */
+/** An answer other than 2xx. */
 class Refusal extends Error {
   constructor(status, detail) {
     super(detail);
@@ -33,10 +33,10 @@ export async function ask(path, options = {}) {
     throw new Refusal(401, key ? "Unknown API key." : "This service needs an API key.");
   }
   const problem = await response.json().catch(() => ({})); // a proxy's answer may be anything
-  const said = problem.detail ? ` (${problem.detail})` : "";
+  const why = problem.detail ? ` (${problem.detail})` : "";
   const words = WORDS[response.status];
   const detail = problem.detail ?? `The service answered ${response.status}.`;
-  throw new Refusal(response.status, words ? words + said : detail);
+  throw new Refusal(response.status, words ? words + why : detail);
 }
 
 export const json = async (path, options) => (await ask(path, options)).json().catch(outOfReach);
@@ -46,7 +46,7 @@ export const hasKey = () => $("key").value.trim() !== "";
 
 export const jobPath = (id) => `jobs/${id}`;
 
-/** The fields of a budget, beside its value, that the service would not choose by itself; timeLimit: in seconds. */
+/** The options of an encode that differ from the service's defaults. timeLimit: in seconds. */
 export function choices({ kind, tune, effort, timeLimit }) {
   const fields = [];
   if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]);
@@ -55,7 +55,7 @@ export function choices({ kind, tune, effort, timeLimit }) {
   return fields;
 }
 
-/** A new job, within a budget. */
+/** Submit a new job. */
 export function submit(file, budget) {
   const form = new FormData();
   form.append("image", file);
@@ -64,7 +64,7 @@ export function submit(file, budget) {
   return json("encode", { method: "POST", body: form });
 }
 
-/** The picture in a file, drawn by the service; width: other than its own. */
+/** Have the service draw a file. width: other than its own. */
 export async function drawn(sg, kind, width = null) {
   const query = width ? `?width=${width}` : "";
   return (await ask(`decode.${kind}${query}`, { method: "POST", body: sg })).blob();

@@ -1,4 +1,4 @@
-// The decoder in a worker: keeps opened files by a number and draws views of them, over white.
+// The decoder in a worker: it keeps opened files by number, and draws views of them over white.
 
 import { draw } from "./sgmethod/drawing.js";
 import { readFile } from "./sgmethod/file.js";

@@ -1,7 +1,7 @@
 // The pictures on the page: samples, files that were opened, jobs of the service.
 
 import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
-import { keep, kept } from "./keeping.js";
+import { keep, kept } from "./storage.js";
 import { Remote, sleep } from "./parts.js";
 import { size } from "./words.js";
 
@@ -13,23 +13,23 @@ const unread = (format) => `This service cannot read ${format} pictures. Save or
 const decoder = new Remote("static/decoder_worker.js");
 let keys = 0;
 
-/** A view of an opened file, from the worker. */
+/** Draw a view of an opened file, in the worker. */
 export const draw = (file, { scale, region = null, count = file.count, texture = true }) =>
   decoder.ask("draw", { key: file.key, scale, region, count, texture });
 
-/** A job of the service; that it is gone already is no error. */
+/** Remove a job of the service, which may have been removed already. */
 const remove = (id) => ask(jobPath(id), { method: "DELETE" }).catch(() => undefined);
 
 export const imageOf = ({ data, width }) => createImageBitmap(new ImageData(data, width));
 
-/** A picture over white, as shown here; null if it is opaque. */
+/** Put a picture over white, as it is shown here. Null if it is opaque. */
 function overWhite(image) {
   const { width, height } = image;
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.drawImage(image, 0, 0);
   const { data } = context.getImageData(0, 0, width, height);
-  let alpha = 3; // where it is of the first pixel that is not opaque
+  let alpha = 3; // index of the first alpha that is not opaque
   while (alpha < data.length && data[alpha] === 255) alpha += 4;
   if (alpha >= data.length) return null;
   context.globalCompositeOperation = "destination-over";
@@ -39,22 +39,22 @@ function overWhite(image) {
 }
 
 export class Item {
-  #asking = new AbortController(); // ends what is asked of its job
+  #asking = new AbortController(); // aborts requests about its job
 
-  /** changed: called with the item whenever anything of it is new. */
+  /** changed: called with the item after each change. */
   constructor(name, changed) {
     Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
     this.size = this.opened = this.soFar = null; // soFar: { tag, image, bytes }
   }
 
-  tell(change = {}) {
-    if (this.state === "cancelled") return; // and stays so, whatever happens to its job
+  update(change = {}) {
+    if (this.state === "cancelled") return; // which is final
     Object.assign(this, change);
     this.changed(this);
   }
 
-  /** The picture that was given; one that the browser cannot show is not shown. */
+  /** Set the original; it stays hidden if the browser cannot show it. */
   async setOriginal(blob) {
     this.source = blob;
     this.originalBytes = blob.size;
@@ -63,10 +63,10 @@ export class Item {
     this.wasTransparent = Boolean(laid);
     this.original = laid ?? this.original;
     if (this.original) this.size = [this.original.width, this.original.height];
-    this.tell();
+    this.update();
   }
 
-  /** The .sg file: decoded here, or by the service if its kind is unknown here. */
+  /** Set the .sg file, decoded here, or by the service if this decoder does not know its version. */
   async setFile(sg) {
     const key = keys++;
     let [file, decoded, note] = [null, null, ""];
@@ -80,17 +80,17 @@ export class Item {
       decoded = await createImageBitmap(await drawn(sg, "png"));
     }
     const size = [decoded.width, decoded.height];
-    this.tell({ sg, file, decoded, size, note, measured: null, rivals: {}, smooth: null, soFar: null, state: "done", words: "" });
+    this.update({ sg, file, decoded, size, note, measured: null, others: {}, smooth: null, soFar: null, state: "done", words: "" });
   }
 
-  /** Open an .sg file that was given, and keep it for a reload. */
+  /** Open an .sg file, and store it for a reload. */
   async open(file, place = `file-${Math.random().toString(36).slice(2)}`) {
     this.opened = place;
     await this.setFile(new Uint8Array(await file.arrayBuffer()));
     await keep(place, file, this.name);
   }
 
-  /** Open the .sg file of an address, as after a reload. */
+  /** Open a stored .sg file, as after a reload. */
   async reopen(place) {
     await this.#working(async () => {
       const before = await kept(place);
@@ -106,21 +106,21 @@ export class Item {
       this.budget = budget;
       this.stopping = false;
       const words = `Sending ${this.format ? `${this.format}, ` : ""}${size(this.originalBytes)}`;
-      this.tell({ state: "sending", words, done: null, trace: [], job: null });
+      this.update({ state: "sending", words, done: null, trace: [], job: null });
       const { id } = await submit(this.source, budget);
       if (this.state === "cancelled") return void (await remove(id));
       this.id = id;
       keep(id, this.source, this.name);
-      this.tell({ state: "queued", words: "Waiting" });
+      this.update({ state: "queued", words: "Waiting" });
       await this.#follow();
     });
   }
 
-  /** Go on with a job that is known by its id, as after a reload. */
+  /** Follow a job by its id, as after a reload. */
   async resume(id) {
     await this.#working(async () => {
       this.id = id;
-      this.tell({ state: "queued", words: "Loading the picture" });
+      this.update({ state: "queued", words: "Loading the picture" });
       const before = await kept(id);
       if (before) {
         this.name = before.name;
@@ -136,12 +136,12 @@ export class Item {
     } catch (error) {
       const refused = error.status === 415;
       const words = refused && this.format ? unread(this.format) : error.message;
-      this.tell({ state: "failed", words, done: null, soFar: null, refused });
+      this.update({ state: "failed", words, done: null, soFar: null, refused });
     }
   }
 
   async #follow() {
-    const { paceOf, stateOf } = await import("./watching.js"); // not at the first look
+    const { paceOf, stateOf } = await import("./progress.js"); // not needed at first
     for (let tries = 0; ; ) {
       let [job, sg] = [null, null];
       try {
@@ -152,7 +152,7 @@ export class Item {
         if (this.state === "cancelled") return;
         if (error.status === 404) throw new Error("The service has no such picture, or has deleted it.");
         if (!(error.status >= 500) || ++tries > RETRIES) throw error;
-        this.tell({ words: "The service does not answer; trying again" });
+        this.update({ words: "The service does not answer; trying again" });
         await sleep(RETRY_MS);
         continue;
       }
@@ -168,21 +168,21 @@ export class Item {
       this.watched = true;
       await this.#look(job);
       if (job.state === "queued") {
-        this.stopping = false; // what it had was lost
+        this.stopping = false; // it starts again
         if (job.position !== this.job?.position) this.paceS = await this.#pace(paceOf);
       }
-      this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
+      this.update({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
       await sleep(POLL_MS);
     }
   }
 
-  /** Seconds between two jobs of the queue. Without it, nothing is missing. */
+  /** Estimate the seconds between two jobs of the queue; null on errors, since it is optional. */
   async #pace(paceOf) {
     const jobsIn = async (state) => (await json(`jobs?limit=20&state=${state}`, { signal: this.#asking.signal })).jobs;
     return Promise.all(["done", "running"].map(jobsIn)).then(([done, running]) => paceOf(done, running), () => null);
   }
 
-  /** Show what a running job has so far. Without it, nothing is missing. */
+  /** Show the preview of a running job. Errors are ignored, since it is optional. */
   async #look(job) {
     if (job.state !== "running") return;
     try {
@@ -195,36 +195,36 @@ export class Item {
       await decoder.ask("open", { key, bytes });
       const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
       decoder.ask("close", { key });
-      this.tell({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
+      this.update({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
       before?.close();
     } catch {
       return;
     }
   }
 
-  /** What names it in the address. */
+  /** Its name in the address. */
   get place() {
     return this.id ?? this.sample ?? (this.sg ? this.opened : null);
   }
 
-  /** Whether there is something to keep if it is stopped. */
+  /** Whether stopping would leave a result. */
   get stoppable() {
     return this.state === "running" && this.trace.length > 0 && !this.stopping;
   }
 
-  /** End the encode early, and keep what is there. */
+  /** End the encode early, and keep its result. */
   async stop() {
     this.stopping = true;
-    this.tell({ words: "Finishing early" });
+    this.update({ words: "Finishing early" });
     await ask(`${jobPath(this.id)}/stop`, { method: "POST" }).catch((error) => {
       if (error.status !== 409) this.stopping = false;
     });
   }
 
-  /** Cancelling is no error. own: whether its job ends too. */
+  /** Cancel. own: whether to remove the job as well. */
   async cancel(own = true) {
     const { id } = this;
-    this.tell({ state: "cancelled", words: "There is no file.", done: null, soFar: null });
+    this.update({ state: "cancelled", words: "There is no file.", done: null, soFar: null });
     this.#asking.abort();
     if (id && own) await remove(id);
   }
@@ -236,7 +236,7 @@ export class Item {
   close() {
     if (this.file) decoder.ask("close", { key: this.file.key });
     const shown = [this.original, this.decoded, this.smooth, this.soFar?.image];
-    for (const image of [...shown, ...Object.values(this.rivals ?? {}).map((rival) => rival.image)]) image?.close();
+    for (const image of [...shown, ...Object.values(this.others ?? {}).map((other) => other.image)]) image?.close();
     this.original = this.decoded = null;
   }
 }

@@ -1,4 +1,4 @@
-// What a file is, by its first bytes, before it is sent anywhere.
+// The format of a file, by its first bytes, before it is sent anywhere.
 
 const text = (bytes, from, to) => String.fromCharCode(...bytes.subarray(from, to));
 
@@ -25,7 +25,7 @@ const IMAGES = [
   ["PPM", (b) => /^P[1-6]\s/.test(text(b, 0, 3))],
 ];
 
-/** Formats that every browser reads: a file that one cannot read is damaged, or too large for it. */
+/** Formats that every browser reads, unless the file is damaged or too large. */
 export const COMMON = ["PNG", "JPEG", "GIF", "WebP"];
 
 /** { kind: "sg" }, or { kind: "image", format } with its name where that is known; { refused } with a sentence for what no

@@ -1,21 +1,21 @@
-// The page: what is shown, and what happens when something is clicked.
+// The page: its pictures, and its buttons.
 
 import { fillContents } from "./viewer/contents.js";
 import { openGpu } from "./viewer/gpu.js";
-import { fillTable, measure } from "./viewer/rivals.js";
+import { fillTable, measure } from "./viewer/comparisons.js";
 import { Tools } from "./viewer/tools.js";
 import { Viewer } from "./viewer/viewer.js";
-import { budget, listen, rememberBudget, sayRate } from "./giving.js";
+import { budget, listen, rememberBudget, sayRate } from "./upload.js";
 import { draw, imageOf, Item } from "./items.js";
 import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples, THUMBNAIL_WIDTH } from "./samples.js";
-import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./taking.js";
-import { TITLES, showLabels, showRows, showWork, trouble } from "./telling.js";
+import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./download.js";
+import { TITLES, showLabels, showRows, showWork, trouble } from "./status.js";
 import { size } from "./words.js";
 
 const items = []; // in the order in which they came
 let current = null;
-let entered = null; // what the address stands for
+let entered = null; // the picture in the address
 let address = location.hash.slice(1); // as far as the page has followed it
 let onLeft = "Original";
 
@@ -34,18 +34,18 @@ function show(item) {
 
 function changed(item) {
   if (!items.includes(item)) return;
-  tellRows();
+  refreshRows();
   if (item === current) refresh(item);
 }
 
-/** Bring everything up to date with the picture that is shown. */
+/** Update the page for the current picture. */
 function refresh(item) {
   const { original, decoded, file, soFar } = item;
   const isNewlyDecoded = item.drawn?.decoded !== decoded;
   const isNew = isNewlyDecoded || item.drawn?.original !== original;
   const isSmooth = Boolean(file?.texture) && !tools.textured;
   enter(item);
-  viewer.left = (onLeft === "Original" ? original : item.rivals?.[onLeft]?.image) ?? null;
+  viewer.left = (onLeft === "Original" ? original : item.others?.[onLeft]?.image) ?? null;
   viewer.right = isSmooth ? smoothOf(item) : (decoded ?? soFar?.image ?? null);
   if (isNew) {
     item.drawn = { decoded, original, isFitted: false };
@@ -84,9 +84,9 @@ function refresh(item) {
   sayRate(item);
 }
 
-/** The address names the picture, for a reload and for going back. */
+/** Put the picture into the address, for reloading and going back. */
 function enter(item) {
-  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere is followed
+  if (!item.place || location.hash.slice(1) !== address) return; // the user is going elsewhere
   if (address !== item.place) {
     history[!entered || entered === item ? "replaceState" : "pushState"](null, "", `#${item.place}`);
     address = item.place;
@@ -94,31 +94,31 @@ function enter(item) {
   entered = item;
 }
 
-/** The picture without its texture, once it is drawn. */
+/** The picture without its texture; with it until the other is drawn. */
 function smoothOf(item) {
   if (!item.smooth) {
     item.smooth = item.decoded; // until then
     draw(item.file, { scale: 1, texture: false })
       .then(imageOf)
-      .then((image) => item.tell({ smooth: image }));
+      .then((image) => item.update({ smooth: image }));
   }
   return item.smooth;
 }
 
-function tellRows() {
+function refreshRows() {
   const pick = (item) => {
     show(item);
-    tellRows();
+    refreshRows();
   };
   showRows(items, current, pick, remove);
 }
 
 function remove(item) {
-  if (item.busy) item.cancel(Boolean(item.source)); // another's job goes on
+  if (item.busy) item.cancel(Boolean(item.source)); // a job of another person goes on
   items.splice(items.indexOf(item), 1);
   if (item === current && items.length) show(items.at(-1));
   if (item !== current) item.close();
-  tellRows();
+  refreshRows();
 }
 
 // What happens
@@ -133,7 +133,7 @@ function sample(name) {
   const item = items.find((one) => one.sample === name) ?? added(`${name}.webp`);
   item.sample = name;
   show(item);
-  tellRows();
+  refreshRows();
   item.opening ??= openSample(item, name).catch((error) => {
     item.opening = null; // the next click tries again
     trouble(error.message);
@@ -152,41 +152,41 @@ async function give(files) {
       trouble(refusals.join(" "));
       continue;
     }
-    // A sample makes room, which nobody gave.
+    // A sample makes way for a picture of the user's own.
     const first = items.findIndex((item) => item.sample);
-    const gone = first >= 0 ? items.splice(first, 1)[0] : null;
+    const removed = first >= 0 ? items.splice(first, 1)[0] : null;
     const item = added(file.name || "pasted.png");
     item.format = format;
     if (!shown || !items.includes(current)) show(item);
     shown = true;
-    gone?.close();
+    removed?.close();
     try {
       if (kind === "sg") await item.open(file);
       else {
         await item.setOriginal(file);
         if (!item.original && COMMON.includes(format)) {
           const words = `This ${format} is damaged, or too large for this browser.`;
-          item.tell({ state: "failed", words, isUnread: true });
+          item.update({ state: "failed", words, isUnread: true });
         } else if (items.includes(item)) item.encode(budget());
       }
     } catch (error) {
-      item.tell({ state: "failed", words: `The file cannot be opened: ${error.message}` });
+      item.update({ state: "failed", words: `The file cannot be opened: ${error.message}` });
     }
   }
-  tellRows();
+  refreshRows();
 }
 
 async function again() {
   const item = added(current.name);
   const { source, format } = current;
   item.format = format;
-  item.state = "sending"; // before a second click
+  item.state = "sending"; // so that a second click has no effect
   show(item);
   await item.setOriginal(source);
   if (item.busy) item.encode(budget());
 }
 
-/** What the address names. */
+/** Show the picture in the address. */
 function begin() {
   const wanted = location.hash.slice(1);
   address = wanted;
@@ -194,7 +194,7 @@ function begin() {
   if (!wanted || SAMPLES.includes(wanted)) sample(wanted || SAMPLES[0]);
   else if (known) {
     show(known);
-    tellRows();
+    refreshRows();
   } else if (/^[0-9a-f]{32}$/.test(wanted)) {
     const item = added("photograph");
     item.id = wanted;
@@ -207,11 +207,11 @@ function begin() {
   } else {
     const item = added("photograph");
     show(item);
-    item.tell({ state: "failed", words: "No picture has this address: it may have been cut off." });
+    item.update({ state: "failed", words: "No picture has this address: it may have been cut off." });
   }
 }
 
-/** To the clipboard, also where the page came by plain HTTP. */
+/** Copy to the clipboard, also on pages loaded by plain HTTP. */
 async function copy(text) {
   if (navigator.clipboard) return navigator.clipboard.writeText(text);
   const area = element("textarea", { value: text });
@@ -262,7 +262,7 @@ $("snippet").addEventListener("click", () => take(copyHtml));
 $("show-wall").addEventListener("click", async () => (await import("./wall/wall.js")).showWall($("wall")));
 addEventListener("hashchange", begin);
 
-/** Once the empty page has been painted, which WebGL and workers would hold up. */
+/** Start after the empty page has been painted, which WebGL and workers would delay. */
 requestAnimationFrame(() =>
   setTimeout(() => {
     begin();

@@ -1,4 +1,4 @@
-// Elements of the page by their id, and a way to make new ones.
+// Helpers for elements of the page, workers and tasks.
 
 export const $ = (id) => document.getElementById(id);
 
@@ -15,8 +15,8 @@ export function element(tag, properties = {}, ...children) {
 
 const later = new WeakMap(); // parts that are to be refilled, and the timers that do it
 
-/** Replace what a part holds; the focus stays on the button at the same place. A button that is pressed is not replaced
- * before it is let go, since it would never be clicked. */
+/** Replace the children of a part, and keep the focus on the button at the same place. While a button is pressed this
+ * waits, since a replaced button is never clicked. */
 export function refill(part, children) {
   clearTimeout(later.get(part));
   if (part.querySelector("button:active")) {
@@ -31,7 +31,7 @@ export function refill(part, children) {
 
 export const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
-/** Calls of a worker, which starts with the first, each with a promise of its answer. */
+/** A worker that starts with the first call. Each call returns a promise of the answer. */
 export class Remote {
   #calls = new Map();
   #next = 0;
@@ -67,7 +67,7 @@ export class Remote {
   }
 }
 
-/** Runs one task at a time, and of those that wait only the last. */
+/** Run one call at a time, and of the waiting calls only the last. */
 export function latest(task) {
   let [busy, waiting] = [false, null];
   return async function run(...given) {

@@ -8,15 +8,15 @@ export const SAMPLES = ["coffee", "astronaut", "cat"];
 export const THUMBNAIL_WIDTH = 216;
 const at = (name, suffix) => `static/samples/${name}.${suffix}`;
 
-/** Fill an item with a sample: first the .sg file, which is the smallest. */
+/** Load a sample into an item, the small .sg file first. */
 export async function openSample(item, sample) {
   const bytes = await bytesOf(at(sample, "sg"));
-  Object.assign(item, { sample, url: at(sample, "sg"), rivalUrls: { avif: at(sample, "avif") } });
+  Object.assign(item, { sample, url: at(sample, "sg"), otherUrls: { avif: at(sample, "avif") } });
   await item.setFile(bytes);
   await item.setOriginal(await (await ask(at(sample, "webp"))).blob());
 }
 
-/** The buttons: each picture is drawn from its .sg file, a few kilobytes. */
+/** Show the buttons, each with a picture drawn from an .sg file of a few kilobytes. */
 export async function showSamples(opened, thumbnail) {
   const buttons = SAMPLES.map((sample) => {
     const canvas = element("canvas", { width: THUMBNAIL_WIDTH, height: 144 });

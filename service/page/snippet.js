@@ -1,11 +1,11 @@
-// HTML that holds a picture and the decoder that draws it.
+// HTML with a picture and the decoder that draws it.
 
 import { ask } from "./api.js";
 import { withoutSuffix } from "./words.js";
 
 const SOURCES = ["models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
-/** HTML that shows a picture from its .sg file, and needs no other file. The picture's name is its label. */
+/** HTML that shows a picture from its .sg file, without other files. The label is the picture's name. */
 export async function snippetOf(item) {
   const sources = await Promise.all(SOURCES.map(async (name) => (await ask(`static/sgmethod/${name}.js`)).text()));
   const decoder = sources
@@ -19,8 +19,8 @@ export async function snippetOf(item) {
   const [width, height] = item.size;
   const id = `sg-${Math.random().toString(36).slice(2)}`; // one page may hold several
   const name = withoutSuffix(item.name).replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
-  const looks = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
-  return `<canvas id="${id}" ${looks} role="img" aria-label="${name}"></canvas>
+  const size = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
+  return `<canvas id="${id}" ${size} role="img" aria-label="${name}"></canvas>
 <script type="module">
 ${decoder}
 const file = Uint8Array.from(atob("${btoa(binary)}"), (letter) => letter.charCodeAt(0));

@@ -1,4 +1,4 @@
-// Numbers as people say them.
+// Numbers in words.
 
 export function size(bytes) {
   if (bytes < 1000) return `${bytes} B`;
@@ -21,14 +21,13 @@ export function seconds(s) {
   return whole < 60 ? `${whole} s` : `${Math.floor(whole / 60)} min ${whole % 60} s`;
 }
 
-/** About how many Gaussians a file of this size holds: 2.4 to 4 bytes each were seen. How good the picture will be
- * depends on what it shows, and is not promised. */
+/** Estimate the number of Gaussians in a file: each takes 2.4 to 4 bytes. */
 export function expected(bytes) {
   const gaussians = Math.max(1, Number(Math.max(bytes / 3.3 - 5, 1).toPrecision(2)));
   return `about ${count(gaussians)} Gaussians${gaussians < 50 ? ", too few for more than a rough idea of it" : ""}`;
 }
 
-/** How close a file has come, by its SSIM. Bounds from 0.05 to 2 bits per pixel. */
+/** Describe an SSIM. The bounds come from files of 0.05 to 2 bits per pixel. */
 export function closeness(ssim) {
   if (ssim < 0.72) return "a rough idea of the original";
   return ssim < 0.97 ? "fine detail is lost" : "hardly different from the original";

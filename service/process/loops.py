@@ -1,4 +1,4 @@
-"""What loops need: a request to stop, made by a signal, and rounds that go on whatever happens to one of them."""
+"""Loops that a signal stops, and that no exception ends."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from service.errors import JobTableError
 from service.logs import log_seldom
 
 log = logging.getLogger(__name__)
@@ -19,7 +20,7 @@ failures: Counter[str] = Counter()  # of this process, by what has failed; /metr
 
 
 class StopSignal:
-    """Set by a signal handler or another thread, waited for by the main loop.
+    """A request to stop, set by a signal handler or another thread, and awaited by the main loop.
 
     Not a threading.Event: its set() takes a lock that the interrupted wait() may hold.
     """
@@ -34,45 +35,41 @@ class StopSignal:
         os.write(self._write_end, b"!")
 
     def wait(self, timeout_s: float) -> bool:
-        """Sleep for that many seconds, or until stopping is requested. Returns whether it is."""
+        """Sleep for timeout_s seconds, or until stopping is requested. Returns whether it is."""
         if not self.requested:
             select.select([self._read_end], [], [], timeout_s)
         return self.requested
 
     def fileno(self) -> int:
-        """A descriptor that can be read from once stopping is requested, for loops that wait for descriptors."""
+        """Return a descriptor that is readable once stopping is requested."""
         return self._read_end
 
     def on_signals(self) -> None:
-        """Let SIGTERM and SIGINT make the request."""
+        """Request a stop on SIGTERM and SIGINT."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda _number, _frame: self.request())
 
 
-class TryLaterError(Exception):
-    """What was to be done cannot be done just now; trying again later may succeed."""
-
-
 @contextmanager
-def survived(what: str) -> Iterator[None]:
-    """Log an exception, so that the thread or task goes on with its next round; one that nobody foresaw is counted.
+def log_errors(what: str) -> Iterator[None]:
+    """Log any exception so that the loop continues. Unexpected exceptions also increment a metric.
 
-    Wrap one round of a loop in it. A thread or task that ends by an exception otherwise ends in silence.
+    Wrap each round of a loop in it: a thread or task that an exception ends would otherwise end in silence.
     """
     try:
         yield
-    except (TryLaterError, OSError) as error:
+    except (JobTableError, OSError) as error:
         log_seldom(log, f"{what} has to wait: %s", error)
     except Exception:
         failures[what] += 1
         log.exception("%s failed unexpectedly and will be tried again", what)
 
 
-class Rounds(threading.Thread):
-    """Background work in rounds, until stopping is requested. Each that fails is followed by another.
+class PeriodicThread(threading.Thread):
+    """Repeats background work until stopping is requested, whatever a round raises.
 
-    name: what is done, for the log; do: one round, which tells whether the next is to follow at once; pause_s: else
-    seconds until then; at_end: what is done last.
+    name: for the log; do: one round, which returns whether to start the next at once; pause_s: otherwise the pause in
+    seconds; at_end: called last.
     """
 
     def __init__(
@@ -90,11 +87,11 @@ class Rounds(threading.Thread):
         self._at_end = at_end
 
     def run(self) -> None:
-        while not self._until.wait(0.0 if self._survived(self._do) else self._pause_s):
+        while not self._until.wait(0.0 if self._run_logged(self._do) else self._pause_s):
             pass
-        self._survived(self._at_end)
+        self._run_logged(self._at_end)
 
-    def _survived(self, step: Callable[[], bool | None]) -> bool:
-        with survived(self.name):
+    def _run_logged(self, step: Callable[[], bool | None]) -> bool:
+        with log_errors(self.name):
             return bool(step())
         return False

@@ -1,7 +1,7 @@
-"""Runs the sandbox, the web process and the workers, replaces those that die, and stops them all together.
+"""Runs the sandbox, the web process and the workers, restarts those that die, and stops them all together.
 
-The supervisor opens the listening socket and lends it to the web process: while a dead web process is being
-replaced, connections wait in the socket's queue and are not refused.
+The supervisor opens the listening socket and passes it to the web process: while a dead web process is being replaced,
+connections wait in the socket's queue and are not refused.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its star
 
 
 class Supervised:
-    """One process that is to run; when it dies it is started anew, ever more slowly if it keeps dying."""
+    """A process that is restarted when it dies, with growing pauses if it keeps dying."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class Supervised:
         )
 
     def keep_alive(self) -> None:
-        """Start the process again if it is dead and its pause is over."""
+        """Restart the process if it is dead and its pause is over."""
         status = self.process.poll()
         if status is None:
             return
@@ -73,7 +73,7 @@ class Supervised:
         log.error("%s %s; next try in %.1f s", self.name, why, self._pause_s)
 
     def stop(self, deadline: float) -> None:
-        """Wait for the end until deadline (monotonic seconds), then force it."""
+        """Wait until deadline (monotonic seconds) for the process to end, then kill it."""
         try:
             self.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
@@ -85,9 +85,9 @@ class Supervised:
 def supervise(
     settings: Settings, listener: socket.socket, sandbox: Supervised, requests: socket.socket, stop: StopSignal
 ) -> None:
-    """Run web process and workers until stopping is requested; when this returns, they and the sandbox have ended.
+    """Run the web process and workers until stopping is requested. When this returns, they and the sandbox have ended.
 
-    requests: the socket into which they write what the sandbox is to do.
+    requests: socket for requests to the sandbox.
     """
     service, sockets = [sys.executable, "-m", "service"], (requests.fileno(), listener.fileno())
     names = ["--supervisor", str(os.getpid()), "--sandbox", str(requests.fileno())]
@@ -107,7 +107,7 @@ def supervise(
 
 
 def listen(settings: Settings) -> socket.socket:
-    """A listening socket at the host and port of the settings. Raises OSError, as when the port is taken."""
+    """Open a listening socket at the host and port of the settings. Raises OSError, as when the port is in use."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     try:
         return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
@@ -117,7 +117,7 @@ def listen(settings: Settings) -> socket.socket:
 
 
 def url(listener: socket.socket) -> str:
-    """Where the socket can be reached."""
+    """Return the URL of the socket."""
     host, port = listener.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 

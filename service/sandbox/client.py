@@ -1,4 +1,4 @@
-"""The clients' side of the sandbox: it is started, a task is sent, its answer is read and checked."""
+"""The clients' side of the sandbox: starting it, sending tasks, reading and checking answers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from service.process.loops import Rounds, StopSignal
+from service.process.loops import PeriodicThread, StopSignal
 from service.process.supervisor import WATCH_S, Supervised
 from service.sandbox.confinement import environment
 from service.sandbox.frames import (
@@ -35,28 +35,28 @@ from sgmethod import errors
 log = logging.getLogger(__name__)
 
 READ_BYTES = 1 << 18
-# A task ends its process when it has had its seconds of a core. These are for a machine without any to spare.
+# A task's own limit counts processor time. This one is for machines with none to spare.
 PATIENCE_S = 60.0
-TRIES = 2  # a process may have died of something else than its task
+TRIES = 2  # a process may have died for another reason than its task
 EARLY_END = b"!"
 TINY_IMAGE = b"P6 1 1 255 rgb"
 MODULE = "service.sandbox.server"
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 ENDS_S = 2.0
-# A fork begins with no memory of its own: in pages of 2 MB, the picture of 768x512 takes 800 page faults, not 2,000.
+# A fork starts without memory of its own: with pages of 2 MB, a picture of 768x512 takes 800 page faults, not 2,000.
 HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 
 
-class SandboxGoneError(OSError):
-    """The sandbox has died, or cannot be started; it is tried again. No fault of the task."""
+class SandboxUnavailableError(OSError):
+    """The sandbox has died or cannot be started, through no fault of the task. Trying again may help."""
 
 
 class TaskError(Exception):
-    """A task came to nothing through no fault of the service: one sentence."""
+    """A task failed through no fault of the service; one sentence."""
 
 
 class RefusedError(TaskError):
-    """The file, or what is asked of it, was refused. kind: the class of the error, of sgmethod.errors."""
+    """The codec refused the file or the options. kind: a class of sgmethod.errors."""
 
     def __init__(self, kind: type[Exception], detail: str) -> None:
         super().__init__(detail)
@@ -64,27 +64,27 @@ class RefusedError(TaskError):
 
 
 class Sandbox:
-    """Where tasks are sent. requests: a socket that the sandbox reads, though it may be dead for a moment."""
+    """Sends tasks to the sandbox. requests: a socket that it reads, though it may be restarting."""
 
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
 
     def start(self, task: Task, file: BinaryIO) -> RunningTask:
-        """A new task, which reads the open file from its beginning. Raises SandboxGoneError."""
+        """Start a task, which reads the open file from its beginning. Raises SandboxUnavailableError."""
         ours, theirs = socket.socketpair()
         with theirs:
             try:
                 message, descriptors = task.model_dump_json().encode(), [theirs.fileno(), file.fileno()]
                 socket.send_fds(self._requests, [message], descriptors, socket.MSG_DONTWAIT)
-            except OSError as error:  # as when it has not read for long
+            except OSError as error:  # as when its queue is full
                 ours.close()
-                raise SandboxGoneError(f"the sandbox takes no task: {error}") from error
+                raise SandboxUnavailableError(f"the sandbox takes no task: {error}") from error
         return RunningTask(task, ours)
 
-    async def ask(self, task: Task, file: BinaryIO) -> Result:
-        """The result of a task, which ends when the caller is cancelled.
+    async def ask(self, task: Task, file: BinaryIO) -> Result[Any]:
+        """Return the result of a task, which ends when the caller is cancelled.
 
-        Raises RefusedError, TaskError, SandboxGoneError.
+        Raises RefusedError, TaskError, SandboxUnavailableError.
         """
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
@@ -92,9 +92,9 @@ class Sandbox:
                     outcome = await asyncio.wait_for(running.outcome(), max(PATIENCE_S, 4 * task.cpu_s))
                 except TimeoutError:
                     if not running.begun:
-                        raise SandboxGoneError("the sandbox cannot be started") from None
+                        raise SandboxUnavailableError("the sandbox cannot be started") from None
                     raise TaskError("it exceeds the time limit") from None
-                except SandboxGoneError:
+                except SandboxUnavailableError:
                     if left:
                         continue
                     raise
@@ -112,7 +112,7 @@ class Sandbox:
         raise TaskError("its decoder crashed")
 
     async def try_out(self, patience_s: float) -> None:
-        """Have it read the header of a tiny image. Raises TaskError, OSError."""
+        """Read the header of a tiny image. Raises TaskError, OSError."""
         with tempfile.TemporaryFile() as file:
             file.write(TINY_IMAGE)
             file.flush()
@@ -120,11 +120,11 @@ class Sandbox:
             try:
                 await asyncio.wait_for(self.ask(task, file), patience_s)
             except TimeoutError:
-                raise SandboxGoneError("the sandbox does not answer") from None
+                raise SandboxUnavailableError("the sandbox does not answer") from None
 
 
 class RunningTask:
-    """A task under way. Leaving the context ends it. begun: whether the sandbox is known to do it."""
+    """A running task, ended when the context is left. begun: whether the sandbox has started it."""
 
     def __init__(self, task: Task, connection: socket.socket) -> None:
         self._connection = connection
@@ -139,16 +139,16 @@ class RunningTask:
         self._connection.close()
 
     def read(self, timeout_s: float) -> list[Message]:
-        """The messages that have come in. Waits timeout_s seconds at most for one to come.
+        """Return the messages that have arrived, after waiting at most timeout_s seconds for one.
 
-        Raises FrameError if the task says what it may not, and SandboxGoneError.
+        Raises FrameError for an invalid frame, and SandboxUnavailableError.
         """
         if not select.select([self._connection], [], [], timeout_s)[0]:
             return []
         return self._taken(self._received())
 
     async def outcome(self) -> Message:
-        """The message that ends the task; Crashed for one that says what it may not. Raises SandboxGoneError."""
+        """Return the message that ends the task; Crashed after an invalid frame. Raises SandboxUnavailableError."""
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -156,13 +156,13 @@ class RunningTask:
             except ConnectionError:
                 messages = self._taken(b"")
             except FrameError as error:
-                return Crashed(detail=f"it spoke nonsense: {error}")
+                return Crashed(detail=f"it sent an invalid message: {error}")
             if messages:
                 return messages[0]
 
     def end_early(self) -> None:
-        """Ask it to end soon with what it has. To ask again changes nothing."""
-        with contextlib.suppress(OSError):  # it has not heard what it was told, or has ended
+        """Ask the task to end soon with what it has. Repeated calls have no effect."""
+        with contextlib.suppress(OSError):  # it has ended, or has not read the last request
             self._connection.send(EARLY_END)
 
     def _received(self) -> bytes:
@@ -173,28 +173,28 @@ class RunningTask:
 
     def _taken(self, data: bytes) -> list[Message]:
         if not data:
-            raise SandboxGoneError("the sandbox has died")
+            raise SandboxUnavailableError("the sandbox has died")
         messages = self._reader.take(data)
         self.begun |= any(isinstance(message, Begun) for message in messages)
         return [message for message in messages if not isinstance(message, Begun)]
 
 
 class SandboxProcess(Supervised):
-    """The process of the sandbox. requests: the socket into which its clients write.
+    """The process of the sandbox. requests: socket that its clients write to; threads: of an encode.
 
-    What they write while it is dead is done by its successor. threads: of an encode.
+    Requests written while it is dead are handled by its successor.
     """
 
     def __init__(self, threads: int) -> None:
         self.requests, self._served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        # Libraries read these when they are loaded. OpenBLAS's threads would be lost in forks.
+        # Libraries read these when they load. OpenBLAS has one thread, since forks would lose the others.
         variables = {**dict.fromkeys(THREAD_VARIABLES, str(threads)), "OPENBLAS_NUM_THREADS": "1"}
         number = self._served.fileno()
         command = [sys.executable, "-m", MODULE, str(number)]
         super().__init__("sandbox", command, (number,), {**HUGE_PAGES, **environment(os.environ), **variables})
 
     def stop(self, deadline: float) -> None:
-        """Let it end, as it does once all its clients are gone."""
+        """Let it end, which it does when all its clients have closed their sockets."""
         self.requests.close()
         self._served.close()
         super().stop(deadline)
@@ -202,9 +202,9 @@ class SandboxProcess(Supervised):
 
 @contextlib.contextmanager
 def own_sandbox(threads: int) -> Iterator[socket.socket]:
-    """The requests of a sandbox that is this process's own, and ends with the context."""
+    """Run a sandbox for this process only, and provide its socket for requests."""
     process, ended = SandboxProcess(threads), StopSignal()
-    keeper = Rounds("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
+    keeper = PeriodicThread("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
     keeper.start()
     try:
         yield process.requests

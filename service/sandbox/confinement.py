@@ -1,14 +1,14 @@
-"""Confines a process that is about to read what a stranger sent.
+"""Confine a process that is about to read an upload.
 
-Its layers, each of which holds without the others as far as it reaches:
+The layers, each of which holds without the others as far as it reaches:
 
     seccomp     only the system calls of filter.py
     Landlock    no file, no connection, no signal to another process
     limits      memory, time, files, threads
-    nobody      where the service runs as root, tasks do not
+    nobody      where the service runs as root, tasks run as this user
 
-Before that, a task has its file in memory, its descriptors closed and an environment without secrets. Two calls are
-made here, as no library that is kept up makes them.
+Before that, a task has its file in memory, its descriptors closed and an environment without secrets. Two system calls
+are made directly, as no maintained library makes them.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from pathlib import Path
 
 from service.sandbox import filter as calls
 
-# Where programs and libraries are looked for, languages, memory, and the kernels of OpenBLAS, on which the last digit
-# of a fit depends. Not what may be a secret.
+# Paths of programs and libraries, languages, memory, and OpenBLAS's kernels, on which the last digit of a fit depends.
+# Any other variable may be a secret.
 KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES", "OPENBLAS_")
-LAYERS = ("Landlock", "seccomp", "a user other than root")  # which a system may lack
+LAYERS = ("Landlock", "seccomp", "a user other than root")  # the layers that a system may lack
 NOBODY = 65_534
-LEEWAY_BYTES = 2 << 30  # of addresses: libraries, stacks and arenas of threads reserve more than they use
-PROBE_BYTES = 16 << 20  # for one that only confines itself
-MOST_THREADS, THREADS_STEP = 8192, 16  # of the user, whatever runs beside a task; how exactly they are counted
+LEEWAY_BYTES = 2 << 30  # of address space: libraries, stacks and arenas reserve more than they use
+PROBE_BYTES = 16 << 20  # for the fork of absent_layers()
+MAX_USER_THREADS, THREADS_STEP = 8192, 16  # all threads of the user; precision of the count
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
     *(resource.RLIMIT_MEMLOCK, resource.RLIMIT_MSGQUEUE),
@@ -54,27 +54,27 @@ _libc = ctypes.CDLL(None, use_errno=True)  # opened here: a fork that is confine
 
 
 def environment(given: Mapping[str, str]) -> dict[str, str]:
-    """What a confined process may know of an environment: nothing of the service's settings or keys."""
+    """Return the variables that a confined process may see: none of the service's settings or keys."""
     return {name: value for name, value in given.items() if name.startswith(KEPT_VARIABLES)}
 
 
 def set_name(name: str) -> None:
-    """What this process is called in lists of processes, which show the beginning of it."""
+    """Set the name of this process in process lists, which show its first 15 bytes."""
     _libc.prctl(calls.SET_NAME, name.encode(), 0, 0, 0)
 
 
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:
-    """Let the system send this process the signal when its parent has ended, however that ended."""
+    """Have the system send this process a signal when its parent ends, for whatever reason."""
     _libc.prctl(SET_PARENT_DEATH_SIGNAL, number, 0, 0, 0)
-    if os.getppid() != parent:  # it has ended just before
+    if os.getppid() != parent:  # it ended before the call above
         os.kill(os.getpid(), number)
 
 
 def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[str]:
-    """Confine this process, for good; returns the LAYERS that the system does not offer.
+    """Confine this process irreversibly. Returns the LAYERS that the system lacks.
 
-    memory_bytes: more than it has; cpu_s: seconds of a core until it ends by SIGPROF; threads: that it may start, give
-    or take THREADS_STEP; parent: with which it ends.
+    memory_bytes: beyond its present size; cpu_s: seconds of a core until SIGPROF ends it; threads: that it may start,
+    give or take THREADS_STEP; parent: process that it ends with.
     """
     is_other = os.geteuid() != 0 or _become_nobody()
     most_threads = _threads_of_user() + threads
@@ -85,65 +85,63 @@ def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[
     _limit(
         {
             resource.RLIMIT_DATA: data + memory_bytes,
-            resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # whatever kind of memory it is
-            resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for one that does not listen to the timer
-            resource.RLIMIT_NPROC: most_threads,  # a bomb of threads would take those of all, and the system's memory
+            resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # memory of every kind
+            resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for a task that blocks the timer's signal
+            resource.RLIMIT_NPROC: most_threads,  # else one task could use up the user's threads
             **dict.fromkeys(NOTHING, 0),
         }
     )
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
-    end_with(parent)  # which a change of user takes back
-    seccomp = _refuse_calls()  # last, as it allows none of the above
+    end_with(parent)  # again: changing the user undid it
+    seccomp = _refuse_calls()  # last: it forbids the calls above
     return [name for name, holds in zip(LAYERS, (landlock, seccomp, is_other), strict=True) if not holds]
 
 
 def absent_layers() -> list[str]:
-    """The layers that this system does not offer, found out by a fork of this process, which has one thread still.
+    """Return the layers that this system lacks, tried in a fork. Call it while this process has a single thread.
 
-    Raises SandboxError if it cannot be confined at all.
+    Raises SandboxError if the fork cannot be confined at all.
     """
-    told, tell = os.pipe()
+    read_end, write_end = os.pipe()
     parent = os.getpid()
     child = os.fork()
     if child == 0:
         try:
-            os.write(tell, ", ".join(confine(PROBE_BYTES, 1.0, 0, parent)).encode())
+            os.write(write_end, ", ".join(confine(PROBE_BYTES, 1.0, 0, parent)).encode())
             os._exit(0)
         finally:
             os._exit(1)
-    os.close(tell)
-    with os.fdopen(told) as pipe:
+    os.close(write_end)
+    with os.fdopen(read_end) as pipe:
         absent = pipe.read()
     _, status = os.waitpid(child, 0)
     if status:
-        raise SandboxError("what reads uploads cannot be confined on this system")
+        raise SandboxError("processes that read uploads cannot be confined on this system")
     return list(filter(None, absent.split(", ")))
 
 
 class SandboxError(Exception):
-    """The sandbox cannot be set up, or lacks a layer that must not be missing; one sentence."""
+    """The sandbox cannot be set up, or lacks a required layer; one sentence."""
 
 
 def check_layers(*, required: bool) -> list[str]:
-    """Sentences on what the system does not offer, and on root. Raises SandboxError if a layer that is required is
-    missing.
-    """
+    """Return warnings about missing layers and about root. Raises SandboxError if a required layer is missing."""
     layers = absent_layers()
     absent = " and ".join(layers)
     if absent and required:
         raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
-    root = "the service runs as root" + "; what reads uploads runs as nobody" * (LAYERS[-1] not in layers)
+    root = "the service runs as root" + "; the processes that read uploads run as nobody" * (LAYERS[-1] not in layers)
     return missing + [root] * (os.geteuid() == 0)
 
 
 def _threads_of_user() -> int:
-    """How many threads the user of this process has, or up to THREADS_STEP more.
+    """Return the number of threads of this process's user, or up to THREADS_STEP more.
 
-    The system limits those of a user, not of a process, and tells how many there are only by refusing the next one.
+    The system limits threads by user, not by process, and reveals their number only by refusing the next one.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
-    end = MOST_THREADS if hard == resource.RLIM_INFINITY else min(hard, MOST_THREADS)
+    end = MAX_USER_THREADS if hard == resource.RLIM_INFINITY else min(hard, MAX_USER_THREADS)
     for limit in range(THREADS_STEP, end, THREADS_STEP):
         resource.setrlimit(resource.RLIMIT_NPROC, (limit, hard))
         one_more = threading.Thread(target=int)
@@ -168,7 +166,7 @@ def _become_nobody() -> bool:
         os.setgroups([])
         os.setresgid(NOBODY, NOBODY, NOBODY)
         os.setresuid(NOBODY, NOBODY, NOBODY)
-    except OSError:  # as in a container that knows no such user
+    except OSError:  # as in a container without this user
         return False
     return True
 

@@ -32,7 +32,7 @@ NUMBERS: dict[str, tuple[int | None, int | None]] = {
 
 MAP_TYPE, MAP_PRIVATE, MAP_GROWSDOWN, MAP_HUGETLB = 0xF, 0x2, 0x100, 0x40000
 # What glibc and musl give to a new thread: VM, FS, FILES, SIGHAND, THREAD, SYSVSEM, SETTLS, PARENT_SETTID,
-# CHILD_CLEARTID; musl adds DETACHED, which means nothing any more.
+# CHILD_CLEARTID; musl adds DETACHED, which is obsolete.
 THREAD, DETACHED = 0x3D0F00, 0x400000
 SET_NAME = 15  # of prctl
 WHOLE = 0xFFFFFFFF
@@ -45,7 +45,7 @@ CALL_AT, ARCHITECTURE_AT, ARGUMENTS_AT = 0, 4, 16  # in struct seccomp_data
 
 @dataclass(frozen=True)
 class Check:
-    """An argument, 64 bits, of which the masked lower half is to be a value, and the upper half nothing."""
+    """A test of a 64-bit argument: its masked lower half equals a value, and its upper half is zero."""
 
     argument: int
     value: int
@@ -60,7 +60,7 @@ def _checks(process: int) -> dict[str, list[Check]]:
         "tgkill": [Check(0, process)],
         "prctl": [Check(0, SET_NAME)],
         "sched_getaffinity": [Check(0, 0)],
-        "prlimit64": [Check(0, 0), Check(2, 0)],  # its own, and nothing new
+        "prlimit64": [Check(0, 0), Check(2, 0)],  # of this process, and only to read
     }
 
 
@@ -68,7 +68,7 @@ Step = tuple[int, int, int, int]  # code, steps to skip if true, steps to skip i
 
 
 def steps(machine: str, process: int) -> list[Step]:
-    """The filter for a process of that number on a machine, as platform.machine() names it. Raises KeyError."""
+    """Return the filter for a process number and a machine, as platform.machine() names it. Raises KeyError."""
     architecture = ARCHITECTURES[machine]
     place = list(ARCHITECTURES).index(machine)
     checks = _checks(process)
@@ -81,7 +81,7 @@ def steps(machine: str, process: int) -> list[Step]:
     for name, numbers in NUMBERS.items():
         number = numbers[place]
         if number is not None:
-            # The C library falls back to clone, whose flags can be seen.
+            # The C library falls back to clone, whose flags this filter can check.
             answer = ABSENT if name == "clone3" else ALLOW
             block = [*(step for check in checks.get(name, ()) for step in _checked(check)), (RETURN, 0, 0, answer)]
             program += [(EQUAL, 0, len(block), number), *block]
@@ -102,5 +102,5 @@ def _checked(check: Check) -> list[Step]:
 
 
 def program(machine: str, process: int) -> bytes:
-    """The filter as the kernel reads it. Raises KeyError for a machine of another architecture."""
+    """Return the filter as the kernel reads it. Raises KeyError for a machine of another architecture."""
     return b"".join(struct.pack("=HBBI", *step) for step in steps(machine, process))

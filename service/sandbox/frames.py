@@ -1,22 +1,15 @@
 """What passes between the sandbox and its clients.
 
-A client sends a task as one message of JSON, with two descriptors: a socket for the answer, and the file to read.
-It closes the socket to have the task ended, and writes a byte into it to have an encode end early, with what it has.
+A client sends a task as one message of JSON, with two descriptors: a socket for the answer, and the file to read. It
+closes the socket to end the task, and writes a byte into it to make an encode end early with what it has.
 
-The answer is frames: a letter, the payload's length (32 bits, big-endian) and the payload.
+The answer is a sequence of frames. A frame is the lengths of its two parts (4 bytes each, big-endian), a message in
+JSON, and a file, which most messages do not have. Begun comes first and Ended last. Between them, an encode sends
+TracePoint and Preview; every task sends Result, Refused or Crashed once.
 
-    B  the task has begun            from the sandbox itself, first
-    T  a trace point (JSON)          any number of times
-    P  a bitstream of what there is  now and then
-    S  figures (JSON)                and with a file or without one, that is the result
-    F  a file, the end of the result
-    R  a refusal (JSON)              in place of a result
-    C  the words of a crash (JSON)   in place of a result
-    E  how its process ended (JSON)  from the sandbox itself, last
-
-Tasks may have been taken over by what they read. Each says how many frames and bytes may come of it, and on how many
-threads. A frame too many, one that is too long or says something else than it may, and a result that is not what was
-asked for are the end of the task for its client, which learns of it as FrameError.
+A file may have taken over the task that reads it, so every frame is checked. Each task names the messages that it may
+send, the length of its files and the number of its frames. Anything else raises FrameError in the client, which closes
+the socket.
 """
 
 from __future__ import annotations
@@ -24,134 +17,123 @@ from __future__ import annotations
 import math
 import signal
 import struct
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
+from service.pictures import ComparisonFormat, PictureFormat, PictureOptions
 from sgmethod.errors import BitstreamError, ImageError
 from sgmethod.io.formats import name_of
 from sgmethod.io.pictures import SUFFIXES
 
-END_EARLY = signal.SIGUSR1  # how the sandbox tells an encode
-FRAME_HEADER = struct.Struct(">cI")
-TASK_BYTES = 1 << 16  # the longest task
+END_EARLY = signal.SIGUSR1  # sent by the sandbox to an encode that is to end early
+FRAME_HEADER = struct.Struct(">II")
+MAX_TASK_BYTES = MAX_MESSAGE_BYTES = 1 << 16
 FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than both together
 PICTURE_BYTES_PER_PIXEL = 4  # PNG of noise, one pixel wide; JPEG of thin noise takes more, which the first MB covers
-FORMAT_BYTES = 256  # of a file, which tell its format
-SENTENCE_LENGTH = 1000
-# Of an encode: 10 points of the trace and a preview in each second, and its time limit is not the end of it.
-FRAMES, FRAMES_PER_S = 1000, 30
+FORMAT_BYTES = 256  # the start of a file, which tells its format
+MAX_SENTENCE_LENGTH = 1000
+MAX_FRAMES = 3  # Begun, the outcome, Ended
+# An encode sends 10 trace points and a preview a second, and may run for longer than its time limit.
+MAX_ENCODE_FRAMES, MAX_ENCODE_FRAMES_PER_S = 1000, 30
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
 PICTURE_THREADS = 2
 LIBRARIES = 4  # that may have a pool of threads each: the kernels, OpenCV, and PyTorch two
 
 Count = Annotated[int, Field(ge=0, le=2**53)]  # which every database and JSON can hold
+Sentence = Annotated[str, Field(max_length=MAX_SENTENCE_LENGTH)]
+Figure = float | None
+File = Annotated[bytes, Field(exclude=True)]  # follows the JSON
+Refusal = Literal["ImageError", "BitstreamError", "ViewError", "BudgetError", "SgError", "MemoryError"]
+REFUSALS = get_args(Refusal)
 
 
 class FrameError(ValueError):
-    """A task said something that it may not say: one sentence."""
+    """A task sent something that it may not send; one sentence."""
 
 
 class Model(BaseModel):
-    """Takes nothing that it does not know."""
+    """A message or a task, which has no unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Frame(Model):
-    """One frame of JSON. letter: by which it is known; longest: its payload in bytes."""
+class Begun(Model):
+    """The task has a process."""
 
-    letter: ClassVar[bytes]
-    longest: ClassVar[int] = 1 << 12
-
-
-class Figures(Frame):
-    """The figures of a result."""
-
-    letter = b"S"
-    longest = 1 << 16
+    kind: Literal["begun"] = "begun"
 
 
-class Task(Model):
-    """What to do with a file, and what it may take.
+class TracePoint(Model):
+    """Progress of a fit: sgmethod.TracePoint.to_dict()."""
 
-    memory_bytes: more than the codec itself takes; cpu_s: seconds of a core; max_pixels: of what is read or drawn;
-    threads: that each library computes on.
-    """
-
-    memory_bytes: int
-    cpu_s: float
-    max_pixels: int
-    threads: int = PICTURE_THREADS
-
-    answer: ClassVar[type[Figures] | None] = None  # None for a file without figures
-    gives_file: ClassVar[bool] = True
-    bytes_per_pixel: ClassVar[int] = PICTURE_BYTES_PER_PIXEL
-
-    @property
-    def file_bytes(self) -> int:
-        """The longest file it may send."""
-        return FILE_BYTES + self.bytes_per_pixel * self.max_pixels if self.gives_file else 0
-
-    @property
-    def most_frames(self) -> int:
-        """How many frames it may send: that it has begun, figures, a file, how it ended."""
-        return 4
-
-    @property
-    def most_threads(self) -> int:
-        """How many threads it may have."""
-        return LIBRARIES * self.threads
-
-    def check(self, figures: Any, file: bytes) -> None:
-        """Raises FrameError unless this can be what was asked for."""
-        if figures is not None and figures.width * figures.height > self.max_pixels:
-            raise FrameError("an image of more pixels than are allowed")
+    kind: Literal["trace"] = "trace"
+    seconds: float
+    step: Count
+    steps: Count
+    psnr: Figure
+    bytes: Count
+    gaussians: Count
+    phase: str = Field(max_length=20)
 
 
-class HeaderFigures(Figures):
-    """The answer of ReadHeader: what an image's header says."""
+class Preview(Model):
+    """The bitstream of a fit that is still running."""
+
+    kind: Literal["preview"] = "preview"
+    file: File = b""
+
+
+class Refused(Model):
+    """The codec refused the file or the options. error: the name of a class in sgmethod.errors, or MemoryError."""
+
+    kind: Literal["refused"] = "refused"
+    error: Refusal
+    detail: Sentence
+
+
+class Crashed(Model):
+    """The task raised an unexpected exception; one sentence."""
+
+    kind: Literal["crashed"] = "crashed"
+    detail: Sentence
+
+
+class Ended(Model):
+    """The task's process has ended. status: as subprocess.Popen.returncode."""
+
+    kind: Literal["ended"] = "ended"
+    status: int = Field(ge=-signal.NSIG, le=255)
+
+
+Figures = TypeVar("Figures")
+
+
+class Result(Model, Generic[Figures]):
+    """The task is done."""
+
+    kind: Literal["result"] = "result"
+    figures: Figures
+    file: File = b""
+
+
+Outcome = Begun | Refused | Crashed | Ended  # of any task
+Message = Outcome | TracePoint | Preview | Result[Any]
+KIND = Field(discriminator="kind")
+
+
+class HeaderFigures(Model):
+    """The header of an image."""
 
     format: str = Field(max_length=20)
     width: int = Field(ge=1)
     height: int = Field(ge=1)
 
 
-class ReadHeader(Task):
-    """Read an image's header."""
-
-    kind: Literal["header"] = "header"
-    answer = HeaderFigures
-    gives_file = False
-
-
-class Draw(Task):
-    """Make a picture file of a bitstream. max_gaussians: of the bitstream."""
-
-    kind: Literal["draw"] = "draw"
-    options: PictureOptions
-    file_kind: PictureFormat = "png"
-    max_gaussians: int | None = None
-
-    def check(self, figures: Any, file: bytes) -> None:
-        _check_picture(file, self.file_kind)
-
-
-class MakeRival(Task):
-    """Make a picture file of an image, as large as its bitstream."""
-
-    kind: Literal["rival"] = "rival"
-    rival: Rival
-
-    def check(self, figures: Any, file: bytes) -> None:
-        _check_picture(file, self.rival.kind)
-
-
-class PreviewFigures(Figures):
-    """The answer of MakePreview, as Preview.to_dict() has it."""
+class PreviewFigures(Model):
+    """A preview: sgmethod.Preview.to_dict()."""
 
     text: str = Field(
         pattern="^[A-Za-z0-9_-]+$", description="base64url of an .sg file, for the preview attribute of an <sg-img>"
@@ -162,26 +144,8 @@ class PreviewFigures(Figures):
     dark: bool = Field(description="whether white text reads better on that colour than black")
 
 
-class MakePreview(Task):
-    """Make a preview of an image, of at most this many bytes."""
-
-    kind: Literal["preview"] = "preview"
-    most_bytes: int
-    answer = PreviewFigures
-    gives_file = False
-
-    def check(self, figures: Any, file: bytes) -> None:
-        super().check(figures, file)
-        if len(figures.text) * 3 // 4 > self.most_bytes:
-            raise FrameError("a preview of more bytes than are allowed")
-
-
-Sentence = Annotated[str, Field(max_length=SENTENCE_LENGTH)]
-Figure = float | None
-
-
-class EncodeFigures(Figures):
-    """The figures of an encode: Stats.to_dict() with advice, and what of the image was dropped."""
+class EncodeFigures(Model):
+    """The figures of an encode: sgmethod.Stats.to_dict(), advice, and notes on what was dropped from the image."""
 
     bytes: Count
     bpp: float
@@ -198,179 +162,177 @@ class EncodeFigures(Figures):
     effort: Count
     source_bytes: Count
     psnr_missed_db: Figure
-    looks_missed: Figure
+    quality_missed: Figure
     warnings: list[Sentence] = Field(max_length=20)
     advice: Sentence | None
     better: Literal["avif", "webp"] | None
-    notes: list[Sentence] = Field(default=[], max_length=20)
+    notes: list[Sentence] = Field(max_length=20)
+
+
+class Task(Model):
+    """What to do with a file, and the limits.
+
+    memory_bytes: beyond what the codec itself takes; cpu_s: seconds of one core; max_pixels: of the image that is read
+    or drawn; threads: of each library.
+    """
+
+    memory_bytes: int
+    cpu_s: float
+    max_pixels: int
+    threads: int = PICTURE_THREADS
+
+    messages: ClassVar[TypeAdapter[Any]] = TypeAdapter(Annotated[Outcome | Result[None], KIND])
+    bytes_per_pixel: ClassVar[int | None] = PICTURE_BYTES_PER_PIXEL  # None if the result has no file
+
+    @property
+    def max_file_bytes(self) -> int:
+        """Bytes of the longest file that it may send."""
+        return 0 if self.bytes_per_pixel is None else FILE_BYTES + self.bytes_per_pixel * self.max_pixels
+
+    @property
+    def max_frames(self) -> int:
+        """Number of frames that it may send."""
+        return MAX_FRAMES
+
+    @property
+    def max_threads(self) -> int:
+        """Number of threads that it may start."""
+        return LIBRARIES * self.threads
+
+    def check(self, result: Result[Any]) -> None:
+        """Raise FrameError if this cannot be the result of the task."""
+        figures = result.figures
+        if figures is not None and figures.width * figures.height > self.max_pixels:
+            raise FrameError("an image of more pixels than are allowed")
+
+
+class ReadHeader(Task):
+    """Read an image's header."""
+
+    kind: Literal["header"] = "header"
+    messages = TypeAdapter(Annotated[Outcome | Result[HeaderFigures], KIND])
+    bytes_per_pixel = None
+
+
+class Draw(Task):
+    """Draw a bitstream as a picture file. max_gaussians: of the bitstream."""
+
+    kind: Literal["draw"] = "draw"
+    options: PictureOptions
+    file_kind: PictureFormat = "png"
+    max_gaussians: int | None = None
+
+    def check(self, result: Result[Any]) -> None:
+        _check_picture(result.file, self.file_kind)
+
+
+class Compare(Task):
+    """Encode an image by another codec. size: bytes that the file is to have."""
+
+    kind: Literal["compare"] = "compare"
+    file_kind: ComparisonFormat
+    size: int
+
+    def check(self, result: Result[Any]) -> None:
+        _check_picture(result.file, self.file_kind)
+
+
+class MakePreview(Task):
+    """Make a preview of an image."""
+
+    kind: Literal["preview"] = "preview"
+    max_bytes: int
+    messages = TypeAdapter(Annotated[Outcome | Result[PreviewFigures], KIND])
+    bytes_per_pixel = None
+
+    def check(self, result: Result[Any]) -> None:
+        super().check(result)
+        if len(result.figures.text) * 3 // 4 > self.max_bytes:
+            raise FrameError("a preview of more bytes than are allowed")
 
 
 class Encode(Task):
-    """Encode an image. job_id: for operators, who see it in the process list; max_pixels: those of the image."""
+    """Encode an image of max_pixels pixels. job_id: for operators, who see it in the process list."""
 
     kind: Literal["encode"] = "encode"
     job_id: str
     request: EncodeRequest
     threads: int
-    answer = EncodeFigures
+    messages = TypeAdapter(Annotated[Outcome | TracePoint | Preview | Result[EncodeFigures], KIND])
     bytes_per_pixel = FILE_BYTES_PER_PIXEL
 
     @property
-    def most_frames(self) -> int:
-        return FRAMES + int(FRAMES_PER_S * self.request.time_limit_s)
+    def max_frames(self) -> int:
+        return MAX_ENCODE_FRAMES + int(MAX_ENCODE_FRAMES_PER_S * self.request.time_limit_s)
 
-    def check(self, figures: Any, file: bytes) -> None:
-        super().check(figures, file)
-        if figures.bytes != len(file):
+    def check(self, result: Result[Any]) -> None:
+        super().check(result)
+        if result.figures.bytes != len(result.file):
             raise FrameError("a file of another size than its figures say")
-        from sgmethod.bitstream.container import version_of  # needs the kernels, whose absence is told in one line
+        from sgmethod.bitstream.container import version_of  # needs the kernels, whose absence is reported at start
 
         try:
-            version_of(file)
+            version_of(result.file)
         except BitstreamError as error:
             raise FrameError(str(error)) from None
 
 
-AnyTask = Annotated[ReadHeader | Draw | MakeRival | MakePreview | Encode, Field(discriminator="kind")]
+AnyTask = Annotated[ReadHeader | Draw | Compare | MakePreview | Encode, KIND]
 
 
-class Begun(Frame):
-    """The task has a process."""
-
-    letter = b"B"
-
-
-class TracePoint(Frame):
-    """How far the fit is, as sgmethod's TracePoint has it."""
-
-    letter = b"T"
-    seconds: float
-    step: Count
-    steps: Count
-    psnr: Figure
-    bytes: Count
-    gaussians: Count
-    phase: str = Field(max_length=20)
-
-
-class Preview(Model):
-    """A bitstream of what there is so far."""
-
-    bitstream: bytes
-
-
-Refusal = Literal["ImageError", "BitstreamError", "ViewError", "BudgetError", "SgError", "MemoryError"]
-
-
-class Refused(Frame):
-    """The codec refused the file, or what is asked of it. error: the name of the class, of sgmethod.errors."""
-
-    letter = b"R"
-    error: Refusal
-    detail: Sentence
-
-
-class Crashed(Frame):
-    """The task failed in a way that nobody foresaw; one sentence."""
-
-    letter = b"C"
-    detail: Sentence
-
-
-class Ended(Frame):
-    """The task's process has ended; the status is Popen's."""
-
-    letter = b"E"
-    status: int = Field(ge=-signal.NSIG, le=255)
-
-
-class Result(Model):
-    """The task is done."""
-
-    figures: Any = None
-    file: bytes = b""
-
-
-Message = Begun | TracePoint | Preview | Refused | Crashed | Ended | Result
-
-BY_LETTER: dict[bytes, type[Frame]] = {frame.letter: frame for frame in (Begun, TracePoint, Refused, Crashed, Ended)}
-REFUSALS = get_args(Refusal)
-PREVIEW, FILE = b"P", b"F"
-
-
-def packed(letter: bytes, payload: bytes) -> bytes:
-    """One frame."""
-    return FRAME_HEADER.pack(letter, len(payload)) + payload
-
-
-def packed_json(frame: Frame) -> bytes:
-    """One frame of JSON."""
-    return packed(frame.letter, frame.model_dump_json(exclude_unset=True).encode())
+def packed(message: Message) -> bytes:
+    """Return the frame of a message."""
+    text, file = message.model_dump_json().encode(), getattr(message, "file", b"")
+    return FRAME_HEADER.pack(len(text), len(file)) + text + file
 
 
 def finite(figures: dict[str, Any]) -> dict[str, Any]:
-    """Figures as JSON can say them: a PSNR of infinity (a picture without error) becomes None."""
+    """Replace figures that JSON lacks, such as the infinite PSNR of a picture without error, by None."""
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
 
 
 class FrameReader:
-    """From the bytes of an answer to messages."""
+    """Reads the messages of a task from the bytes of its answer."""
 
     def __init__(self, task: Task) -> None:
         self._task = task
         self._data = bytearray()
-        self._figures: Figures | None = None
         self._frames = 0
 
     def take(self, data: bytes) -> list[Message]:
-        """The messages that are whole with these bytes. Raises FrameError."""
+        """Return the messages that these bytes complete. Raises FrameError."""
         self._data += data
         messages: list[Message] = []
         while len(self._data) >= FRAME_HEADER.size:
-            letter, length = FRAME_HEADER.unpack_from(self._data)
-            if length > (most := self._longest(letter)):
-                raise FrameError(f"a frame {letter!r} of {length} bytes, where {most} are allowed")
-            end = FRAME_HEADER.size + length
+            text_bytes, file_bytes = FRAME_HEADER.unpack_from(self._data)
+            if text_bytes > MAX_MESSAGE_BYTES or file_bytes > self._task.max_file_bytes:
+                raise FrameError(f"a frame of {text_bytes} and {file_bytes} bytes, which is too long")
+            file_at = FRAME_HEADER.size + text_bytes
+            end = file_at + file_bytes
             if len(self._data) < end:
                 break
             with memoryview(self._data) as view:
-                payload = bytes(view[FRAME_HEADER.size : end])
+                text, file = bytes(view[FRAME_HEADER.size : file_at]), bytes(view[file_at:end])
             del self._data[:end]
             self._frames += 1
-            if self._frames > self._task.most_frames:
+            if self._frames > self._task.max_frames:
                 raise FrameError("too many frames")
-            try:
-                messages += self._said(letter, payload)
-            except ValidationError as error:  # which may hold what the task said
-                fault = error.errors()[0]
-                raise FrameError(f"a frame {letter!r} in which {fault['loc']} is wrong ({fault['type']})") from None
+            messages.append(self._message(text, file))
         return messages
 
-    def _longest(self, letter: bytes) -> int:
-        if letter in BY_LETTER and (letter != TracePoint.letter or isinstance(self._task, Encode)):
-            return BY_LETTER[letter].longest
-        if letter == Figures.letter and self._task.answer:
-            return Figures.longest
-        if letter == FILE or (letter == PREVIEW and isinstance(self._task, Encode)):
-            return self._task.file_bytes
-        raise FrameError(f"a frame of unknown kind {letter!r}")
-
-    def _said(self, letter: bytes, payload: bytes) -> list[Message]:
-        if letter == PREVIEW:
-            return [Preview(bitstream=payload)]
-        if letter == FILE:
-            if self._task.answer and self._figures is None:
-                raise FrameError("a file without its figures")
-            return [self._result(payload)]
-        if letter == Figures.letter:
-            assert self._task.answer
-            self._figures = self._task.answer.model_validate_json(payload)
-            return [] if self._task.gives_file else [self._result(b"")]
-        return [BY_LETTER[letter].model_validate_json(payload)]  # type: ignore[list-item]
-
-    def _result(self, file: bytes) -> Result:
-        self._task.check(self._figures, file)
-        return Result(figures=self._figures, file=file)
+    def _message(self, text: bytes, file: bytes) -> Message:
+        try:
+            message: Message = self._task.messages.validate_json(text)
+        except ValidationError as error:  # whose text may hold what the task sent
+            fault = error.errors()[0]
+            raise FrameError(f"a message in which {fault['loc']} is wrong ({fault['type']})") from None
+        if isinstance(message, Preview | Result):
+            message = message.model_copy(update={"file": file})
+        elif file:
+            raise FrameError(f"a file after the message {message.kind}")
+        if isinstance(message, Result):
+            self._task.check(message)
+        return message
 
 
 def _check_picture(file: bytes, kind: PictureFormat) -> None:

@@ -1,7 +1,7 @@
-"""The sandbox: `service.sandbox.server DESCRIPTOR`, where tasks come in. It has the codec in memory, and forks.
+"""The sandbox: `service.sandbox.server DESCRIPTOR`, the socket for requests. It has the codec in memory, and forks.
 
-It reads nothing that strangers sent, and has one thread. Each of its forks does one task. Two wait for theirs, so that
-nobody has to wait for a fork. It ends when all its clients are gone, and its forks end with it.
+It reads no upload, and has one thread. Each fork does one task. Two forks wait in advance, so that no client waits for
+a fork. The sandbox ends when all its clients have closed their sockets, and its forks end with it.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ from typing import NoReturn
 from pydantic import TypeAdapter
 
 from service.sandbox.confinement import SandboxError, absent_layers, confine, end_with, set_name
-from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_json
+from service.sandbox.frames import END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
 WAITING_FORKS = 2
-MOST_DESCRIPTORS = 1 << 20
+MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
-PAUSE_S = 0.25  # after a fork that ended before it had a task
-# Encodes behind all who answer, so that answers come at once while every core encodes: the least share that the system
-# gives. Pictures behind the web process, and before encodes, for which nobody waits.
+PAUSE_S = 0.25  # after a fork that ended without a task
+# Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
+# process and before encodes, since no request waits for an encode.
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
 
 _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
 
 
-class Fork:
-    """A process for one task. control: where it gets the task, and whose other end it holds until it ends; answer: its
-    socket to the client, once it has one, which both use, and which therefore blocks.
+class TaskProcess:
+    """A forked process for one task.
+
+    control: socket on which it receives the task, and whose end tells that the process has ended; answer: blocking
+    socket shared with the client, set once the task is known; status: exit status, once it has ended.
     """
 
     def __init__(self, number: int, control: socket.socket) -> None:
@@ -48,20 +50,20 @@ class Fork:
 
 
 class Server:
-    """Gives tasks to forks, ends those whose clients have gone, and says how they ended.
+    """Hands tasks to forks, ends those whose clients have disconnected, and reports how each ended.
 
-    absent: layers of confinement that the system does not offer, and tasks do without.
+    absent: layers of confinement that the system lacks, and tasks do without.
     """
 
     def __init__(self, requests: socket.socket, absent: Collection[str]) -> None:
         self._requests = requests
         self._absent = absent
-        self._waiting: list[Fork] = []
+        self._waiting: list[TaskProcess] = []
         self._selector = selectors.DefaultSelector()
         self._selector.register(requests, selectors.EVENT_READ)
 
     def run(self) -> None:
-        """Serve until all clients are gone."""
+        """Serve until all clients have disconnected."""
         while True:
             self._fork()
             for key, _ in self._selector.select():
@@ -70,11 +72,11 @@ class Server:
                         return
                 elif key.fileobj is key.data.control:
                     self._reap(key.data)
-                elif key.data.answer is not None:  # it may have been closed since the events were read
+                elif key.data.answer is not None:  # another event of this round may have closed it
                     self._serve(key.data, key.data.answer)
 
     def _fork(self) -> None:
-        """Fork until enough wait for tasks."""
+        """Fork until WAITING_FORKS processes wait for tasks."""
         try:
             while len(self._waiting) < WAITING_FORKS:
                 ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -83,20 +85,20 @@ class Server:
                     number = os.fork()
                     if number == 0:
                         run_fork(theirs.fileno(), parent, self._absent)
-                fork = Fork(number, ours)
+                fork = TaskProcess(number, ours)
                 try:
                     self._selector.register(ours, selectors.EVENT_READ, fork)
-                except OSError:  # nobody would notice its end
+                except OSError:  # its end would be missed
                     os.kill(number, signal.SIGKILL)
                     os.waitpid(number, 0)
                     raise
                 self._waiting.append(fork)
-        except OSError as error:  # as where the system has no process or no memory to spare
+        except OSError as error:  # as when processes or memory run out
             print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
 
     def _take(self) -> bool:
-        """Give a task to a fork, and drop nonsense. False once all clients are gone."""
-        line, descriptors, _, _ = socket.recv_fds(self._requests, TASK_BYTES, 2)
+        """Hand a task to a fork, and drop malformed requests. Returns False once all clients have disconnected."""
+        line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
         if not line and _hung_up(self._requests):
             return False
         try:
@@ -110,7 +112,7 @@ class Server:
             fork = self._waiting.pop(0)
             try:
                 socket.send_fds(fork.control, [line], [answer.fileno(), file])
-            except OSError:  # it has died while it waited
+            except OSError:  # it died while it waited
                 continue
             fork.answer = answer
             self._selector.register(answer, selectors.EVENT_READ, fork)
@@ -120,8 +122,8 @@ class Server:
         os.close(file)
         return True
 
-    def _serve(self, fork: Fork, answer: socket.socket) -> None:
-        """The client asks for an early end, or has gone; or there is room for the last frame."""
+    def _serve(self, fork: TaskProcess, answer: socket.socket) -> None:
+        """Handle a client's socket: it asks for an early end, has disconnected, or has space for the last frame."""
         if fork.status is not None:
             self._tell_end(fork, answer)
             return
@@ -135,8 +137,8 @@ class Server:
         if not asked:
             self._leave(fork, answer)
 
-    def _reap(self, fork: Fork) -> None:
-        """The fork has let go of its end of control. If it still runs, it was taken over."""
+    def _reap(self, fork: TaskProcess) -> None:
+        """Collect a fork that closed control. If it still runs, a file has taken it over."""
         self._selector.unregister(fork.control)
         fork.control.close()
         os.kill(fork.number, signal.SIGKILL)
@@ -145,14 +147,14 @@ class Server:
         if fork in self._waiting:
             self._waiting.remove(fork)
             print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
-            time.sleep(PAUSE_S)  # the next may end likewise
+            time.sleep(PAUSE_S)  # the next may end the same way
         if fork.answer is not None:
             self._tell_end(fork, fork.answer)
 
-    def _tell_end(self, fork: Fork, answer: socket.socket) -> None:
+    def _tell_end(self, fork: TaskProcess, answer: socket.socket) -> None:
         assert fork.status is not None
         try:
-            answer.send(packed_json(Ended(status=fork.status)), socket.MSG_DONTWAIT)
+            answer.send(packed(Ended(status=fork.status)), socket.MSG_DONTWAIT)
         except BlockingIOError:
             self._selector.modify(answer, selectors.EVENT_WRITE, fork)
             return
@@ -160,21 +162,21 @@ class Server:
             pass
         self._leave(fork, answer)
 
-    def _leave(self, fork: Fork, answer: socket.socket) -> None:
+    def _leave(self, fork: TaskProcess, answer: socket.socket) -> None:
         self._selector.unregister(answer)
         answer.close()
         fork.answer = None
 
 
 def _hung_up(connection: socket.socket) -> bool:
-    """Whether its other end is closed. Reading nothing does not prove it: a message may be empty."""
+    """Whether the other end is closed. Reading nothing does not prove it, since a message may be empty."""
     poll = select.poll()
-    poll.register(connection, 0)  # a hang-up is told unasked
+    poll.register(connection, 0)  # a hang-up is always reported
     return bool(poll.poll(0))
 
 
 def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
-    """What a fork does: wait for its task and do it. Exit status 0 once the task's result is sent."""
+    """Wait for a task and do it. The exit status is 0 once its result is sent."""
     status = 1
     try:
         end_with(parent)
@@ -182,8 +184,8 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
         set_name("waits for a task")
         os.nice(PICTURE_NICENESS)
         warm_fork()
-        held = socket.socket(fileno=control)  # until this process ends, which the sandbox learns by it
-        line, descriptors, _, _ = socket.recv_fds(held, TASK_BYTES, 2)
+        held = socket.socket(fileno=control)  # open until this process ends: that tells the sandbox
+        line, descriptors, _, _ = socket.recv_fds(held, MAX_TASK_BYTES, 2)
         if line:
             answer, file = descriptors
             status = _run_task(line, answer, file, parent, absent)
@@ -200,36 +202,36 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
     signal.signal(END_EARLY, end_early)
     try:
         task = _tasks.validate_json(line)
-        to_client.say(Begun())
+        to_client.send(Begun())
         if isinstance(task, Encode):
             os.nice(ENCODE_NICENESS)
         set_name(task.job_id if isinstance(task, Encode) else task.kind)
         data = _whole(file)
         os.close(file)
         prepare(task)
-        missing = set(confine(task.memory_bytes, task.cpu_s, task.most_threads, parent)).difference(absent)
-        if missing:  # for this task alone, as where memory is short
+        missing = set(confine(task.memory_bytes, task.cpu_s, task.max_threads, parent)).difference(absent)
+        if missing:  # it failed for this task alone, as when memory is short
             raise SandboxError(f"it was not confined by {' and '.join(sorted(missing))}")
         set_threads(task.threads)
         perform(task, data, to_client)
     except Exception as error:
         last = traceback.format_exception_only(error)[-1].strip()
-        to_client.say(Crashed(detail=last[:ERROR_LENGTH]))
+        to_client.send(Crashed(detail=last[:ERROR_LENGTH]))
         return 1
     return 0
 
 
 def _leave_all_but(kept: int) -> None:
-    """Close what belongs to other tasks."""
+    """Close the descriptors of other tasks."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for descriptor in range(3):
         os.dup2(nothing, descriptor)
     os.closerange(3, kept)
-    os.closerange(kept + 1, MOST_DESCRIPTORS)
+    os.closerange(kept + 1, MAX_DESCRIPTORS)
 
 
 def _whole(file: int) -> bytes:
-    """The file, whatever its descriptor has read so far."""
+    """Read the file from its beginning, whatever the position of its descriptor."""
     size = os.fstat(file).st_size
     data = bytearray()
     while len(data) < size and (more := os.pread(file, size - len(data), len(data))):
@@ -238,8 +240,8 @@ def _whole(file: int) -> bytes:
 
 
 def main() -> None:
-    """Serve at the socket of the command line."""
-    # It ends with its clients, and a request that a task end may be too early.
+    """Serve the socket that the command line names."""
+    # It ends with its clients; END_EARLY may arrive before a fork has a handler.
     for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
         signal.signal(number, signal.SIG_IGN)
     requests = socket.socket(fileno=int(sys.argv[1]))

@@ -1,4 +1,4 @@
-"""What the tasks do, in a process of their own that is confined: a file comes in, frames go out."""
+"""The tasks, each done in a confined process: a file comes in, messages go out."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import cv2
 from PIL import Image
 
 import sgmethod
+from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, comparison_file, encode_picture
 from service.sandbox import frames
-from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
@@ -29,23 +29,22 @@ from sgmethod.io.inputs import read_input
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
-ERROR_LENGTH = 300  # characters of an error that a client gets to read
+ERROR_LENGTH = 300  # characters of an error message sent to a client
 TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
 TINY_SIZE = (8, 8)
-# glibc's malloc.h. Memory of a picture that was made goes back to the system only beyond these.
+# glibc's malloc.h: thresholds above which freed memory returns to the system.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
-# What is for other places, or needs PyTorch or Triton.
+# Modules that tasks do not need, or that need PyTorch or Triton.
 NOT_IMPORTED = {
     f"sgmethod.{name}"
     for name in (
-        *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch", "backend.reference"),
+        *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch"),
         *("backend.tensors", "backend.pairs", "backend.tiles", "backend.together", "backend.tile_kernels"),
-        *("native.reference", "metrics.perceptual"),
     )
 }
 
-# What libraries import only when a picture asks for it.
+# Modules that libraries import only for some images.
 IMPORTED_LATE = (
     *(f"PIL.{name}" for name in ("ImageCms", "ImageColor", "ImageFilter", "ImagePalette", "MpoImagePlugin")),
     *(f"encodings.{name}" for name in ("ascii", "cp1252", "latin_1", "utf_16", "utf_16_be", "utf_16_le", "utf_32")),
@@ -53,7 +52,7 @@ IMPORTED_LATE = (
 )
 
 
-# Decoders of images would start a thread for each core, for each image.
+# These decoders would start one thread per core for each image.
 DECODER_THREADS = {
     "PIL.AvifImagePlugin": ("DEFAULT_MAX_THREADS", 1),
     "pillow_heif.options": ("DECODE_THREADS", 1),
@@ -62,48 +61,43 @@ DECODER_THREADS = {
 
 
 class Answer:
-    """A task's end of its socket, and its client's request that it end early."""
+    """A task's end of its socket, and its client's request to end early."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._shown = time.monotonic()
         self.end_early = False
 
-    def send(self, letter: bytes, payload: bytes) -> None:
-        """Write one frame."""
-        self._write(frames.packed(letter, payload))
-
-    def say(self, frame: frames.Frame) -> None:
-        """Write one frame of JSON."""
-        self._write(frames.packed_json(frame))
-
-    def show(self, file: bytes) -> None:
-        """Write a preview, unless the last one is not long ago."""
-        if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
-            self._shown = time.monotonic()
-            self.send(frames.PREVIEW, file)
-
-    def _write(self, frame: bytes) -> None:
-        left = memoryview(frame)
+    def send(self, message: frames.Message) -> None:
+        """Send one message."""
+        left = memoryview(frames.packed(message))
         while left:
             left = left[os.write(self._descriptor, left) :]
 
+    def send_result(self, figures: frames.Model | None, file: bytes = b"") -> None:
+        """Send the result of the task."""
+        self.send(frames.Result(figures=figures, file=file))
+
+    def send_preview(self, file: bytes) -> None:
+        """Send a preview, unless the last one was sent within PREVIEW_EVERY_S."""
+        if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
+            self._shown = time.monotonic()
+            self.send(frames.Preview(file=file))
+
 
 def set_threads(count: int) -> None:
-    """How many threads a task computes on, none of which is started before it needs them."""
+    """Set the number of threads that a task computes on. None is started before it is needed."""
     sgmethod.set_threads(count)
     cv2.setNumThreads(count)
 
 
 def warm_up() -> None:
-    """Import and set up all that tasks need, which can open no file any more. No thread may be left: a fork would not
-    have it.
-    """
+    """Import and set up all that tasks need, since they can open no file. No thread may remain: forks would lack it."""
     set_threads(1)
     _import_all(sgmethod.__path__, "sgmethod.")
     Image.preinit()
     for module in (*(module for module, _ in READERS.values()), *IMPORTED_LATE):
-        with contextlib.suppress(ImportError):  # of an extra
+        with contextlib.suppress(ImportError):  # in an extra that is not installed
             importlib.import_module(module)
     for module, (name, count) in DECODER_THREADS.items():
         if module in sys.modules:
@@ -115,20 +109,20 @@ def warm_up() -> None:
 
 
 def warm_fork() -> None:
-    """Touch the memory that every picture takes, before somebody waits for one.
+    """Touch the memory that every picture takes, before a client waits for one.
 
-    What is freed within a task is used again: to get it from the system each time took 2.4 of the 6.0 ms of the PNG of
+    Freed memory is reused within a task: getting it from the system each time took 2.4 of the 6.0 ms of the PNG of
     768x512.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:  # another C library than glibc may have none
+    if mallopt is not None:  # C libraries other than glibc lack it
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
-    Drawing.of(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
+    Drawing.from_options(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
 
 
 def prepare(task: frames.Task) -> None:
-    """Import what is too large to have in memory for all."""
+    """Import what is too large to keep in memory for all tasks."""
     if isinstance(task, frames.Encode) and task.request.profile != "rd":
         tiny_encode(task.request.profile)
 
@@ -143,25 +137,25 @@ def _import_all(path: Any, prefix: str) -> None:
 
 @cache
 def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
-    """The tiny picture as a bitstream."""
+    """Encode the tiny picture."""
     from sgmethod.codec import encode
 
-    # The others have no effort, and no smaller files.
+    # Other profiles have no effort, and larger minimum files.
     effort, size = (1, 64) if profile == "rd" else (DEFAULT_EFFORT, 512)
     budget = Budget("bytes", size)
     return encode(TINY_PICTURE, budget, profile, tune=tune, effort=effort, time_limit_s=0.1).data
 
 
 def perform(task: frames.Task, file: bytes, answer: Answer) -> None:
-    """Do the task and send its result, or why there is none."""
+    """Do the task and send its result or its refusal."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             PERFORM[type(task)](task, file, answer)
     except SgError as error:
-        answer.say(frames.Refused(error=_name_of(error), detail=str(error)[: frames.SENTENCE_LENGTH]))
-    except MemoryError:  # another attempt would have no more of it
-        answer.say(frames.Refused(error="MemoryError", detail="it exceeds the memory limit"))
+        answer.send(frames.Refused(error=_name_of(error), detail=str(error)[: frames.MAX_SENTENCE_LENGTH]))
+    except MemoryError:  # another attempt would have the same limit
+        answer.send(frames.Refused(error="MemoryError", detail="it exceeds the memory limit"))
 
 
 def _name_of(error: SgError) -> Any:
@@ -171,7 +165,7 @@ def _name_of(error: SgError) -> Any:
 
 def _read_header(task: frames.ReadHeader, file: bytes, answer: Answer) -> None:
     header = _header_of_still(file, task)
-    answer.say(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
+    answer.send_result(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
 
 
 def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
@@ -182,34 +176,33 @@ def _header_of_still(file: bytes, task: frames.Task) -> ImageHeader:
 
 
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
-    info = sgmethod.info(file, task.max_gaussians)  # equal ones take an eighth of a byte each
-    drawing = Drawing.of(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
-    answer.send(frames.FILE, drawing.draw(file))
+    info = sgmethod.info(file, task.max_gaussians)  # equal Gaussians take an eighth of a byte each
+    drawing = Drawing.from_options(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
+    answer.send_result(None, drawing.draw(file))
 
 
-def _make_rival(task: frames.MakeRival, file: bytes, answer: Answer) -> None:
-    from sgmethod.advice import better_file, is_drawn
+def _compare(task: frames.Compare, file: bytes, answer: Answer) -> None:
+    from sgmethod.metrics.advice import better_file, is_drawn
 
-    rival = task.rival
     pixels = read_image_8_bit(file, ImageLimits(task.max_pixels), keep_alpha=True)
-    if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):
-        answer.send(frames.FILE, lossless.data)
+    if task.file_kind == "webp" and (lossless := better_file(pixels, task.size, 0.0, ("webp",))):
+        answer.send_result(None, lossless.data)
         return
     opaque = pixels if pixels.shape[2] == 3 else composited(pixels, WHITE)
-    answer.send(frames.FILE, rival.made_of(opaque, drawn=is_drawn(pixels)))
+    answer.send_result(None, comparison_file(opaque, task.file_kind, task.size, drawn=is_drawn(pixels)))
 
 
 def _make_preview(task: frames.MakePreview, file: bytes, answer: Answer) -> None:
     from sgmethod.previews.preview import preview
 
     _header_of_still(file, task)
-    made = preview(file, task.most_bytes, limits=ImageLimits(task.max_pixels))
-    answer.say(frames.PreviewFigures.model_validate(made.to_dict()))
+    made = preview(file, task.max_bytes, limits=ImageLimits(task.max_pixels))
+    answer.send_result(frames.PreviewFigures.model_validate(made.to_dict()))
 
 
 def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
-    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
+    from sgmethod.metrics.advice import advice, better_file
 
     request = task.request
     with noted() as notes:
@@ -221,22 +214,21 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
             tune=request.tune,
             effort=request.effort,
             time_limit_s=request.time_limit_s,
-            on_progress=lambda point: answer.say(frames.TracePoint.model_validate(frames.finite(point.to_dict()))),
+            on_progress=lambda point: answer.send(frames.TracePoint(**frames.finite(point.to_dict()))),
             stop=lambda: answer.end_early,
-            on_preview=answer.show,
+            on_preview=answer.send_preview,
             measure=True,
         )
         size, db = len(encoded.data), encoded.stats.psnr
         figures = {**encoded.stats.to_dict(), **advice(better_file(pixels, size, db), size, db)}
-    figures |= {"source_bytes": len(file), **({"notes": notes} if notes else {})}
-    answer.say(frames.EncodeFigures.model_validate(frames.finite(figures)))
-    answer.send(frames.FILE, encoded.data)
+    figures |= {"source_bytes": len(file), "notes": notes}
+    answer.send_result(frames.EncodeFigures(**frames.finite(figures)), encoded.data)
 
 
 PERFORM: dict[type[frames.Task], Callable[[Any, bytes, Answer], None]] = {
     frames.ReadHeader: _read_header,
     frames.Draw: _draw,
-    frames.MakeRival: _make_rival,
+    frames.Compare: _compare,
     frames.MakePreview: _make_preview,
     frames.Encode: _encode,
 }

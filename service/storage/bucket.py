@@ -1,4 +1,4 @@
-"""Source images and bitstreams in a bucket that speaks S3, for workers on several machines."""
+"""Source images and bitstreams in an S3 bucket, for workers on several machines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from service.storage.files import check_key, is_key
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
 
-# Words of the library's errors, and what they are about.
+# Parts of the library's messages, and what they mean.
 HINTS = {
     "InvalidCertificate(": "its certificate is not trusted; name its authority's certificate in SSL_CERT_FILE "
     "(AWS_CA_BUNDLE is not read)",
@@ -29,10 +29,10 @@ HINTS = {
     "ca-certificates",
     "http://169.254.169.254/": "it has no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
 }
-# A store that accepts a connection and never answers counts as unreachable after this long, since clients wait.
+# Clients wait, so a store that is silent for this long counts as unreachable.
 SILENCE = timedelta(seconds=5)
-TIMEOUT = timedelta(seconds=60)  # of one request; the largest image fits in at 1 MB a second
-RETRIES_END_AFTER = timedelta(seconds=3)  # so that a request that was met with silence is not repeated
+TIMEOUT = timedelta(seconds=60)  # of one request: enough for the largest image at 1 MB a second
+RETRIES_END_AFTER = timedelta(seconds=3)  # so that a request without an answer is not repeated
 
 
 @contextmanager
@@ -44,13 +44,13 @@ def _as_os_errors() -> Iterator[None]:
             raise FileNotFoundError(errno.ENOENT, "no such object") from error
         raise OSError(errno.EIO, f"the object store failed: {_in_words(str(error))}") from error
     except BaseException as error:
-        if type(error).__name__ == "PanicException":  # of the library; no exception of Python's would be caught
+        if type(error).__name__ == "PanicException":  # of the library, and not a subclass of Exception
             raise OSError(errno.EIO, f"the object store's library panicked: {error}") from error
         raise
 
 
 def _in_words(text: str) -> str:
-    """One line of the library's error, which has its cause, if at all, some twenty lines further down."""
+    """Return the library's error as one line. Its cause, if given, is some twenty lines further down."""
     for word, hint in HINTS.items():
         if word in text:
             return hint
@@ -59,7 +59,7 @@ def _in_words(text: str) -> str:
 
 
 def _check_environment() -> None:
-    """Raises OSError for an AWS_ variable on which the library would panic, or which it would misunderstand."""
+    """Raise OSError for an AWS_ variable that would make the library panic, or that it would misread."""
     for name, value in os.environ.items():
         if not name.startswith("AWS_"):
             continue
@@ -73,30 +73,30 @@ def _is_address(text: str) -> bool:
     try:
         parts = urlsplit(text)
         return parts.port != 0 and bool(parts.hostname and re.fullmatch(r"https?://[!-~]+", text))
-    except ValueError:  # a port or an IPv6 address that is none
+    except ValueError:  # an invalid port or IPv6 address
         return False
 
 
 class BucketStorage:
-    """Storage in a bucket, beneath a prefix if the address has one.
+    """Storage in a bucket, beneath a prefix if the URL has one.
 
     url: s3://bucket/prefix. Endpoint, region and credentials come from the usual AWS_ variables.
     """
 
     def __init__(self, url: str) -> None:
         _check_environment()
-        # Plain HTTP only where the endpoint says so: a store within the same network.
+        # Plain HTTP is used only if the endpoint says so.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}
         with _as_os_errors():
             self._store = from_url(url, client_options={**options, "read_timeout": SILENCE}, retry_config=retries)
-            # The library takes for silence too that nothing is read while an object is written and stored.
+            # For uploads: read_timeout would also count while an object is being sent and stored.
             self._patient = from_url(url, client_options=options, retry_config=retries)
 
     def put(self, key: str, data: bytes) -> None:
-        self.check()  # at once whether it answers: storing even a small object may take long
+        self.check()  # fails fast if the store is down; storing even a small object may take long
         with _as_os_errors():
-            # One request for the whole object: an upload that breaks off leaves no parts behind.
+            # One request for the whole object, so that a broken upload leaves no parts behind.
             obstore.put(self._patient, check_key(key), data, use_multipart=False)
 
     def get(self, key: str) -> bytes:
@@ -107,7 +107,7 @@ class BucketStorage:
         data = self.get(key)
         try:
             file = tempfile.TemporaryFile()  # noqa: SIM115
-        except FileNotFoundError as error:  # which would say that the bucket has no such object
+        except FileNotFoundError as error:  # whose type would mean that the bucket lacks the object
             raise OSError(errno.EIO, f"there is no folder for temporary files: {error}") from error
         file.write(data)
         file.seek(0)

@@ -1,6 +1,6 @@
-"""What a storage of files must do, the keys of its files, and the storage in a local folder.
+"""The interface of a storage, the keys of its files, and the storage in a local folder.
 
-Keys are made here, of a job's id and an attempt. Nothing that a client names ever becomes a path.
+Keys are made from a job's id and an attempt. No name from a client ever becomes a path.
 """
 
 from __future__ import annotations
@@ -19,76 +19,74 @@ from sgmethod.io.files import sync_folder, write_atomically
 
 log = logging.getLogger(__name__)
 
-UNFINISHED = "unfinished"  # files that are being written, and probes of whether they can be
+UNFINISHED = "unfinished"  # files that are being written, and probes
 FOLDERS = ("sources", "bitstreams", UNFINISHED)
 _KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}(\.preview)?\.sg")
 
 
 def source_key(job_id: str) -> str:
-    """Where a job's source image lies."""
+    """Return the key of a job's source image."""
     return f"sources/{job_id}"
 
 
 def bitstream_key(job_id: str, attempt: int) -> str:
-    """Where an attempt puts its bitstream; two attempts at one job never share a file."""
+    """Return the key of an attempt's bitstream. Two attempts at one job never share a file."""
     return f"bitstreams/{job_id}.{attempt}.sg"
 
 
 def preview_key(job_id: str, attempt: int) -> str:
-    """Where an attempt puts what it has so far: a write that a slow store finishes late hits no bitstream."""
+    """Return the key of an attempt's preview, which a slow store may write even after the bitstream."""
     return f"bitstreams/{job_id}.{attempt}.preview.sg"
 
 
 def is_key(text: str) -> bool:
-    """Whether a file of that name is ours. Folders and buckets may contain others, which are left alone."""
+    """Whether the service created files of this name. Other files in a folder or bucket are left alone."""
     return _KEY.fullmatch(text) is not None
 
 
 def check_key(key: str) -> str:
-    """The key itself. Raises ValueError if it is none of ours."""
+    """Return the key. Raises ValueError if is_key() is False."""
     if not is_key(key):
         raise ValueError(f"not a storage key: {key!r}")
     return key
 
 
 class Storage(Protocol):
-    """Files under keys. Trouble raises OSError."""
+    """Files under keys. Methods raise OSError."""
 
     def put(self, key: str, data: bytes) -> None:
-        """Store data; when this returns it survives a power cut. Raises OSError."""
+        """Store data. When this returns, it survives a power cut. Raises OSError."""
         ...
 
     def get(self, key: str) -> bytes:
-        """The stored bytes. Raises FileNotFoundError."""
+        """Return the stored bytes. Raises FileNotFoundError."""
         ...
 
     def open(self, key: str) -> BinaryIO:
-        """The stored bytes as an open file. Raises FileNotFoundError."""
+        """Open the stored bytes as a file. Raises FileNotFoundError."""
         ...
 
     def delete(self, key: str) -> None:
-        """Remove the file; one that is not there is no error."""
+        """Remove the file if it exists."""
         ...
 
     def check(self) -> None:
-        """Whether the storage can be reached, and takes files if that costs nothing to try. Raises OSError if not."""
+        """Raise OSError if the storage cannot be reached, or is known to take no files."""
         ...
 
     def free_bytes(self) -> int | None:
-        """Room that is left; None where that cannot be known. Raises OSError."""
+        """Return the free space; None if it cannot be known. Raises OSError."""
         ...
 
     def old(self, age_s: float) -> Iterator[str]:
-        """The keys of what was stored longer ago than that (seconds), and of what was never stored whole. A file that
-        is not ours has none.
-        """
+        """Yield the keys of files stored more than age_s seconds ago, and of incomplete files of that age."""
         ...
 
 
 class DiskStorage:
     """Storage in a local folder, which is created if need be, readable by its owner alone.
 
-    A file appears under its key only when all of its bytes are on the disk: write_atomically holds that.
+    A file appears under its key only when all its bytes are on disk, which write_atomically() guarantees.
     """
 
     def __init__(self, root: Path) -> None:
@@ -117,9 +115,9 @@ class DiskStorage:
             (self._root / folder).stat()
         probe = self._path(f"{UNFINISHED}/{secrets.token_hex(16)}")
         try:
-            probe.touch(mode=0o600)  # which a disk refuses that has become read-only
+            probe.touch(mode=0o600)  # fails on a disk that has become read-only
         except OSError as error:
-            if error.errno != errno.ENOSPC:  # of which free_bytes() tells
+            if error.errno != errno.ENOSPC:  # a full disk, which free_bytes() reports
                 raise
         probe.unlink(missing_ok=True)
 
@@ -134,7 +132,7 @@ class DiskStorage:
                 try:
                     if is_key(key) and path.stat().st_mtime < oldest:
                         yield key
-                except FileNotFoundError:  # another process finished with it meanwhile
+                except FileNotFoundError:  # another process removed it meanwhile
                     continue
                 except OSError as error:
                     log.warning("%s cannot be looked at: %s", key, error)

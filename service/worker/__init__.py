@@ -1,5 +1,4 @@
-"""The worker runs one job at a time, each in the sandbox.
+"""The worker: claims jobs, has them encoded, and publishes the results.
 
-A claim on a job and the job's source image come in.
-A bitstream leaves, or the reason of a failure, and the operator's addresses are told; files that no job needs go.
+It also sends webhooks to the operator's addresses, and removes files that no job needs.
 """

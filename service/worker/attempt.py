@@ -14,7 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
-from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JobTableError, JsonObject
+from service.errors import JobTableError
+from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JsonObject
 from service.jobs.table import JobTable
 from service.logs import log_seldom
 from service.process.loops import StopSignal
@@ -25,31 +26,32 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
-PREVIEW_ENDS_S = 1.0  # which a folder takes at most; of a bucket, the sweep removes what comes later
-POINTS_APART = 1 / 200  # of the time so far, at least: a day of them is 2,500, whatever an encode sends
-HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
-PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
+PREVIEW_ENDS_S = 1.0  # enough for a folder; the sweep removes what a bucket stores later
+POINTS_APART = 1 / 200  # minimum distance as a share of the time since the start: at most 2,500 points a day
+HEARTBEAT_S = 0.5  # also how often clients see new progress
+PAUSE_AFTER_TROUBLE_S = 1.0  # after an error of the job table or the storage
 
 
 class ClaimLostError(Exception):
-    """The job was cancelled, or is another worker's by now."""
+    """The job was cancelled, or belongs to another worker by now."""
 
 
 class StoppedError(Exception):
-    """This worker is to stop."""
+    """This worker is stopping."""
 
 
 @dataclass(frozen=True)
 class Encoded:
-    """The encode is done."""
+    """A finished encode."""
 
     stats: JsonObject
     bitstream: bytes
 
 
 class Attempt:
-    """One attempt at a job, as its worker reports it. Its end waits for a job table or a storage that is out of reach,
-    until stopping is requested.
+    """One attempt at a job, as its worker reports it.
+
+    If the job table or the storage is unavailable at its end, it waits until stopping is requested.
     """
 
     def __init__(self, table: JobTable, storage: Storage, claim: Claim, stop: StopSignal) -> None:
@@ -58,18 +60,18 @@ class Attempt:
         self._stop = stop
         self.claim = claim
         self.key = bitstream_key(claim.job_id, claim.attempt)
-        self.early_end_wanted = False  # with what there is
-        self._points: list[JsonObject] = []  # since the last beat
+        self.early_end_wanted = False  # requested by a client
+        self._points: list[JsonObject] = []  # since the last heartbeat
         self._sent = 0
         self._showing: threading.Thread | None = None
         self._shown = 0.0
-        self._late: JsonObject | None = None  # the last point, if it came too soon after the one before
+        self._late: JsonObject | None = None  # the last point, if it came too soon
         self._began = self._heard = time.monotonic()
         self._added = -math.inf
         self._next = self._heard + HEARTBEAT_S
 
     def add(self, point: JsonObject) -> None:
-        """Note a trace point for the next beat. Those that come too soon are left out, except for the last of all."""
+        """Add a trace point to the next heartbeat. Points that come too soon are dropped, except for the last."""
         now = time.monotonic()
         if now - self._added >= POINTS_APART * (now - self._began):
             self._points.append(point)
@@ -78,8 +80,9 @@ class Attempt:
             self._late = point
 
     def show(self, bitstream: bytes) -> None:
-        """Store a preview, and return at once: the encode is not to wait for a slow storage. While one is being stored,
-        others are left out, as are those that come too soon.
+        """Store a preview in the background: a slow storage must not hold up the encode.
+
+        Previews are dropped while one is being stored, and when they come too soon.
         """
         now = time.monotonic()
         if now - self._shown < PREVIEW_EVERY_S or (self._showing is not None and self._showing.is_alive()):
@@ -89,14 +92,14 @@ class Attempt:
         self._showing.start()
 
     def _store_preview(self, bitstream: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody needs it
+        with contextlib.suppress(OSError):  # a preview is optional
             self._storage.put(preview_key(self.claim.job_id, self.claim.attempt), bitstream)
 
     def beat(self, *, now: bool = False) -> None:
-        """Renew the lease and send the trace, if it is time to or at once. Raises ClaimLostError.
+        """Renew the lease and send the trace, if it is time to or `now`. Raises ClaimLostError.
 
-        While the job table is out of reach the encode goes on. Perhaps no other worker has claimed the job
-        meanwhile; if one has, the job table says so later.
+        While the job table is unavailable the encode goes on. If another worker has claimed the job meanwhile, the job
+        table reports it later.
         """
         if time.monotonic() < self._next and not now:
             return
@@ -119,7 +122,7 @@ class Attempt:
         self._points.clear()
 
     def conclude(self, outcome: Encoded | JobError) -> None:
-        """Publish the bitstream, or tell the job table why there is none. A job that crashed is tried again.
+        """Publish the bitstream, or record why there is none. A job that crashed is tried again.
 
         Raises ClaimLostError, StoppedError, JobTableError.
         """
@@ -140,7 +143,7 @@ class Attempt:
         log.info("job %s: done, %d bytes", self.claim.job_id, len(encoded.bitstream))
 
     def _store(self, data: bytes) -> None:
-        """Store the bitstream, which took long to compute, however long the disk stays full.
+        """Store the bitstream, which took long to compute, and retry for as long as the disk is full.
 
         Raises ClaimLostError, StoppedError.
         """
@@ -153,8 +156,9 @@ class Attempt:
             self.wait()
 
     def beating(self, work: Callable[[], T]) -> T:
-        """The result of work that may be slow, such as a bucket's; the lease is renewed meanwhile. Raises
-        ClaimLostError, and what the work raises.
+        """Return the result of work that may be slow, such as a bucket's, and renew the lease meanwhile.
+
+        Raises ClaimLostError, and what the work raises.
         """
         with ThreadPoolExecutor(1) as pool:
             result = pool.submit(work)
@@ -163,13 +167,13 @@ class Attempt:
             return result.result()
 
     def wait(self) -> None:
-        """Wait for a storage in trouble, and keep the claim. Raises ClaimLostError, StoppedError."""
+        """Pause while the storage is unavailable, and keep the claim. Raises ClaimLostError, StoppedError."""
         if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
             raise StoppedError
         self.beat()
 
     def _insist(self, last_word: Callable[[], bool]) -> bool:
-        """Try again until the table has the end of the attempt. Raises JobTableError if this worker is to stop."""
+        """Retry until the table records the end of the attempt. Raises JobTableError if the worker is stopping."""
         while True:
             try:
                 return last_word()
@@ -179,7 +183,7 @@ class Attempt:
                     raise
 
     def tidy(self) -> None:
-        """Remove the source image of a job that will not run again, and what an attempt without a result has left."""
+        """Remove the image of a job that will not run again, and files of an unsuccessful attempt."""
         if self._showing is not None:
             self._showing.join(PREVIEW_ENDS_S)
             self._storage.delete(preview_key(self.claim.job_id, self.claim.attempt))

@@ -14,22 +14,22 @@ from typing import BinaryIO
 
 from service.jobs.job import JobError
 from service.jobs.table import JobTable
-from service.process.loops import Rounds, StopSignal, failures, survived
+from service.process.loops import PeriodicThread, StopSignal, failures, log_errors
 from service.sandbox import frames
-from service.sandbox.client import RunningTask, Sandbox, SandboxGoneError
+from service.sandbox.client import RunningTask, Sandbox, SandboxUnavailableError
 from service.settings import Settings
 from service.storage.files import Storage, source_key
 from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
-from service.worker.notifying import POLL_S, send_next
 from service.worker.sweeping import Swept, pause_s, sweep
+from service.worker.webhooks import POLL_S, send_next
 
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
 # A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
 MISSING_S = 15.0
-SIGN_S = 2.0
-ROUNDS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and signing off may fail
+REGISTER_S = 2.0
+THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and unregistering may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 
 
@@ -50,26 +50,26 @@ class Worker:
         """Claim and work until stopping is requested; sweep meanwhile."""
         log.info("worker %s: ready, threads: %d", self._name, self._settings.encode_threads)
         settings, stop = self._settings, self._stop
-        sign_off = functools.partial(self._table.sign_off, self._name)
+        unregister = functools.partial(self._table.unregister, self._name)
         threads = [
-            Rounds("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
-            Rounds("reporting", self._sign, SIGN_S, stop, sign_off),
+            PeriodicThread("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
+            PeriodicThread("reporting", self._register, REGISTER_S, stop, unregister),
         ]
         for address in settings.webhook_addresses:
             send = functools.partial(send_next, self._table, address, settings.webhook_key)
-            threads.append(Rounds("notifying", send, POLL_S, stop))
+            threads.append(PeriodicThread("webhooks", send, POLL_S, stop))
         for thread in threads:
             thread.start()
-        self._table.deliver(self._run_next, stop)
+        self._table.dispatch(self._run_next, stop)
         for thread in threads[:2]:
-            thread.join(ROUNDS_END_S)
+            thread.join(THREADS_END_S)
 
-    def _sign(self) -> None:
-        self._table.sign(self._name, failures.total())
+    def _register(self) -> None:
+        self._table.register(self._name, failures.total())
 
     def _sweep(self) -> None:
         settings = self._settings
-        if forwarded := self._table.forward_notices():
+        if forwarded := self._table.forward_deliveries():
             log.info("%d webhooks to addresses that are no longer named go to those that are", forwarded)
         swept = sweep(
             self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
@@ -78,14 +78,14 @@ class Worker:
             log.info("removed %d finished jobs and %d files; %d files stay", swept.jobs, swept.files, swept.stuck)
 
     def _run_next(self) -> bool:
-        """Like run_one, but log and wait out trouble with the job table or the storage."""
-        with survived("running a job"):  # PostgreSQL's engine would swallow the exception
+        """Run run_one(), but log errors of the job table or the storage and wait."""
+        with log_errors("running a job"):  # PostgreSQL's engine would swallow the exception
             return self.run_one()
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
         return False
 
     def run_one(self) -> bool:
-        """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""
+        """Run the next job. Returns False if none waits. Raises JobTableError, OSError."""
         for job in self._table.reconcile():
             log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
             if not self._table.keeps_sources:
@@ -110,23 +110,24 @@ class Worker:
         return True
 
     def _encode(self, attempt: Attempt) -> Encoded | JobError:
-        """Encode in the sandbox. Nothing goes on there when this returns.
+        """Encode in the sandbox. No task is running when this returns.
 
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
             source = self._source(attempt)
         except FileNotFoundError:
-            return JobError("crashed", "the source image is gone")
+            return JobError("crashed", "the source image is missing")
         with source, self._sandbox.start(self._task(attempt), source) as running:
             try:
                 return self._follow(running, attempt)
             except frames.FrameError as error:
-                return JobError("crashed", f"the encoder spoke nonsense: {error}")
+                return JobError("crashed", f"the encoder sent an invalid message: {error}")
 
     def _source(self, attempt: Attempt) -> BinaryIO:
-        """The image, once the storage has it. Raises FileNotFoundError if it still lacks it after MISSING_S, and
-        ClaimLostError, StoppedError, OSError.
+        """Open the image, and wait up to MISSING_S for it to appear in the storage.
+
+        Raises FileNotFoundError, ClaimLostError, StoppedError, OSError.
         """
         job_id, deadline = attempt.claim.job_id, time.monotonic() + MISSING_S
         while True:
@@ -150,22 +151,20 @@ class Worker:
         )
 
     def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
-        """Relay progress to the job table, and previews to the storage, until there is an outcome, or the encode must
-        be ended.
-        """
+        """Relay progress to the job table and previews to the storage until the encode ends or must be ended."""
         started = time.monotonic()
         while not self._stop.requested:
             for message in running.read(FOLLOW_S):
                 if isinstance(message, frames.TracePoint):
-                    attempt.add(message.model_dump())
+                    attempt.add(message.model_dump(exclude={"kind"}))
                 elif isinstance(message, frames.Preview):
-                    attempt.show(message.bitstream)
+                    attempt.show(message.file)
                 else:
                     attempt.beat(now=True)
                     return _outcome(message)
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
-                raise SandboxGoneError("the sandbox cannot be started")
+                raise SandboxUnavailableError("the sandbox cannot be started")
             if seconds > self._settings.job_timeout_s:
                 limit_s = self._settings.job_timeout_s
                 return JobError("timed_out", f"the encode took longer than {limit_s:g} s")
@@ -178,7 +177,7 @@ class Worker:
 def _outcome(message: frames.Message) -> Encoded | JobError:
     match message:
         case frames.Result(figures=figures, file=file):
-            return Encoded(figures.model_dump(exclude_unset=True), file)
+            return Encoded(figures.model_dump(), file)
         case frames.Refused(error="MemoryError"):
             return JobError("refused", "the encode exceeds the memory limit")
         case frames.Refused(detail=detail):

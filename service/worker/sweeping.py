@@ -1,4 +1,4 @@
-"""Removes what is no longer needed: files without a job, and finished jobs when their time is over."""
+"""Removal of files without a job, and of finished jobs after their retention time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part o
 
 @dataclass(frozen=True)
 class Swept:
-    """How many of each went, or would go; and how many files could not be removed, of whatever kind."""
+    """Numbers of removed jobs and files, or of those that would be removed, and of files that could not be."""
 
     jobs: int
     files: int
@@ -35,9 +35,9 @@ def sweep(
     orphan_age_s: float = ORPHAN_AGE_S,
     dry_run: bool = False,
 ) -> Swept:
-    """Remove jobs that ended more than retention_s seconds ago (0: none), images of jobs that ended more than
-    source_retention_s seconds ago, and files that no job needs.
+    """Remove expired jobs and images, and files that no job needs.
 
+    retention_s: age of finished jobs in seconds (0: keep them); source_retention_s: age of images of finished jobs.
     With dry_run nothing is removed. A file that cannot be removed, such as one under legal hold, is logged and left to
     the next sweep. Raises JobTableError, OSError.
     """
@@ -58,13 +58,13 @@ def sweep(
 
 
 def pause_s(*kept_s: float) -> float:
-    """Seconds from one sweep to the next. kept_s: how long things are kept, 0 for ever or not at all."""
+    """Return the seconds between sweeps. kept_s: retention times, 0 for ever or not at all."""
     wanted_s = min((OVERDUE * seconds for seconds in kept_s if seconds), default=LONGEST_PAUSE_S)
     return min(max(wanted_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
 
 
 def _remove(table: JobTable, storage: Storage, job_id: str) -> list[str]:
-    """Remove a job; gives the keys of its files that stay, as orphans."""
+    """Remove a job. Returns the keys of its files that could not be removed."""
     removed = table.remove(job_id)
     keys = [] if removed is None else [source_key(job_id)]  # which may be kept for as long
     if removed is not None and removed.result is not None:

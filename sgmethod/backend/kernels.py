@@ -87,23 +87,27 @@ class Kernels:
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         d, f = descent, descent.frame
+        visibility, by_eye = _seen(d.visibility)
         native.rd_steps(
-            d.target,
-            f.cutoff,
-            f.pyramid,
-            f.spacing,
-            d.quantum,
-            d.price,
-            _adam(d.settings, d.values),
-            np.array(rates, np.float32),
-            GRID_REACH,
-            d.width,
-            d.height,
-            *gaussians.arrays,
-            moments.first,
-            moments.second,
-            moments.bias,
-            *_seen(d.visibility),
+            target=d.target,
+            cutoff=f.cutoff,
+            pyramid=f.pyramid,
+            spacing=f.spacing,
+            quantum=d.quantum,
+            price=d.price,
+            settings=_adam(d.settings, d.values),
+            rates=np.array(rates, np.float32),
+            reach=GRID_REACH,
+            width=d.width,
+            height=d.height,
+            means=gaussians.means,
+            factors=gaussians.factors,
+            colors=gaussians.colors,
+            first=moments.first,
+            second=moments.second,
+            bias=moments.bias,
+            visibility=visibility,
+            by_eye=by_eye,
         )
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
@@ -114,15 +118,17 @@ class Kernels:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
+        values, by_eye = _seen(visibility)
         return native.rd_refine(
             coding.parameters,
             *gaussians.arrays,
             target,
-            limits.price,
-            limits.sweeps,
-            limits.seconds,
-            limits.max_bytes,
-            *_seen(visibility),
+            price=limits.price,
+            sweeps=limits.sweeps,
+            seconds=limits.seconds,
+            max_bytes=limits.max_bytes,
+            visibility=values,
+            by_eye=by_eye,
             halvings=limits.spacing.bit_length() - 1,
         )
 

@@ -2,7 +2,7 @@
 
 Each Gaussian's ellipse is cut into rows, and each row into samples. This gives two lists of pairs, (Gaussian, row) and
 (Gaussian, sample), with each Gaussian on its own level of the pyramid; every step is one operation on a whole list.
-Values are those of sgmethod/native/reference.py, in the precision of the tensors. On devices without a fixed order of
+Values are those of tests/definitions/drawing.py, in the precision of the tensors. On devices without a fixed order of
 summation, the last bits vary from run to run.
 """
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from sgmethod.native import native
 
 MAX_LEVEL, NARROWEST = native.MAX_LEVEL, native.NARROWEST
-MOST_PAIRS = 1 << 22  # pairs of Gaussian and sample at a time: about 300 MB
+MAX_PAIRS = 1 << 22  # pairs of Gaussian and sample at a time: about 300 MB
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Pairs:
         (q1, q2, q3), x = self._q, self._mean[0]
         while begin < len(ends):
             before = int(ends[begin - 1]) if begin else 0
-            end = max(int(torch.searchsorted(ends, before + MOST_PAIRS, right=True)), begin + 1)
+            end = max(int(torch.searchsorted(ends, before + MAX_PAIRS, right=True)), begin + 1)
             part = slice(begin, end)
             row, column = _spread(self._column[part], self._count[part])
             g, line, dy = (values[part].index_select(0, row) for values in (self._gaussian, self._line, self._dy))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from threading import Condition
+from threading import Condition, Event
 
 import torch
 from torch import Tensor
@@ -15,6 +15,8 @@ from sgmethod.backend.tensors import Tensors
 from sgmethod.backend.tiles import Tiles
 from sgmethod.errors import SgError
 from sgmethod.scene import Gaussians
+
+POLLED_S = 0.05
 
 
 @dataclass
@@ -36,40 +38,37 @@ class _Asked:
 
 
 class Together(Tensors):
-    """A backend for a given number of threads, each of which calls leave() after its fit.
+    """A backend for a given number of threads, each of which leaves it, as a context manager, after its fit.
 
     Steps are taken once every thread that has not left asks for some.
     """
 
-    def __init__(self, device: torch.device, threads: int) -> None:
+    def __init__(self, device: torch.device, threads: int, abandoned: Event) -> None:
         super().__init__(device, tiled=True)
-        self._threads, self._has_ended = threads, False
+        self._threads, self._abandoned = threads, abandoned
         self._asked: list[_Asked] = []
-        self._meeting = Condition()
+        self._condition = Condition()
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
-        """As Backend does; raises SgError after end(), and what another thread's part of the batch raises."""
-        asked = _Asked(gaussians, moments, descent, tuple(rates))
-        with self._meeting:
-            self._asked.append(asked)
-            self._take_if_all_ask()
-            self._meeting.wait_for(lambda: asked.is_done or self._has_ended)
-        if asked.error is not None:
-            raise asked.error
-        if not asked.is_done:
-            raise SgError("the fits were abandoned")
+    def __enter__(self) -> Together:
+        return self
 
-    def leave(self) -> None:
-        """Say that one thread asks for no more steps."""
-        with self._meeting:
+    def __exit__(self, *_: object) -> None:
+        with self._condition:
             self._threads -= 1
             self._take_if_all_ask()
 
-    def end(self) -> None:
-        """Let nobody wait any more, as where some threads will never begin."""
-        with self._meeting:
-            self._has_ended = True
-            self._meeting.notify_all()
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        """As Backend does. Raises SgError once the fits are abandoned, and errors of the whole batch."""
+        asked = _Asked(gaussians, moments, descent, tuple(rates))
+        with self._condition:
+            self._asked.append(asked)
+            self._take_if_all_ask()
+            while not asked.is_done:
+                if self._abandoned.is_set():  # some of the threads may never begin
+                    raise SgError("the fits were abandoned")
+                self._condition.wait(POLLED_S)
+        if asked.error is not None:
+            raise asked.error
 
     def _take_if_all_ask(self) -> None:
         if not self._asked or len(self._asked) < self._threads:
@@ -84,14 +83,14 @@ class Together(Tensors):
                     one.error = error
             for one in alike:
                 one.is_done = True
-        self._meeting.notify_all()
+        self._condition.notify_all()
 
     # A device does one thing at a time, and Triton's interpreter allows no more.
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs | Tiles, Tensor]:
-        with self._meeting:
+        with self._condition:
             return super()._drawn(gaussians, frame)
 
     def _gradient(self, drawn: Pairs | Tiles, gaussians: Gaussians, frame: Frame, by_image: Tensor) -> Gaussians:
-        with self._meeting:
+        with self._condition:
             return super()._gradient(drawn, gaussians, frame, by_image)

@@ -20,6 +20,8 @@ from sgmethod.bitstream.stream import (
     Stream,
 )
 from sgmethod.errors import BitstreamError
+from sgmethod.settings.paper import PaperSettings
+from sgmethod.settings.rd import RdSettings
 
 # A new version of the format is a module beside this one, and a line here. A module is imported when a file needs it,
 # because each delays a decode from a cold start.
@@ -77,3 +79,14 @@ def checksum(data: bytes) -> str:
 def info(data: bytes, limits: Limits = NO_LIMITS) -> Info:
     """Describe a file. Raises BitstreamError."""
     return parse(data, limits).info(len(data), checksum(data), limits)
+
+
+def smallest_file(settings: RdSettings | PaperSettings, *, has_alpha: bool = False) -> int:
+    """Bytes of the smallest file that a profile writes for the largest picture."""
+    if isinstance(settings, RdSettings):
+        from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE
+
+        return SMALLEST_FILE + (SMALLEST_ALPHA if has_alpha else 0)
+    from sgmethod.bitstream.v1 import file_bytes, record_bits
+
+    return file_bytes(record_bits(settings.position_bits, settings.min_bitwidth), 1)

@@ -127,7 +127,7 @@ class StreamV2:
     is_short: bool = False
 
     @classmethod
-    def of(
+    def from_gaussians(
         cls,
         gaussians: Gaussians,
         size: tuple[int, int],

@@ -13,9 +13,8 @@ BAD_INPUT = 2
 BUDGET_HELP = {
     "bpp": ("F", "maximum size in bits per pixel (default: {default})"),
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
-    "looks": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
+    "quality": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
-    "quality": ("Q", "quantisation quality, up to 100; the visual result depends on the picture"),
     "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
@@ -39,7 +38,7 @@ converted to sRGB.
 examples:
   sgmethod encode photo.jpg                        writes photo.sg, at most 0.3 bits per pixel
   sgmethod encode photo.jpg -o small.sg --bytes 20k
-  sgmethod encode - - --looks web <photo.jpg >photo.sg
+  sgmethod encode - - --quality web <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
   sgmethod encode photos --output-dir out --resume
                                                    every picture in the folder, except those done before""",
@@ -78,12 +77,10 @@ INFO = (
 )
 COMPARE = (
     "Measure how close B is to the original A. Either may be a picture or an .sg file.",
-    """Higher is better for PSNR, MS-SSIM and SSIMULACRA 2; lower is better for LPIPS and DISTS. If a metric cannot
-be computed, the output says why.
+    """Prints PSNR, MS-SSIM and SSIMULACRA 2; higher is better. If one cannot be computed, the output says why.
 
 examples:
   sgmethod compare photo.jpg photo.sg
-  sgmethod compare photo.jpg photo.sg --weights DIR
   sgmethod compare a.png b.png --json""",
 )
 PLOT = (
@@ -205,7 +202,7 @@ def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
         # Whole numbers are read as floats too, so that Budget reports what is wrong with 1.5 bytes.
-        read = {"bytes": _size, "looks": _looks}.get(kind, float)
+        read = {"bytes": _size, "quality": _quality}.get(kind, float)
         budget.add_argument(f"--{kind}", type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
 
 
@@ -270,7 +267,6 @@ def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("first", type=_path, metavar="A", help="the original")
     parser.add_argument("second", type=_path, metavar="B", help="what to measure")
-    parser.add_argument("--weights", type=_path, metavar="DIR", help="folder of the LPIPS and DISTS weights")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
 
 
@@ -305,12 +301,12 @@ def _size(text: str) -> float:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def _looks(text: str) -> float:
-    from sgmethod.budget import LOOKS
+def _quality(text: str) -> float:
+    from sgmethod.budget import QUALITIES
 
     with suppress(ValueError):
-        return LOOKS[text] if text in LOOKS else float(text)
-    raise argparse.ArgumentTypeError(f"looks are a number, or one of {', '.join(LOOKS)}, not {text!r}")
+        return QUALITIES[text] if text in QUALITIES else float(text)
+    raise argparse.ArgumentTypeError(f"quality is a number, or one of {', '.join(QUALITIES)}, not {text!r}")
 
 
 def _region(text: str) -> tuple[int, int, int, int]:

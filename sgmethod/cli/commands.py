@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sgmethod.cli import files
@@ -17,9 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
-NEEDS_TORCH = "needs PyTorch: pip install 'sgmethod[torch]'"
-SMALL = "undefined for sides below {} pixels"
+TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2"}
 
 
 def run_info(arguments: argparse.Namespace) -> int:
@@ -57,48 +54,24 @@ def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Run sgmethod compare."""
-    from sgmethod.metrics import psnr
+    from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
+    from sgmethod.metrics.visual import SMALLEST_SIDE
 
     first, second = _picture(arguments.first), _picture(arguments.second)
     sizes = [f"{pixels.shape[1]} x {pixels.shape[0]}" for pixels in (first, second)]
     if sizes[0] != sizes[1]:
         raise CommandError(f"the pictures differ in size: {sizes[0]} and {sizes[1]} pixels")
     db = psnr(first, second)
-    others = {**_similarity(first, second), **_perceptual(first, second, arguments.weights)}
+    found = {"ms_ssim": ms_ssim(second, first), "ssimulacra2": ssimulacra2(second, first)}
+    smallest = {"ms_ssim": MS_SSIM_SIDE, "ssimulacra2": SMALLEST_SIDE}
     if arguments.json:
-        found = {key: value if isinstance(value, float) else None for key, value in others.items()}
         print(json.dumps({"psnr": None if db == float("inf") else db, **found}, allow_nan=False))
         return 0
     print(f"{'PSNR':<16}{'no error' if db == float('inf') else f'{db:.2f} dB'}")
-    for key, value in others.items():
-        print(f"{TITLES[key]:<16}{value if isinstance(value, str) else f'{value:.4g}'}")
+    for key, value in found.items():
+        text = f"undefined for sides below {smallest[key]} pixels" if value is None else f"{value:.4g}"
+        print(f"{TITLES[key]:<16}{text}")
     return 0
-
-
-Measured = float | str  # a figure, or the reason why there is none
-
-
-def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[str, Measured]:
-    from sgmethod.metrics import MS_SSIM_SIDE, looks, ms_ssim
-
-    found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
-    smallest = {"ms_ssim": MS_SSIM_SIDE, "ssimulacra2": looks.SMALLEST_SIDE}
-    return {key: SMALL.format(smallest[key]) if one is None else one for key, one in found.items()}
-
-
-def _perceptual(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
-    if weights is None:
-        return dict.fromkeys(("lpips", "dists"), "needs --weights (docs/command_line.md)")
-    try:
-        from sgmethod.metrics import perceptual
-    except ImportError:
-        return dict.fromkeys(("lpips", "dists"), NEEDS_TORCH)
-    if min(source.shape[:2]) < perceptual.LPIPS_SIDE:
-        return dict.fromkeys(("lpips", "dists"), SMALL.format(perceptual.LPIPS_SIDE))
-    try:
-        return {**perceptual.Networks(Path(weights))(picture, source)}
-    except (OSError, ValueError) as error:
-        raise CommandError(f"cannot use the weights in {weights}: {error}") from error
 
 
 def _picture(path: str) -> NDArray[np.uint8]:

@@ -47,8 +47,8 @@ def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     data = encode_picture(pixels, kind)
     files.write(conversion.target, data)
     height, width = pixels.shape[:2]
-    said = f"{width} x {height} pixels, {kind}, {len(data):,} bytes"
-    return Outcome.of(conversion, bytes=len(data), said=said, notes=notes)
+    summary = f"{width} x {height} pixels, {kind}, {len(data):,} bytes"
+    return Outcome.from_conversion(conversion, bytes=len(data), summary=summary, notes=notes)
 
 
 def _kind(target: str) -> str:

@@ -86,8 +86,8 @@ def _encode(
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
         files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
     files.write(conversion.target, data)
-    said = "" if arguments.json else _summary(figures)
-    return Outcome.of(conversion, bytes=len(data), said=said, figures=figures, notes=notes)
+    summary = "" if arguments.json else _summary(figures)
+    return Outcome.from_conversion(conversion, bytes=len(data), summary=summary, figures=figures, notes=notes)
 
 
 Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # file, figures, trace, notes on anything dropped
@@ -100,8 +100,8 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _encode_here(_: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:
-    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
+    from sgmethod.metrics.advice import advice, better_file
 
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(

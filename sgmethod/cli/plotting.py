@@ -29,13 +29,13 @@ def run_plot(arguments: argparse.Namespace) -> int:
     if kind is None:
         raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(KINDS)}")
     if arguments.no_clobber and target != STREAM and Path(target).is_file():
-        said = f"{target} already exists: skipped"
+        line = f"{target} already exists: skipped"
     else:
         points = _points(files.read(source), files.name_of(source))
         files.write(target, _drawn(points, kind))
-        said = f"{files.name_of(source)} -> {target}: {len(points)} points, {points[-1]['seconds']:.1f} s"
+        line = f"{files.name_of(source)} -> {target}: {len(points)} points, {points[-1]['seconds']:.1f} s"
     if not arguments.quiet and target != STREAM:
-        print(one_line(said))
+        print(one_line(line))
     return 0
 
 

@@ -44,15 +44,25 @@ def run_preview(arguments: argparse.Namespace) -> int:
     if len(wanted) > 1:
         if arguments.alt is not None:
             raise CommandError(f"--alt describes one picture, and {len(wanted)} were given")
-        tally = Run[Outcome]().finish(outcomes(tasks_of(wanted), _preview, arguments), partial(_print, arguments))
+        print_in_turn = partial(_print_in_turn, arguments, [one.source for one in wanted], {})
+        tally = Run[Outcome]().finish(outcomes(tasks_of(wanted), _preview, arguments), print_in_turn)
         return SOME_FAILED if tally.failed else 0
     outcome = _preview(wanted[0], arguments)
     say_notes(outcome, arguments)
-    print(json.dumps(outcome.figures) if arguments.json else outcome.said)
+    print(json.dumps(outcome.figures) if arguments.json else outcome.summary)
     return 0
 
 
-def _print(arguments: argparse.Namespace, outcome: Outcome, _tally: Tally) -> None:
+def _print_in_turn(
+    arguments: argparse.Namespace, names: list[str], done: dict[str, list[Outcome]], outcome: Outcome, _tally: Tally
+) -> None:
+    """Print the outcomes whose turn it is, in the order of `names`. names, done: still to be printed, emptied here."""
+    done.setdefault(outcome.input, []).append(outcome)
+    while names and done.get(names[0]):
+        _print(arguments, done[names.pop(0)].pop())
+
+
+def _print(arguments: argparse.Namespace, outcome: Outcome) -> None:
     """Print a line for one of several pictures, with its name; a failure on stderr."""
     say_notes(outcome, arguments)
     if outcome.error:
@@ -60,9 +70,9 @@ def _print(arguments: argparse.Namespace, outcome: Outcome, _tally: Tally) -> No
     elif arguments.json:
         print(json.dumps({"input": outcome.input, **outcome.figures}), flush=True)
     elif arguments.html or arguments.element:
-        print(outcome.said, flush=True)
+        print(outcome.summary, flush=True)
     else:
-        print(f"{one_line(outcome.input)}\t{outcome.said}", flush=True)
+        print(f"{one_line(outcome.input)}\t{outcome.summary}", flush=True)
 
 
 def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
@@ -74,11 +84,13 @@ def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
         made = preview(image, int(arguments.bytes))
     if conversion.target != STREAM:
         files.write(conversion.target, made.data)
-    said = _said(made, conversion, arguments)
-    return Outcome.of(conversion, bytes=len(made.data), said=said, figures=made.to_dict(), notes=notes)
+    summary = _summary(made, conversion, arguments)
+    return Outcome.from_conversion(
+        conversion, bytes=len(made.data), summary=summary, figures=made.to_dict(), notes=notes
+    )
 
 
-def _said(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:
+def _summary(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:
     from sgmethod.previews.preview import quoted
 
     if arguments.html:

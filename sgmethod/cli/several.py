@@ -31,10 +31,10 @@ class Outcome(Row):
 
     input: str
     target: str = ""
-    said: str = ""
+    summary: str = ""
 
     @classmethod
-    def of(cls, conversion: Conversion, **made: Any) -> Outcome:
+    def from_conversion(cls, conversion: Conversion, **made: Any) -> Outcome:
         """Create the result of a conversion."""
         return cls(Path(conversion.target).name, conversion.source, target=conversion.target, **made)
 
@@ -54,7 +54,7 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
 def say_done(outcome: Outcome, out: TextIO) -> None:
     """Print the names and the summary of a single conversion."""
     names = f"{files.name_of(outcome.input)} -> {files.name_of(outcome.target, 'standard output')}"
-    print(f"{one_line(names)}: {outcome.said}", file=out)
+    print(f"{one_line(names)}: {outcome.summary}", file=out)
 
 
 def without_existing(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
@@ -91,8 +91,8 @@ def convert_all(
         report.clear()
     if not arguments.quiet:
         counts = f"{tally.encoded} {verb}, {len(conversions) - len(wanted)} skipped, {tally.failed} failed"
-        said = f"{counts}: {tally.bytes:,} bytes, {time.perf_counter() - arguments.began:.1f} s"
-        print(said, file=beside, flush=True)
+        summary = f"{counts}: {tally.bytes:,} bytes, {time.perf_counter() - arguments.began:.1f} s"
+        print(summary, file=beside, flush=True)
     for outcome in report.failed:
         print(f"sgmethod: {one_line(outcome.input)}: {one_line(outcome.error or '')}", file=sys.stderr)
     return SOME_FAILED if report.failed else 0
@@ -120,7 +120,7 @@ class _Report:
             print(json.dumps({**names, **outcome.figures}, allow_nan=False), flush=True)
         elif not self._arguments.quiet:
             count = "" if self._shown else f" ({done} of {self._whole}{pace})"
-            print(f"{one_line(f'{outcome.input} -> {outcome.target}')}: {outcome.said}{count}", flush=True)
+            print(f"{one_line(f'{outcome.input} -> {outcome.target}')}: {outcome.summary}{count}", flush=True)
         self._show_count(done, pace)
 
     def clear(self) -> None:
@@ -135,7 +135,7 @@ class _Report:
 
 def tasks_of(conversions: list[Conversion]) -> list[Task[Outcome]]:
     """Create a task for each conversion."""
-    return [Task(one, Outcome.of(one)) for one in conversions]
+    return [Task(one, Outcome.from_conversion(one)) for one in conversions]
 
 
 def outcomes(tasks: list[Task[Outcome]], convert: Convert, arguments: argparse.Namespace) -> Finished[Outcome]:

@@ -18,7 +18,8 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from sgmethod.budget import DEFAULT_BUDGET, AnyFloat, AnyInt, Budget
+from sgmethod.arguments import AnyFloat, AnyInt
+from sgmethod.budget import DEFAULT_BUDGET, Budget
 from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
 from sgmethod.errors import ServerError
 from sgmethod.io.files import File, bytes_of
@@ -139,9 +140,7 @@ class Client:
         self, path: str, query: Json, image: bytes = b"", wait_s: int = 0, key: str | None = None
     ) -> httpx.Response:
         headers = {"Content-Type": "image/*", "Idempotency-Key": key or secrets.token_hex(16)}
-        if wait_s:
-            headers["Prefer"] = f"wait={wait_s}"
-        return self._connection.ask("POST", path, params=query, content=image, headers=headers)
+        return self._connection.ask("POST", path, params={**query, "wait": wait_s}, content=image, headers=headers)
 
     def job(self, job_id: str) -> Json:
         """Return a job's state, progress, trace, result and error."""

@@ -120,14 +120,16 @@ class Connection:
 
     def out_of_reach(self, error: httpx.RequestError) -> ServerError:
         """Return the error to report if it may be temporary; else raise it."""
-        said = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
+        failure = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
         if "CERTIFICATE_VERIFY_FAILED" in str(error):
-            said = ServerError(f"the certificate of {self._server} is not trusted; SSL_CERT_FILE may name one: {error}")
+            failure = ServerError(
+                f"the certificate of {self._server} is not trusted; SSL_CERT_FILE may name one: {error}"
+            )
         # If nothing has ever answered, a wrong address is more likely than a restarting server.
         never = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout) and not self._has_answered
         if never or not isinstance(error, PASSING):
-            raise said from error
-        return said
+            raise failure from error
+        return failure
 
 
 def _refusal(answer: httpx.Response) -> RefusedError:

@@ -12,7 +12,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from sgmethod.budget import DEFAULT_BUDGET, AnyInt, checked_integer
+from sgmethod.arguments import AnyInt, checked_integer
+from sgmethod.budget import DEFAULT_BUDGET
 from sgmethod.client.client import Client
 from sgmethod.errors import ServerError
 from sgmethod.io.files import bytes_of

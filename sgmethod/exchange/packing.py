@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
-from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, Budget, checked_integer, finite_number
+from sgmethod.budget import MAX_GAUSSIANS, Budget
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
@@ -55,7 +56,7 @@ def pack(
     """
     width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
     own = seen(checked_gaussians(gaussians), (width, height))
-    if len(own) > min(width * height, MOST_GAUSSIANS):
+    if len(own) > min(width * height, MAX_GAUSSIANS):
         raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
     below = _levels(background)
     target = None if image is None else target_of(_pixels(image, width, height), below)
@@ -96,7 +97,7 @@ class _Packing:
         return replace(rounded, payload=payload)
 
     def _coded(self, gaussians: Gaussians, quantum: float) -> StreamV2:
-        return StreamV2.of(gaussians, self._size, quantum, self._background, self._grey)
+        return StreamV2.from_gaussians(gaussians, self._size, quantum, self._background, self._grey)
 
     def within(self, max_bytes: int) -> StreamV2:
         """Code Gaussians with the finest quantum for a file of at most max_bytes."""
@@ -134,9 +135,9 @@ class _Packing:
         while len(some) > 1:
             first, second = (some.rows(half) for half in np.array_split(np.arange(len(some)), 2))
             some = first if clipped(first) else second
-        said = ", ".join(str(values[0].tolist()) for values in some.arrays)
+        numbers = ", ".join(str(values[0].tolist()) for values in some.arrays)
         raise GaussiansError(
-            f"no file can hold a Gaussian with mean, factors and colour {said}: its size sqrt(l1 l3) must be about "
+            f"no file can hold a Gaussian with mean, factors and colour {numbers}: its size sqrt(l1 l3) must be about "
             "0.21 to 19,500 pixels, neither of l1 and l3 more than 8.9 million times the other, |l2| at most 4096 l3, "
             "its centre within about 1.6 sizes of the picture, and its colour at most 2^22 steps"
         )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
 
@@ -35,34 +36,41 @@ class Clock:
         return self._stopped_s
 
 
+@dataclass(frozen=True)
 class Deadline:
-    """The deadline of an encode, or of a part of it."""
+    """The deadline of an encode, or of a part of it: seconds of its clock at which it begins and ends."""
 
-    def __init__(
-        self, clock: Clock, limit_s: float | None = None, pixels: int = 0, settings: DeadlineSettings | None = None
-    ) -> None:
+    clock: Clock
+    began_s: float
+    end_s: float
+    settings: DeadlineSettings
+
+    @classmethod
+    def from_limit(
+        cls, clock: Clock, limit_s: float | None = None, pixels: int = 0, settings: DeadlineSettings | None = None
+    ) -> Deadline:
         """Start an encode. limit_s: for the whole encode, including a reserve for measuring this many pixels."""
-        self._clock, self.settings = clock, settings or DeadlineSettings()
-        s = self.settings
+        s = settings or DeadlineSettings()
         reserve_s = s.reserve_s_per_megapixel + s.shared_s_per_megapixel / thread_count()
-        self._end_s = math.inf if limit_s is None else limit_s - s.reserve_s - reserve_s * pixels / 1e6
-        self._began_s = clock.seconds()
+        end_s = math.inf if limit_s is None else limit_s - s.reserve_s - reserve_s * pixels / 1e6
+        return cls(clock, clock.seconds(), end_s, s)
 
-    def part(self, share: float) -> Deadline:
+    def at(self, share: float) -> Deadline:
         """A deadline at `share` (above 0) of the total time."""
-        part = Deadline(self._clock, None, 0, self.settings)
-        part._end_s = share * self._end_s
-        return part
+        return replace(self, began_s=self.clock.seconds(), end_s=share * self.end_s)
 
-    def part_from_now(self, share: float) -> Deadline:
+    def after(self, share: float) -> Deadline:
         """A deadline after `share` of the time left."""
-        part = Deadline(self._clock, None, 0, self.settings)
-        part._end_s = part._began_s + share * (self._until_s(1.0) - part._began_s)
-        return part
+        now_s = self.clock.seconds()
+        return replace(self, began_s=now_s, end_s=now_s + share * (self._until_s(1.0) - now_s))
 
-    def left_s(self, share: float = 1.0) -> float:
-        """Seconds until `share` of the total time is over, at least 0; infinity without a limit."""
-        return max(self._until_s(share) - self._clock.seconds(), 0.0)
+    def left_s(self) -> float:
+        """Seconds left, at least 0; infinity without a limit."""
+        return max(self._until_s(1.0) - self.clock.seconds(), 0.0)
+
+    def left_to_fit_s(self) -> float:
+        """Seconds left, without those for the search over the file's integers."""
+        return max(self._until_s(self.settings.fit_share) - self.clock.seconds(), 0.0)
 
     def tries(self, most: int) -> Iterator[int]:
         """Yield 0, 1, ... while there is time for another try as long as the longest so far; 0 in any case."""
@@ -70,26 +78,26 @@ class Deadline:
         for number in range(most):
             if number > 0 and longest_s >= self.left_s():
                 break
-            began_s = self._clock.seconds()
+            began_s = self.clock.seconds()
             yield number
-            longest_s = max(longest_s, self._clock.seconds() - began_s)
+            longest_s = max(longest_s, self.clock.seconds() - began_s)
 
     def is_short(self) -> bool:
         """Whether little time is left for the fit, compared with the time so far."""
-        took_s = self._clock.seconds() - self._began_s
-        return self.left_s(self.settings.fit_share) < self.settings.short * took_s
+        took_s = self.clock.seconds() - self.began_s
+        return self.left_to_fit_s() < self.settings.short * took_s
 
     def steps_in_time(self, gradient_s: float) -> float:
         """Estimate the steps that a fit has time for, from the duration of a gradient at its start."""
-        return self.left_s(self.settings.fit_share) / (self.settings.gradients_per_step * gradient_s)
+        return self.left_to_fit_s() / (self.settings.gradients_per_step * gradient_s)
 
     def seconds_of(self, task: Callable[[], object]) -> float:
         """Time a task: the fastest of three runs, because the first also touches new memory."""
         times = []
         for _ in range(3):
-            began_s = self._clock.seconds()
+            began_s = self.clock.seconds()
             task()
-            times.append(self._clock.seconds() - began_s)
+            times.append(self.clock.seconds() - began_s)
         return min(times)
 
     def has_limit(self) -> bool:
@@ -98,29 +106,29 @@ class Deadline:
 
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
         """Yield a pace for each run of these lengths: the first in any case, others while they end in time."""
-        prepared_s = self._clock.seconds()
-        least_until_s = prepared_s + self.settings.least_part * (prepared_s - self._began_s)
+        prepared_s = self.clock.seconds()
+        least_until_s = prepared_s + self.settings.least_part * (prepared_s - self.began_s)
         step_s = 0.0
         for number, length in enumerate(lengths):
-            if number > 0 and step_s * length >= self.left_s(self.settings.fit_share):
+            if number > 0 and step_s * length >= self.left_to_fit_s():
                 break
-            began_s = self._clock.seconds()
-            yield Pace(self._clock, length, partial(self._run_until_s, least_until_s if number == 0 else 0.0))
-            step_s = (self._clock.seconds() - began_s) / length
+            began_s = self.clock.seconds()
+            yield Pace(self.clock, length, partial(self._run_until_s, least_until_s if number == 0 else 0.0))
+            step_s = (self.clock.seconds() - began_s) / length
 
     def pace(self, steps: int) -> Pace:
         """A pace for one run of this many steps."""
-        return Pace(self._clock, steps, lambda: self._until_s(1.0))
+        return Pace(self.clock, steps, lambda: self._until_s(1.0))
 
     def _run_until_s(self, least_s: float) -> float:
         return max(self._until_s(self.settings.fit_share), least_s)
 
     def _until_s(self, share: float) -> float:
         """Second at which `share` of the time is over. A stop shortens the rest of the schedule, like a limit."""
-        stopped_s = self._clock.stopped_s()
+        stopped_s = self.clock.stopped_s()
         s = self.settings
         winding_down_s = min(s.winding_down * stopped_s, s.most_winding_down_s)
-        return min(share * self._end_s, stopped_s + share * winding_down_s)
+        return min(share * self.end_s, stopped_s + share * winding_down_s)
 
 
 def cosine(final_rate: float, progress: float) -> float:
@@ -163,5 +171,5 @@ class Pace:
         self.done += steps
         self.progress = self.done / self.length
         if math.isfinite(end_s):
-            gone = (seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
-            self.progress = max(self.progress, gone)
+            by_time = (seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
+            self.progress = max(self.progress, by_time)

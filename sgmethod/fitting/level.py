@@ -166,7 +166,7 @@ class Pyramid:
     settings: PyramidSettings
 
     @classmethod
-    def of(cls, whole: Level, settings: PyramidSettings, gaussians: int) -> Pyramid:
+    def from_whole(cls, whole: Level, settings: PyramidSettings, gaussians: int) -> Pyramid:
         """Build the pyramid of a picture, without levels finer than this many Gaussians can show."""
         levels = [whole]
         while min(levels[-1].frame.height, levels[-1].frame.width) >= settings.smallest_side:

@@ -14,8 +14,8 @@ So the target is moved every few steps, and the kernels need not know.
 
 from __future__ import annotations
 
-from copy import copy
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,100 +31,109 @@ from sgmethod.threads import in_parallel
 LUMA = (0.299, 0.587, 0.114)
 
 
-class MovingTarget:
-    """A target [3, H, W] that stays where it is; subclasses move. Instances are immutable: moving returns another.
+@dataclass(frozen=True, eq=False)
+class FitTarget:
+    """A target of the fit that stays as it is. Subclasses move, each time to a new instance.
 
-    now: the current target; hides: grain has been hidden already, or never will be.
+    original: the picture, [3, H, W]; now: what the fit aims at; every: in steps, the target may move before a step
+    whose number is a multiple of this; hides: grain has been hidden already, or never will be.
     """
 
-    hides = True
+    half: ClassVar[bool] = False  # whether moved() is given the error at half the size
 
-    def __init__(self, target: Target) -> None:
-        self.now = self._original = target
-
-    half = False  # whether moved() is given the error at half the size
-    every = 16  # steps: the target may move before a step whose number is a multiple of this
+    original: Target
+    now: Target
+    every: int = 16
+    hides: bool = True
 
     def is_due(self, _step: int, _has_grown: bool) -> bool:
         """Whether the target moves before this step. has_grown: the growth of this run is over."""
         return False
 
-    def moved(self, _error: Rows) -> MovingTarget:
+    def moved(self, _error: Rows) -> FitTarget:
         """Return the target moved for this error: original target minus picture, by the target's rows."""
         return self
 
-    def without(self, _grain: Target) -> MovingTarget:
+    def without(self, _grain: Target) -> FitTarget:
         """Return the target with grain [3, H, W] to be subtracted at each move."""
         return self
 
-    def whole(self) -> MovingTarget:
+    def whole(self) -> FitTarget:
         """Return the target with its grain added back, for good."""
         return self
 
 
-class ExaggeratedTarget(MovingTarget):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExaggeratedTarget(FitTarget):
     """A target for the eye: exaggerates coarse errors and detail that the picture lacks, without hidden grain.
 
     It moves only after the growth of a run, which would take the difference for error and add wide Gaussians instead of
     correcting fine errors.
+    shrink: coarse errors are means over squares of so many samples, at least 2; by: the offset for them, at 1 / shrink
+    of the size; detail: the source's luma by octave, from half the size on; more: its exaggeration, as factors; kept:
+    share of detail left where grain is hidden, at half the size.
     """
 
-    hides, half = False, True
+    half = True
 
-    def __init__(self, target: Target, shrink: int, settings: MovingTargetSettings) -> None:
-        """Start at the original target. shrink: coarse errors are means over squares of so many samples, at least 2."""
-        super().__init__(target)
-        self._settings, self._shrink, self.every = settings, shrink, settings.every
-        self._grain: Target | None = None
-        self._by: FloatArray | None = None  # offset for coarse errors, at 1 / shrink of the size
-        self._detail: list[FloatArray] = []  # the source's luma by octave, from half the size on
-        self._more: list[FloatArray] = []  # exaggeration of that detail, as factors
-        self._kept: FloatArray | None = None  # share of detail left where grain is hidden, at half the size
+    hides: bool = False
+    shrink: int
+    settings: MovingTargetSettings
+    grain: Target | None = None
+    by: FloatArray | None = None
+    detail: tuple[FloatArray, ...] = ()
+    more: tuple[FloatArray, ...] = ()
+    kept: FloatArray | None = None
+
+    @classmethod
+    def from_target(cls, target: Target, shrink: int, settings: MovingTargetSettings) -> ExaggeratedTarget:
+        """Start at the original target."""
+        return cls(target, target, settings.every, shrink=shrink, settings=settings)
 
     def is_due(self, step: int, has_grown: bool) -> bool:
         return has_grown and step % self.every == 0
 
     def without(self, grain: Target) -> ExaggeratedTarget:
-        new = copy(self)
-        new._grain, new.hides = grain, True
-        finest = self._original[1] - _enlarged(halved(self._original[1]), grain.shape[1:])
+        finest = self.original[1] - _enlarged(halved(self.original[1]), grain.shape[1:])
         hidden, whole = (_spread_nearby(plane) for plane in (grain[1], finest))
-        new._kept = 1 - np.minimum(hidden / (whole + 1), 1)
-        return new
+        return replace(self, grain=grain, kept=1 - np.minimum(hidden / (whole + 1), 1), hides=True)
 
     def whole(self) -> ExaggeratedTarget:
-        new = copy(self)
-        if self._grain is not None:
-            new.now = self.now + self._grain
-        new._grain, new._kept, new.hides = None, None, True
-        return new
+        now = self.now if self.grain is None else self.now + self.grain
+        return replace(self, now=now, grain=None, kept=None, hides=True)
 
     def moved(self, error: Rows) -> ExaggeratedTarget:
-        new, s, (_, height, width) = copy(self), self._settings, self._original.shape
+        s = self.settings
         coarse, luma = self._reduced(error)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
-        new._by = coarse if self._by is None else self._by + np.float32(s.rate) * (coarse - self._by)
-        new._detail = self._detail or _octaves(self._reduced(self._source)[1], s)
-        new._more = new._more_detail(luma)
-        by_coarse = np.rint(new._by * TARGET_WHITE).astype(np.int16)
-        by_detail = _enlarged(np.rint(new._exaggerated(luma.shape) * TARGET_WHITE).astype(np.int16), (height, width))
-        new.now = np.empty_like(self._original)
+        by = coarse if self.by is None else self.by + np.float32(s.rate) * (coarse - self.by)
+        detail = self.detail or _octaves(self._reduced(self._source)[1], s)
+        more = self._more_detail(detail, luma)
+        exaggerated = self._exaggerated(detail, more, luma.shape)
+        return replace(self, now=self._offset(by, exaggerated), by=by, detail=detail, more=more)
+
+    def _offset(self, by: FloatArray, detail: FloatArray) -> Target:
+        """Add both offsets to the original, and subtract hidden grain."""
+        _, *size = self.original.shape
+        by_coarse = np.rint(by * TARGET_WHITE).astype(np.int16)
+        by_detail = _enlarged(np.rint(detail * TARGET_WHITE).astype(np.int16), (*size,))
+        now = np.empty_like(self.original)
 
         def move(k: int) -> None:
-            np.add(self._original[k], _enlarged(by_coarse[k], (height, width)), out=new.now[k])
-            new.now[k] += by_detail
-            if self._grain is not None:
-                new.now[k] -= self._grain[k]
+            np.add(self.original[k], _enlarged(by_coarse[k], (*size,)), out=now[k])
+            now[k] += by_detail
+            if self.grain is not None:
+                now[k] -= self.grain[k]
 
         in_parallel(move, range(3))
-        return new
+        return now
 
     def _source(self, first: int, end: int) -> FloatArray:
-        return all_halved(self._original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE))
+        return all_halved(self.original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE))
 
     def _reduced(self, halves: Rows) -> tuple[FloatArray, FloatArray]:
         """Reduce planes of half the size to means over squares of `shrink`, [3, h, w], and to luma."""
-        shrink, (_, height, width) = self._shrink, self._original.shape
+        shrink, (_, height, width) = self.shrink, self.original.shape
         coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
         luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
         for first, end in bands(height, width):
@@ -134,66 +143,69 @@ class ExaggeratedTarget(MovingTarget):
                 to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
         return coarse, luma
 
-    def _more_detail(self, missing: FloatArray) -> list[FloatArray]:
+    def _more_detail(self, detail: tuple[FloatArray, ...], missing: FloatArray) -> tuple[FloatArray, ...]:
         """Update the exaggeration of each octave of detail. missing: luma of the error at half the size."""
-        s = self._settings
+        s = self.settings
         more = [
             np.minimum(_unlikeness(source, source - less, s), most) - 1
-            for source, less, most in zip(self._detail, _octaves(missing, s), s.most_detail, strict=True)
+            for source, less, most in zip(detail, _octaves(missing, s), s.most_detail, strict=True)
         ]
-        before = self._more or more
-        return [old + np.float32(s.detail_rate) * (new - old) for old, new in zip(before, more, strict=True)]
+        return tuple(
+            old + np.float32(s.detail_rate) * (new - old) for old, new in zip(self.more or more, more, strict=True)
+        )
 
-    def _exaggerated(self, size: tuple[int, ...]) -> FloatArray:
+    def _exaggerated(
+        self, detail: tuple[FloatArray, ...], more: tuple[FloatArray, ...], size: tuple[int, ...]
+    ) -> FloatArray:
         """Detail to add to the target, at half the size."""
-        by = [share * detail for share, detail in zip(self._more, self._detail, strict=True)]
-        total = np.asarray(sum(_enlarged(octave, size) for octave in by), np.float32)
-        return total if self._kept is None else total * self._kept  # else hidden grain would return as dots
+        total = np.asarray(
+            sum(_enlarged(share * octave, size) for share, octave in zip(more, detail, strict=True)), np.float32
+        )
+        return total if self.kept is None else total * self.kept  # else hidden grain would return as dots
 
 
-class OvershootingTarget(MovingTarget):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OvershootingTarget(FitTarget):
     """A target for alpha: follows the picture beyond black and white, which decoding clamps.
 
     An edge may then overshoot instead of stopping at black or white, which Gaussians can hardly do; at steep edges it
     must, by a margin. Larger overshoot would show in reduced views, which are clamped only after they are drawn.
+    range: least and greatest offset [2, H, W] from the target with which the picture counts as right.
     """
 
-    def __init__(self, target: Target, background: int, settings: MovingTargetSettings) -> None:
+    range: FloatArray
+
+    @classmethod
+    def from_target(cls, target: Target, background: int, settings: MovingTargetSettings) -> OvershootingTarget:
         """Start at the original target. background: the grey level that was subtracted from it."""
-        super().__init__(target)
-        s = self._settings = settings
-        self.every = s.overshoot_every
-        level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(
-            np.uint8
-        )
-        ends = [(level == 0).astype(np.float32), (level == 255).astype(np.float32)]
+        s = settings
+        level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255)
+        level = level.astype(np.uint8)
+        black, white = (level == 0).astype(np.float32), (level == 255).astype(np.float32)
         margin = s.margin + s.of_slope * np.minimum(_slope(level), s.most_slope)
-        # Range of offsets from the target within which the picture counts as right.
-        self._low = ends[1] * margin - ends[0] * s.overshoot
-        self._high = ends[1] * s.overshoot - ends[0] * margin
+        low, high = white * margin - black * s.overshoot, white * s.overshoot - black * margin
+        return cls(target, target, s.overshoot_every, range=np.stack([low, high]))
 
     def is_due(self, step: int, _has_grown: bool) -> bool:
         return step % self.every == 0
 
     def moved(self, error: Rows) -> OvershootingTarget:
-        new, (_, height, width) = copy(self), self._original.shape
-        new.now = np.empty_like(self._original)
+        now, (_, height, width) = np.empty_like(self.original), self.original.shape
         for first, end in bands(height, width):
-            here = slice(first, end)
-            beyond = np.clip(-error(first, end)[0], self._low[here], self._high[here])
+            beyond = np.clip(-error(first, end)[0], *self.range[:, first:end])
             moved = np.rint(beyond * TARGET_WHITE).astype(np.int16)
-            np.add(self._original[:, here], moved, out=new.now[:, here])
-        return new
+            np.add(self.original[:, first:end], moved, out=now[:, first:end])
+        return replace(self, now=now)
 
 
-def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> list[FloatArray]:
+def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> tuple[FloatArray, ...]:
     """Split a plane into octaves of detail, finest first."""
     found = []
     for _ in settings.most_detail:
         coarse = halved(plane)
         found.append(plane - _enlarged(coarse, plane.shape))
         plane = coarse
-    return found
+    return tuple(found)
 
 
 def _unlikeness(source: FloatArray, drawn: FloatArray, settings: MovingTargetSettings) -> FloatArray:

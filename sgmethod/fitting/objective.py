@@ -12,7 +12,7 @@ from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
-from sgmethod.fitting.moving_target import ExaggeratedTarget, MovingTarget, OvershootingTarget
+from sgmethod.fitting.moving_target import ExaggeratedTarget, FitTarget, OvershootingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians, Pixels
@@ -39,7 +39,9 @@ class Objective:
     seen_share: SeenShare | None = None
 
     @classmethod
-    def of(cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, alpha: Pixels | None = None) -> Objective:
+    def from_pixels(
+        cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, alpha: Pixels | None = None
+    ) -> Objective:
         """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque."""
         shown = None if alpha is None else visibility.of_alpha(alpha)
         seen = visibility.of_detail(pixels, settings.visibility, shown) if tune == "visual" else shown
@@ -47,7 +49,7 @@ class Objective:
         return cls(pixels, settings, tune == "visual", False, shown, seen, share)
 
     @classmethod
-    def of_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
+    def from_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
         """Objective for an alpha plane [H, W]."""
         return cls(np.repeat(alpha[..., None], 3, axis=2), settings, is_alpha=True)
 
@@ -58,16 +60,16 @@ class Objective:
 
     def under(self, pixels: Pixels, alpha: Pixels) -> Objective:
         """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
-        return Objective.of(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
+        return Objective.from_pixels(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
 
-    def moving_target(self, target: Target, spacing: int, background: int) -> MovingTarget:
+    def moving_target(self, target: Target, spacing: int, background: int) -> FitTarget:
         """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
-            return OvershootingTarget(target, background, self.settings.moving)
+            return OvershootingTarget.from_target(target, background, self.settings.moving)
         shrink = self.settings.moving.shrink // spacing
         if self.replaces_grain and shrink > 1:
-            return ExaggeratedTarget(target, shrink, self.settings.moving)
-        return MovingTarget(target)
+            return ExaggeratedTarget.from_target(target, shrink, self.settings.moving)
+        return FitTarget(target, target)
 
     def hidden_by(self, effort: Effort) -> int:
         """Coarser sizes whose gains can hide a place of growth: few if the target moves, as coarse errors persist."""
@@ -77,7 +79,9 @@ class Objective:
         """Weighted squared error [N] that dropping each Gaussian alone would add."""
         l1, l3 = gaussians.factors[:, 0], gaussians.factors[:, 2]
         energies = np.float32(np.pi) * l1 * l3 * np.square(gaussians.colors).sum(1)
-        return np.asarray(energies if self.seen_share is None else energies * self.seen_share.of(gaussians), np.float32)
+        return np.asarray(
+            energies if self.seen_share is None else energies * self.seen_share.look_up(gaussians), np.float32
+        )
 
     def grain(self, residual: Rows) -> Target:
         """Grain to hide from the fit, given its current residual."""
@@ -92,7 +96,7 @@ class Objective:
             drawn = np.where(self.shown.values[..., None] > 0, drawn, self.pixels)
         return texture.estimate(self.pixels, drawn, self.settings.texture)
 
-    def looks(self, decoded: Pixels) -> float:
+    def ssimulacra2(self, decoded: Pixels) -> float:
         """SSIMULACRA 2 of a decoded picture [H, W, 3], composited over grey; sides are at least 8 pixels."""
         pixels = self.pixels
         if self.shown is not None:

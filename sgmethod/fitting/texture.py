@@ -23,13 +23,13 @@ from sgmethod.settings.rd import TextureSettings
 Plane = NDArray[np.float32]
 Value = TypeVar("Value", np.float32, np.float64)
 BLOCK = 8  # pixels along a side of the blocks whose energies are compared within a cell
-MOST_FLAT = 1 / 8  # most flat pixels in a block of noise
+MAX_FLAT = 1 / 8  # most flat pixels in a block of noise
 REACH = 9  # side of the square around a pixel in which its darkest (ink) and brightest (paper) levels are found
 CONTRAST = 64  # least difference between ink and paper, in levels of 8 bits
 LIKE = 1 / 6  # part of the contrast by which JPEG may move a pixel away from ink or paper
-MOST_DRAWN = 1 / 2  # most pixels of ink or paper in a block of noise
+MAX_DRAWN = 1 / 2  # most pixels of ink or paper in a block of noise
 SIDE = TEXTURE_CELL // BLOCK  # blocks along a side of a cell
-SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/test_texture.py
+SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/fitting/test_texture.py
 STEPS = 30  # towards the strengths of cells, which then move by less than a tenth of a code
 TINY = 1e-3  # squared levels
 # Weights [blocks of a cell, 9] in linear interpolation of the cell and its neighbours: of 3 cells, the middle one's.
@@ -133,7 +133,7 @@ def _noisy(luma: Plane) -> Plane:
     darkest, brightest = _extremes(luma, REACH)
     contrast = brightest - darkest
     drawn = (contrast >= CONTRAST) & (np.minimum(luma - darkest, brightest - luma) <= LIKE * contrast)
-    return _plane((_share(flat) <= MOST_FLAT) & (_share(drawn) <= MOST_DRAWN))
+    return _plane((_share(flat) <= MAX_FLAT) & (_share(drawn) <= MAX_DRAWN))
 
 
 def _extremes(luma: Plane, side: int) -> tuple[Plane, Plane]:

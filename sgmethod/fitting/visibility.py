@@ -74,7 +74,7 @@ class SeenShare:
             visibility = visibility.halved()
             self._levels.append(visibility.values)
 
-    def of(self, gaussians: Gaussians) -> FloatArray:
+    def look_up(self, gaussians: Gaussians) -> FloatArray:
         """Visible share [N]. A NaN centre counts as the picture's corner, a NaN size as zero."""
         means, factors, colors = gaussians.arrays
         size = 2 * np.sqrt(factors[:, 0] * factors[:, 2])

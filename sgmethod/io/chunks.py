@@ -25,7 +25,7 @@ BMP_V5, BMP_EMBEDDED = 124, b"DEBM"  # size of the header; colour space PROFILE_
 TIFF_BIG = 43
 NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255  # the two lowest tags; entries are sorted, so they come first
 PREVIEW_OR_MASK, OLD_PREVIEW = 1 | 4, 2
-MOST_PAGES = 100
+MAX_PAGES = 100
 
 Span = tuple[bytes, int, int]  # kind, start and end of the content
 
@@ -115,7 +115,7 @@ def holds_one_picture(tiff: bytes) -> bool:
     (at,) = struct.unpack_from(order + link, tiff, first)
     seen: set[int] = set()
     try:
-        while at and at not in seen and len(seen) < MOST_PAGES:
+        while at and at not in seen and len(seen) < MAX_PAGES:
             (entries,) = struct.unpack_from(order + count, tiff, at)
             at_first, size = at + struct.calcsize(count), struct.calcsize("=" + entry)
             places = [at_first + n * size for n in range(min(entries, 2))]
@@ -125,7 +125,7 @@ def holds_one_picture(tiff: bytes) -> bool:
             (at,) = struct.unpack_from(order + link, tiff, at_first + entries * size)
     except (struct.error, OverflowError):  # the chain of pages is damaged after the first
         return True
-    return len(seen) < MOST_PAGES
+    return len(seen) < MAX_PAGES
 
 
 def _is_preview_or_mask(tiff: bytes, entry: str, places: list[int]) -> bool:

@@ -28,7 +28,7 @@ Curve = Callable[[Values], Values]  # values in a file -> linear light, both in 
 Matrix = NDArray[np.float64]
 
 BAND = 1 << 18  # pixels converted at a time: a whole picture in floats would take more memory than an encode
-MOST_BLACK = 0.18  # limit of black-point compensation, as in Little CMS: an L* of 50
+MAX_BLACK = 0.18  # limit of black-point compensation, as in Little CMS: an L* of 50
 MAX_PROFILE_BYTES = 16 << 20  # inflated; profiles of printing presses have one or two MiB
 UNSEEN = 0.75 / 255  # a conversion that moves no colour further is skipped
 
@@ -103,10 +103,10 @@ class Space:
     black: float = 0
 
     @classmethod
-    def of(cls, curves: tuple[Curve, ...], to_d50: Matrix | None) -> Space | None:
+    def from_curves(cls, curves: tuple[Curve, ...], to_d50: Matrix | None) -> Space | None:
         """Build a space; None if it is sRGB. Raises ProfileError if it does not describe colours."""
         darkest = np.array([float(curve(np.zeros(1))[0]) for curve in curves])
-        black = min(max(float(darkest[0] if to_d50 is None else to_d50[1] @ darkest), 0.0), MOST_BLACK)
+        black = min(max(float(darkest[0] if to_d50 is None else to_d50[1] @ darkest), 0.0), MAX_BLACK)
         space = cls(curves, None if to_d50 is None else _d50_to_srgb() @ to_d50, black)
         side = np.linspace(0, 1, 9)
         probe = np.stack(np.meshgrid(*[side] * len(curves), indexing="ij"), -1).reshape(-1, len(curves))
@@ -188,7 +188,7 @@ def of_code_points(primaries: int, transfer: int) -> Colour:
     if primaries not in PRIMARIES or transfer not in (*SRGB_LIKE, *GAMMAS):
         raise ProfileError(f"unknown code points {primaries} and {transfer}")
     curve = from_srgb if transfer in SRGB_LIKE else _gamma(GAMMAS[transfer])
-    return Space.of((curve,) * 3, _to_d50(PRIMARIES[primaries]))
+    return Space.from_curves((curve,) * 3, _to_d50(PRIMARIES[primaries]))
 
 
 def of_png(info: Mapping[Any, Any]) -> Colour:
@@ -207,7 +207,7 @@ def of_png(info: Mapping[Any, Any]) -> Colour:
         to_d50 = _to_d50(primaries)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         raise ProfileError("its primaries are invalid") from error
-    return Space.of((curve,) * 3, to_d50)
+    return Space.from_curves((curve,) * 3, to_d50)
 
 
 def inflated(iccp: bytes) -> bytes:
@@ -240,8 +240,8 @@ def of_profile(profile: bytes, mode: str) -> Colour:
     try:
         curves = tuple(_curve(tags[name]) for name in names)
         if channels == "L":
-            return Space.of(curves, None)
-        return Space.of(curves, np.stack([_xyz_of(tags[name]) for name in (b"rXYZ", b"gXYZ", b"bXYZ")], 1))
+            return Space.from_curves(curves, None)
+        return Space.from_curves(curves, np.stack([_xyz_of(tags[name]) for name in (b"rXYZ", b"gXYZ", b"bXYZ")], 1))
     except (struct.error, KeyError, IndexError) as error:
         raise ProfileError("it is damaged") from error
 

@@ -20,7 +20,7 @@ from sgmethod.io.png import Compress, encode_png, zlib_compress
 
 SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WebP", ".avif": "AVIF", ".ppm": "PPM"}
 OPAQUE = ("JPEG", "PPM")
-MOST_SIDES = {"JPEG": 65_500, "WebP": 16_383}  # of libjpeg, which prints a line of its own, and of the format
+MAX_SIDES = {"JPEG": 65_500, "WebP": 16_383}  # of libjpeg, which prints a line of its own, and of the format
 OPTIONS: dict[str, dict[str, Any]] = {
     "JPEG": {"quality": 95, "subsampling": "4:4:4"},
     "WebP": {"quality": 95},
@@ -43,7 +43,7 @@ def encode_picture(
     if kind == "PNG":
         return encode_png(pixels, compress)
     height, width = pixels.shape[:2]
-    if max(width, height) > (limit := MOST_SIDES.get(kind, width + height)):
+    if max(width, height) > (limit := MAX_SIDES.get(kind, width + height)):
         raise ImageError(f"{kind} has at most {limit:,} pixels per side, not {width:,} x {height:,}: take PNG")
     if kind in OPAQUE and pixels.shape[2] == 4:
         pixels = composited(pixels, WHITE)

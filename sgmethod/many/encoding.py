@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import AnyInt, checked_integer
+from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.codec import encode
 from sgmethod.errors import noted
 from sgmethod.io.inputs import Input

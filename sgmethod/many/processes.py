@@ -10,8 +10,9 @@ import signal
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from contextlib import contextmanager, suppress
+from itertools import islice
+from multiprocessing import get_context
 from multiprocessing.sharedctypes import RawValue
 from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
@@ -20,7 +21,7 @@ from sgmethod.errors import SgError
 
 if TYPE_CHECKING:
     from ctypes import c_byte
-    from multiprocessing.process import BaseProcess
+    from multiprocessing.connection import Connection
 
 KILLED = "its process was killed, perhaps because memory ran out"
 NONE_BEGINS = (
@@ -44,61 +45,61 @@ def in_processes(
     no process can begin, or the system allows no more.
     """
     waiting = iter(items)
-    with _limits_said():
+    with _limits_named():
         begun = RawValue("b", 0)  # an Event has a lock, which a killed process may hold for ever
-    while lost := (yield from _until_killed(function, waiting, processes, 2 * processes, begun)):
+    while True:
+        running: dict[Future[Result], Item] = {}
+        with _pool(processes, begun) as pool, suppress(BrokenProcessPool):
+            while True:
+                for item in islice(waiting, 2 * processes - len(running)):
+                    running[_submitted(pool, function, item)] = item
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    result = future.result()
+                    yield running.pop(future), result
         if not begun.value:
             raise SgError(NONE_BEGINS)
-        # One of them ended its process, and with it the pool. Each is tried again alone.
-        suspects = iter(lost)
-        while killed := (yield from _until_killed(function, suspects, 1, 1, begun)):
-            yield killed[0], None
-
-
-def _until_killed(
-    function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int, begun: c_byte
-) -> Generator[tuple[Item, Result], None, list[Item]]:
-    """Yield items with their results; return those under way when a process was killed, or none at the end."""
-    from sgmethod.native import native
-
-    threads = max(native.thread_count() // processes, 1)
-    running: dict[Future[Result], Item] = {}
-    lost: list[Item] = []
-    with _limits_said():
-        made = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, begun))
-    with made as pool:
-        try:
-            while True:
-                while not lost and len(running) < ahead:
-                    try:
-                        item = next(waiting)
-                    except StopIteration:
-                        break
-                    try:
-                        with _limits_said(), _uninterrupted():
-                            running[pool.submit(function, item)] = item
-                    except BrokenProcessPool:
-                        lost.append(item)
-                if not running:
-                    return lost
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    item = running.pop(future)
-                    try:
-                        result = future.result()
-                    except BrokenProcessPool:
-                        lost.append(item)
-                    else:
-                        yield item, result
-        except BaseException:
-            own = list(pool._processes.values())  # shutdown() forgets them
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in own:
-                process.terminate()
-            raise
+        for item in running.values():  # one of them ended its process, and with it the pool
+            alone = None
+            with _pool(1, begun) as pool, suppress(BrokenProcessPool):
+                alone = _submitted(pool, function, item).result()
+            yield item, alone
 
 
 @contextmanager
-def _limits_said() -> Iterator[None]:
+def _pool(processes: int, begun: c_byte) -> Iterator[ProcessPoolExecutor]:
+    """A pool whose processes share the cores. They end at once if an error leaves the block, or if this one ends."""
+    from sgmethod.native import native
+
+    threads = max(native.thread_count() // processes, 1)
+    with _limits_named():
+        watched, held = CONTEXT.Pipe(duplex=False)  # the system closes it too, if this process is killed
+        pool = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, begun, watched))
+    try:
+        yield pool
+    except BaseException:
+        held.close()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        held.close()
+        watched.close()
+
+
+def _submitted(pool: ProcessPoolExecutor, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+    """Submit an item; where the pool is broken already, the result is this error."""
+    try:
+        with _limits_named(), _uninterrupted():
+            return pool.submit(function, item)
+    except BrokenProcessPool as error:
+        future: Future[Result] = Future()
+        future.set_exception(error)
+        return future
+
+
+@contextmanager
+def _limits_named() -> Iterator[None]:
     """Raise SgError where the system allows no more processes, or has no semaphores (/dev/shm) for any."""
     try:
         yield
@@ -121,12 +122,10 @@ def _uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _begin(threads: int, begun: c_byte) -> None:
-    """Set up a process that ends with its parent, ignores Ctrl-C and has this number of threads."""
+def _begin(threads: int, begun: c_byte, watched: Connection) -> None:
+    """Set up a process that ends when `watched` is closed, ignores Ctrl-C and has this number of threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
-    parent = parent_process()
-    if parent is not None:
-        Thread(target=_end_with, args=(parent,), daemon=True).start()
+    Thread(target=_end_with, args=(watched,), daemon=True).start()
     os.environ["OPENBLAS_NUM_THREADS"] = str(threads)  # read when numpy is imported
     from sgmethod.native import native
 
@@ -134,6 +133,6 @@ def _begin(threads: int, begun: c_byte) -> None:
     begun.value = 1
 
 
-def _end_with(parent: BaseProcess) -> None:
-    parent.join()
+def _end_with(watched: Connection) -> None:
+    watched.poll(None)
     os._exit(1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container, v1
-from sgmethod.bitstream.smallest import smallest_file
+from sgmethod.bitstream.container import smallest_file
 from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.budget import Budget
 from sgmethod.decoder import draw
@@ -60,10 +60,8 @@ def encode(request: Request) -> tuple[bytes, int]:
             stream, steps = reach_psnr(request, budget.value)
         elif budget.kind == "gaussians":
             stream, steps = run(request, budget.max_gaussians(*request.size), None)
-        elif budget.kind in ("looks", "quality"):
-            raise BudgetError(
-                f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
-            )
+        elif budget.kind == "quality":
+            raise BudgetError(f"profile {request.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians")
         else:
             stream, steps = within_bytes(request, budget.max_bytes(*request.size) or 0)
     return container.serialise(stream), steps
@@ -91,7 +89,7 @@ def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
     n, steps = max(pixels // 300, 1), 0
     tried: dict[int, tuple[float, StreamV1]] = {}
     for attempt in range(PSNR_ATTEMPTS):
-        part = replace(request, deadline=request.deadline.part((attempt + 1) / PSNR_ATTEMPTS))
+        part = replace(request, deadline=request.deadline.at((attempt + 1) / PSNR_ATTEMPTS))
         stream, taken = run(part, n, None)
         steps += taken
         tried[n] = (psnr(draw(stream.scene()), request.pixels), stream)
@@ -109,7 +107,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     image /= 255
     level = level_of(request.pixels, request.backend)
     start = place(image, n, s.start, np.random.default_rng(request.seed))
-    fitted, fit_steps = fit(level, start, s, recorder, request.deadline.part_from_now(FIT_SHARE))
+    fitted, fit_steps = fit(level, start, s, recorder, request.deadline.after(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)
     schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate, s.patience)
     steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 FORMAT = "SGM"
 OPTIONS = (
-    *("bpp", "bytes", "looks", "psnr", "quality", "gaussians", "budget"),
+    *("bpp", "bytes", "quality", "psnr", "gaussians", "budget"),
     *("profile", "tune", "effort", "seed", "time_limit_s", "on_progress"),
 )
 

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
-from PIL import Image
 
+from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.bitstream.v2 import SMALLEST_FILE
-from sgmethod.budget import AnyInt, Budget, checked_integer
+from sgmethod.budget import Budget
 from sgmethod.codec import encode
-from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.inputs import Input
 from sgmethod.numerics import quiet
 from sgmethod.previews.reducing import reduced
+from sgmethod.previews.still import webp_uri
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
-from sgmethod.view import MIN_SCALE
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
 PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
@@ -37,8 +34,7 @@ PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
 SOFT_PX, SOFT_BYTES = 10.0, 200
 DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-WEBP_SIDE = 32  # pixels of the longer one: a browser enlarges them smoothly, so more would only add bytes
-WEBP_QUALITY = 60
+HTML_CHARACTERS = 500  # of a tag without JavaScript
 
 
 @dataclass(frozen=True)
@@ -55,6 +51,7 @@ class Preview:
     height: int
     color: str
     dark: bool
+    _pixels: Pixels = field(repr=False, compare=False)  # of the picture, reduced
 
     @cached_property
     def data(self) -> bytes:
@@ -63,18 +60,22 @@ class Preview:
 
     def to_dict(self) -> dict[str, object]:
         """Return the fields as plain JSON types."""
-        return asdict(self)
+        return {name: getattr(self, name) for name in ("text", "width", "height", "color", "dark")}
 
-    def html(self, src: str, alt: str = "") -> str:
-        """Return an <img> that shows the preview until the picture has loaded, without JavaScript.
+    def html(self, src: str, alt: str = "", characters: int = HTML_CHARACTERS) -> str:
+        """Return an <img> that shows the picture as a small WebP until it has loaded, without JavaScript.
 
-        The <img> is as wide as its container; the preview is a small WebP in its style, except for a transparent
-        picture, which would let it show through.
+        The <img> is as wide as its container. The WebP is the best for which the tag has at most so many characters; a
+        transparent picture has none, since it would show through.
         src: the picture's URL, already quoted; alt: its alternative text.
         """
-        file = SgFile(self.data)
-        background = "" if file.has_alpha else f";background:{self.color} url({_webp_uri(file)}) center/cover"
-        return self._img(src, alt, f"width:100%;height:auto{background}")
+        style = "width:100%;height:auto"
+        if self._pixels.shape[2] == 4:
+            return self._img(src, alt, style)
+        style += f";background:{self.color}"
+        drawn = " url({}) center/cover"
+        uri = webp_uri(self._pixels, characters - len(self._img(src, alt, style + drawn.format(""))))
+        return self._img(src, alt, style + (drawn.format(uri) if uri else ""))
 
     def element(self, src: str, alt: str = "") -> str:
         """Return an <sg-img>, as wide as its container, that draws the preview over the <img> inside it.
@@ -88,14 +89,6 @@ class Preview:
     def _img(self, src: str, alt: str, style: str) -> str:
         known = f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'
         return f'<img {known} loading="lazy" decoding="async" style="{style}">'
-
-
-def _webp_uri(file: SgFile) -> str:
-    """Draw a file as a WebP of about 200 bytes, in a data URI."""
-    pixels = file.pixels(scale=max(min(WEBP_SIDE / max(file.size), 1.0), MIN_SCALE))
-    webp = io.BytesIO()
-    Image.fromarray(pixels).save(webp, "WEBP", quality=WEBP_QUALITY, method=6)
-    return f"data:image/webp;base64,{base64.b64encode(webp.getvalue()).decode()}"
 
 
 @quiet
@@ -116,7 +109,7 @@ def preview(image: Input, bytes: AnyInt | str = DEFAULT_BYTES, *, limits: ImageL
     color = average_of(pixels)
     light = from_srgb(np.array(color) / 255)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*color)
-    return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK))
+    return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK), pixels)
 
 
 def checked_bytes(bytes: AnyInt | str) -> int:

@@ -1,19 +1,24 @@
-"""Rate control for a quality to reach in as few bytes as possible: a PSNR, or looks."""
+"""Rate control for a quality to reach in as few bytes as possible: a SSIMULACRA 2, or a PSNR."""
 
 from __future__ import annotations
 
 import math
+import statistics
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, quantum_code
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, quantum_code
 from sgmethod.budget import MAX_PSNR_DB
+from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
-from sgmethod.metrics.looks import SMALLEST_SIDE
-from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, looks_db
+from sgmethod.io.compositing import on_backgrounds
+from sgmethod.metrics import psnr, ssimulacra2
+from sgmethod.metrics.visual import SMALLEST_SIDE
+from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, ssimulacra2_db
+from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings, Times
 
 
@@ -51,7 +56,9 @@ class Aim(RateControl, ABC):
             return quantum
         return float(quantum * min(max(ratio, 1 / self.steering_limit), self.steering_limit))
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
+    def first_quantum(
+        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
+    ) -> float:
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
@@ -83,8 +90,15 @@ class Aim(RateControl, ABC):
         """Quality up to the one asked for, then size."""
         return min(self.reached(coded), self.aim_db), -coded.size
 
+    @abstractmethod
+    def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
+        """Measure pictures [2, H, W, 3] in dB."""
+
+    def missing_db(self, stream: StreamV2, source: Pixels) -> float:
+        decoded = on_backgrounds(draw_whole(stream))
+        return max(self.aim_db - self.reached_on_backgrounds(decoded, on_backgrounds(source)), 0.0)
+
     def raised(self, by_db: float) -> Aim:
-        """Return the same with an aim that is higher by this and a little more."""
         return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
@@ -122,16 +136,16 @@ class PsnrAim(Aim):
     """Rate control for a PSNR to reach."""
 
     @classmethod
-    def of(cls, psnr: float, pixels: int, settings: RdSettings) -> PsnrAim:
+    def from_psnr(cls, db: float, pixels: int, settings: RdSettings) -> PsnrAim:
         """Create the aim for a picture of `pixels` pixels, with about the quantum that a photograph needs."""
         s = settings.rate
-        quantum = min(0.1 * 2 ** ((34 - psnr) / s.db_per_doubling), s.coarsest_of_aim)
+        quantum = min(0.1 * 2 ** ((34 - db) / s.db_per_doubling), s.coarsest_of_aim)
         return cls(
             settings,
             pixels,
             quantum,
             further_rounds=settings.schedule.rounds_for_psnr,
-            aim_db=psnr,
+            aim_db=db,
             tries=s.aim_tries,
             steering_limit=s.steering_limit,
             below_best_db=s.missed_db,
@@ -141,53 +155,68 @@ class PsnrAim(Aim):
         """PSNR in dB."""
         return picture.psnr
 
+    def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
+        return min(psnr(decoded, source), 120.0)
+
+    def allows_alpha(self, error: float) -> bool:
+        """Whether alpha alone makes no more than its share of the error that the PSNR allows."""
+        return error <= self.settings.alpha.most_error * 10 ** (-self.aim_db / 10)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> PsnrAim:
+        allowed = 10 ** (-self.aim_db / 10)
+        return replace(self, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
+
     def allows(self, psnr: Callable[[], float]) -> bool:
         """Whether about the PSNR is left: after growth, no Gaussian would come back."""
         return psnr() >= self.aim_db - self.settings.prune.missed_db
 
 
 @dataclass(frozen=True)
-class LooksAim(Aim):
-    """Rate control for a SSIMULACRA 2 to reach, as looks_db() counts it."""
+class QualityAim(Aim):
+    """Rate control for a SSIMULACRA 2 to reach, as ssimulacra2_db() counts it."""
 
     @classmethod
-    def of(cls, looks: float, size: tuple[int, int], settings: RdSettings) -> LooksAim:
+    def from_score(cls, score: float, size: tuple[int, int], settings: RdSettings) -> QualityAim:
         """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
 
         Raises BudgetError for sides that are too small for SSIMULACRA 2.
         """
         if min(size) < SMALLEST_SIDE:
-            raise BudgetError(f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
-        s, aim = settings.rate, looks_db(looks)
-        known, quantum = s.looks_quantum
-        quantum *= 2 ** ((looks_db(known) - aim) / s.db_per_doubling)
-        if min(size) < s.looks_small[0]:
-            quantum *= s.looks_small[1]
+            raise BudgetError(f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
+        s, aim = settings.rate, ssimulacra2_db(score)
+        known, quantum = s.quality_quantum
+        quantum *= 2 ** ((ssimulacra2_db(known) - aim) / s.db_per_doubling)
+        if min(size) < s.quality_small[0]:
+            quantum *= s.quality_small[1]
         return cls(
             settings,
             size[0] * size[1],
             min(quantum, s.coarsest_of_aim),
-            further_rounds=settings.schedule.rounds_for_looks,
+            further_rounds=settings.schedule.rounds_for_quality,
             aim_db=aim,
-            tries=s.looks_tries,
-            steering_limit=s.looks_limit,
-            refined_db=s.looks_refined_db if settings.effort.refine_sweeps else 0.0,
+            tries=s.quality_tries,
+            steering_limit=s.quality_limit,
+            refined_db=s.quality_refined_db if settings.effort.refine_sweeps else 0.0,
             round_slack_db=s.slack_db,
         )
 
     def reached(self, picture: Measured) -> float:
-        """SSIMULACRA 2, as looks_db() counts it."""
-        return picture.looks_db
+        """SSIMULACRA 2, as ssimulacra2_db() counts it."""
+        return picture.ssimulacra2_db
+
+    def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
+        found = map(ssimulacra2, decoded, source)
+        return ssimulacra2_db(statistics.fmean(one for one in found if one is not None))
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
-        """Steer seldom: measuring looks takes as long as steps."""
-        return super().steered(quantum, times, at, fitted) if at in times.looks_at else quantum
+        """Steer seldom: measuring takes as long as steps."""
+        return super().steered(quantum, times, at, fitted) if at in times.quality_at else quantum
 
     def affords(self, texture: Codes) -> bool:
         """Never: SSIMULACRA 2 counts texture as an error."""
         return False
 
     def finer(self, quantum: float, files: Iterable[Coded]) -> float:
-        """Return the quantum for a further round, given the files that missed the looks."""
+        """Return the quantum for a further round, given the files that missed the quality."""
         s, reached = self.settings.rate, max(map(self.reached, files))
-        return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.looks_limit))
+        return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.quality_limit))

@@ -6,8 +6,6 @@ error d of alpha is d times the colour less the background. A file's error is th
 
 from __future__ import annotations
 
-import math
-import statistics
 from dataclasses import replace
 from typing import Any
 
@@ -15,18 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v2 import MAX_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes
-from sgmethod.budget import MAX_PSNR_DB
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
-from sgmethod.metrics import psnr, ssimulacra2
+from sgmethod.metrics import psnr
 from sgmethod.opencv import cv2
 from sgmethod.rd import encode as pipeline
-from sgmethod.rd.aim import Aim, LooksAim, PsnrAim
-from sgmethod.rd.byte_limit import ByteBudget, ByteLimit
-from sgmethod.rd.rate_control import GaussianCount, RateControl, looks_db
 from sgmethod.rd.request import Request
 from sgmethod.scene import Pixels
 from sgmethod.trace import Preview
@@ -42,16 +36,13 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
     preview = request.recorder.preview
     recorder = replace(request.recorder, preview=preview and _with_alpha(preview, layer))
     colours = replace(request, objective=objective, recorder=recorder)
-    rate = rate_beside_alpha(request.rate, layer, error)
+    rate, source = request.rate.beside_alpha(layer, error), np.dstack([pixels, alpha])
     found: list[tuple[float, StreamV2]] = []
     for _ in deadline.tries(request.settings.alpha.tries):
-        stream, taken = pipeline.encode(replace(colours, rate=rate, deadline=deadline.part(1.0)))
+        stream, taken = pipeline.encode(replace(colours, rate=rate, deadline=deadline.at(1.0)))
         steps += taken
         stream = replace(stream, alpha=layer)
-        if not isinstance(request.rate, Aim) or not isinstance(rate, Aim):
-            return stream, steps
-        reached = _reached(request.rate, draw_whole(stream), pixels, alpha)
-        missing = max(request.rate.aim_db - reached, 0.0)
+        missing = request.rate.missing_db(stream, source)
         found.append((missing, stream))
         if missing == 0:
             break
@@ -62,61 +53,23 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
 def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, float, int]:
     """Encode the alpha plane; return it, the error of a file with exact colours, and the steps it took."""
     s, steps = request.settings, 0
-    rate, deadline = rate_of_alpha(request.rate), request.deadline.part(s.alpha.time)
-    objective, recorder = Objective.of_alpha(alpha, s.objective), Recorder(request.recorder.clock)
+    rate, deadline = request.rate.for_alpha(), request.deadline.at(s.alpha.time)
+    objective, recorder = Objective.from_alpha(alpha, s.objective), Recorder(request.recorder.clock)
     settings = replace(s, effort=replace(s.effort, rounds=(0,)))
     plane = replace(request, objective=objective, settings=settings, recorder=recorder, with_shear=True)
     for _ in deadline.tries(s.alpha.tries):
-        layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.part(1.0)))
+        layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.at(1.0)))
         steps += taken
-        error = _error(np.dstack([pixels, draw_whole(layer)[..., 0]]), pixels, alpha)
-        if _allows(request.rate, error):
+        error = _error(np.dstack([pixels, draw_whole(layer)[..., 0]]), np.dstack([pixels, alpha]))
+        if request.rate.allows_alpha(error):
             break
         rate = replace(rate, quantum=rate.quantum / 2)
     return layer, error, steps
 
 
-def rate_of_alpha(rate: RateControl) -> RateControl:
-    """Share a budget with the alpha plane, which goes first: of bytes it takes what it is worth, up to a limit."""
-    s = rate.settings.alpha
-    quantum = min(s.coarser * rate.quantum, MAX_QUANTUM)
-    if isinstance(rate, GaussianCount):
-        return replace(rate, quantum=quantum, max_gaussians=max(int(s.most_gaussians * rate.max_gaussians), 1))
-    if isinstance(rate, ByteBudget):
-        most = StreamV2.MIN_BYTES + int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
-        return ByteLimit(rate.settings, rate.pixels, quantum, rate.is_short, max_bytes=most)
-    return RateControl(rate.settings, rate.pixels, quantum)
-
-
-def rate_beside_alpha(rate: RateControl, alpha: StreamV2, error: float) -> RateControl:
-    """Rate control for the colours beside an alpha plane. error: mean squared error of a file with exact colours."""
-    if isinstance(rate, GaussianCount):
-        used = len(alpha.gaussians()) if alpha.payload else 0
-        return replace(rate, max_gaussians=max(rate.max_gaussians - used, 1))
-    if isinstance(rate, ByteBudget):
-        return rate.for_bytes(rate.max_bytes - alpha_bytes(alpha))
-    if isinstance(rate, PsnrAim):
-        allowed = 10 ** (-rate.aim_db / 10)
-        return replace(rate, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
-    return rate
-
-
-def _allows(rate: RateControl, error: float) -> bool:
-    """Whether alpha alone makes no more than its share of the error that a PSNR allows."""
-    return not isinstance(rate, PsnrAim) or error <= rate.settings.alpha.most_error * 10 ** (-rate.aim_db / 10)
-
-
-def _reached(aim: Aim, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
-    """Quality of decoded pixels [H, W, 4] in dB, as the aim counts it."""
-    if not isinstance(aim, LooksAim):
-        return -10 * math.log10(max(_error(decoded, pixels, alpha), 1e-12))
-    found = map(ssimulacra2, on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha])))
-    return looks_db(statistics.fmean(one for one in found if one is not None))
-
-
-def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
+def _error(decoded: Pixels, source: Pixels) -> float:
     """Mean squared error of decoded pixels [H, W, 4], 1 being white."""
-    return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha]))) / 10))
+    return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(source)) / 10))
 
 
 def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:

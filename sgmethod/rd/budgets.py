@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from sgmethod.budget import Budget
-from sgmethod.rd.aim import LooksAim, PsnrAim
+from sgmethod.rd.aim import PsnrAim, QualityAim
 from sgmethod.rd.byte_limit import ByteBudget
-from sgmethod.rd.rate_control import GaussianCount, RateControl, quality_quantum
+from sgmethod.rd.rate_control import GaussianCount, RateControl
 from sgmethod.settings.rd import RdSettings
 
 
@@ -13,12 +13,10 @@ def rate_of(budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_
     """Create rate control for a picture of size (width, height). Raises BudgetError if no file can meet the budget."""
     pixels = size[0] * size[1]
     match budget.kind:
-        case "quality":
-            return RateControl(settings, pixels, quality_quantum(budget.value))
         case "gaussians":
-            return GaussianCount.of(budget.max_gaussians(*size), pixels, settings)
+            return GaussianCount.from_count(budget.max_gaussians(*size), pixels, settings)
         case "psnr":
-            return PsnrAim.of(budget.value, pixels, settings)
-        case "looks":
-            return LooksAim.of(budget.value, size, settings)
-    return ByteBudget.of(budget.max_bytes(*size) or 0, pixels, settings, has_alpha=has_alpha)
+            return PsnrAim.from_psnr(budget.value, pixels, settings)
+        case "quality":
+            return QualityAim.from_score(budget.value, size, settings)
+    return ByteBudget.from_bytes(budget.max_bytes(*size) or 0, pixels, settings, has_alpha=has_alpha)

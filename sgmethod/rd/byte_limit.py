@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.bitstream.texture import Codes, pack
-from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
+from sgmethod.bitstream.v2 import (
+    MAX_QUANTUM,
+    MIN_QUANTUM,
+    SHORT_BYTES,
+    SMALLEST_ALPHA,
+    SMALLEST_FILE,
+    StreamV2,
+    alpha_bytes,
+)
 from sgmethod.errors import BudgetError
 from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import RdSettings, Times
@@ -48,7 +56,7 @@ class ByteBudget(ByteLimit):
     """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
 
     @classmethod
-    def of(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
+    def from_bytes(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
         """Create the budget for a picture of `pixels` pixels. Raises BudgetError if no file is as small."""
         least = SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
         if max_bytes < least:
@@ -69,6 +77,15 @@ class ByteBudget(ByteLimit):
         """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
         return replace(self, is_short=self.max_bytes < LONG_FILE)
 
+    def for_alpha(self) -> ByteLimit:
+        """Alpha takes what it is worth, up to a limit."""
+        spare = self.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
+        most = StreamV2.MIN_BYTES + int(self.settings.alpha.most_bytes * spare)
+        return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha, self.is_short, max_bytes=most)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
+        return self.for_bytes(self.max_bytes - alpha_bytes(alpha))
+
     def expected_gaussians(self) -> int:
         return max(min(self._gaussians_by_size(), self.pixels), 1)
 
@@ -85,14 +102,16 @@ class ByteBudget(ByteLimit):
         ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
+    def first_quantum(
+        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
+    ) -> float:
         """Bisect for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some."""
         low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
         while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)
         while payload(math.exp(low)) < limit and low > math.log(MIN_QUANTUM):
             low, high = low - math.log(2), low
-        for _ in range(8):
+        for _ in halvings:
             middle = (low + high) / 2
             low, high = (low, middle) if payload(math.exp(middle)) <= limit else (middle, high)
         return math.exp(high)

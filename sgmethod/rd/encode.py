@@ -8,9 +8,9 @@ fit        move all of them together, under the price of their bits             
 settle     drop Gaussians beyond the number that the budget allows               densify.py
 search     quantise and refine with several quanta, keep the best file           search.py
 
-The schedule is a first run and rounds: as many as the effort has and time allows, and one or two more while looks or a
-PSNR are missed. A round adds and fits more Gaussians than can stay, and drops those that gain least. Alpha takes two
-requests, which alpha.py combines.
+The schedule is a first run and rounds: as many as the effort has and time allows, and one or two more while a quality
+or a PSNR is missed. A round adds and fits more Gaussians than can stay, and drops those that gain least. Alpha takes
+two requests, which alpha.py combines.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = Plan.of(request, pyramid, gaussians)
+    plan = Plan.from_request(request, pyramid, gaussians)
     state = plan.begin(gaussians)
     rate, rounds = request.rate, plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds

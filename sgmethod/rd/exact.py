@@ -22,7 +22,7 @@ from sgmethod.numerics import quiet
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
-from sgmethod.rd.rate_control import GaussianCount, quality_quantum, surplus
+from sgmethod.rd.rate_control import GaussianCount, surplus
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.exact import EXACT, exact_schedule
@@ -54,7 +54,7 @@ class ExactFit:
     seed: int = 0
 
     @quiet
-    def of(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
+    def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
         plan = self._plan(pixels, backend, clock)
         times, n = plan.settings.effort.times, self.gaussians
@@ -77,16 +77,16 @@ class ExactFit:
         """Return the quantum that prices bits while Gaussians come and go: it decides well which of them stay."""
         rate = plan.settings.rate
         dense = EXACT.price * rate.gaussians_per_pixel * plan.request.samples / 3 / self.gaussians
-        chosen = min(dense, quality_quantum(rate.gaussians_quality))
+        chosen = min(dense, rate.gaussians_quantum)
         return max(chosen / float(times.finer_early ** surplus(times, at)), self.quantum)
 
     def _plan(self, pixels: Pixels, backend: Backend, clock: Clock) -> Plan:
         height, width = pixels.shape[:2]
-        rate = replace(GaussianCount.of(self.gaussians, height * width, RD), quantum=self.quantum)
+        rate = replace(GaussianCount.from_count(self.gaussians, height * width, RD), quantum=self.quantum)
         steps = self.steps or round(EXACT.share_of_steps * rate.steps(RD))
         settings = exact_schedule(steps)
-        objective = Objective.of(pixels, "psnr", settings.objective)
-        request = Request(objective, rate, Deadline(clock), backend, settings, Recorder(clock), self.seed)
+        objective = Objective.from_pixels(pixels, "psnr", settings.objective)
+        request = Request(objective, rate, Deadline.from_limit(clock), backend, settings, Recorder(clock), self.seed)
         pyramid = request.pyramid()
         return Plan(request, within_pixels(settings, pyramid), pyramid)
 

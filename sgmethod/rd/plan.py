@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgmethod.backend.protocol import Descent, Moments, Visibility
 from sgmethod.fitting.deadline import Pace
 from sgmethod.fitting.level import Level, Pyramid
-from sgmethod.fitting.moving_target import MovingTarget
+from sgmethod.fitting.moving_target import FitTarget
 from sgmethod.rd.rate_control import error_per_bit
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians
@@ -30,7 +30,7 @@ class Plan:
     pyramid: Pyramid
 
     @classmethod
-    def of(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
+    def from_request(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
         """Plan a request whose first Gaussians are placed.
 
         If time is too short for all steps, it takes the settings of a lower effort; if that takes too long as well, a
@@ -208,7 +208,7 @@ class State:
     gaussians: Gaussians
     moments: Moments
     quantum: float
-    target: MovingTarget
+    target: FitTarget
     steps: int = 0
     size: int = 0
     saturated_price: float = np.inf

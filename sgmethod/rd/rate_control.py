@@ -1,8 +1,8 @@
 """Rate control: a budget becomes a quantum and a number of Gaussians, which the fit steers and the search refines.
 
 One number, the quantum, sets all quantiser steps and the price of a bit. Each kind of budget is a class that answers
-the same questions: RateControl here for a quantum that stays as asked, and GaussianCount; byte_limit.py for bytes,
-aim.py for a PSNR and for looks, which both steer the quantum while the Gaussians are fitted.
+the same questions: RateControl here for a fixed quantum, and GaussianCount; byte_limit.py for bytes, aim.py for a
+SSIMULACRA 2 and for a PSNR, which both steer the quantum while the Gaussians are fitted.
 
 Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth finds local maxima of a
 gain, and those that are best early are not best late. The surplus is given up step by step.
@@ -12,35 +12,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.budget import MOST_GAUSSIANS
+from sgmethod.bitstream.v2 import MAX_QUANTUM, StreamV2
+from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
+from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings, Times
 
 EXACT_DB = 99.0  # PSNR of a picture without any error
 
 
-def quality_quantum(quality: float) -> float:
-    """Return the quantum of a quality in 0 .. 100: 16 points halve it, 0 is 3.2.
-
-    On photographs of 0.4 megapixels 25 comes to about 0.05 bpp, 50 to 0.2, 75 to 0.8, 100 to 2.3.
-    """
-    return 3.2 * 2 ** (-quality / 16)
-
-
-def looks_db(looks: float) -> float:
+def ssimulacra2_db(score: float) -> float:
     """Convert SSIMULACRA 2 to decibels: 0 dB for 0, 5.2 for 70, 10 for 90.
 
     Like PSNR, it then gains about 2.5 dB when the quantum is halved, on photographs from 30 to 90.
     """
-    return -10 * math.log10(max(100 - looks, 1e-6) / 100)
+    return -10 * math.log10(max(100 - score, 1e-6) / 100)
 
 
 def error_per_bit(quantum: float) -> float:
@@ -62,12 +55,12 @@ def excess(times: Times, at: float) -> float:
 
 
 class Measured(Protocol):
-    """A coded picture, or a fit that could be coded: its PSNR, and its SSIMULACRA 2 as looks_db() counts it."""
+    """A coded picture, or a fit that could be coded: its PSNR, and its SSIMULACRA 2 as ssimulacra2_db() counts it."""
 
     @property
     def psnr(self) -> float: ...
     @property
-    def looks_db(self) -> float: ...
+    def ssimulacra2_db(self) -> float: ...
 
 
 class Fitted(Measured, Protocol):
@@ -102,14 +95,14 @@ class Coded:
         return min(-10 * math.log10(max(self.error, 1e-12) / self.objective.pixels.size), EXACT_DB)
 
     @cached_property
-    def looks_db(self) -> float:
+    def ssimulacra2_db(self) -> float:
         """SSIMULACRA 2 of the whole file, on the scale of the function of this name."""
-        return looks_db(self.objective.looks(draw_whole(self.stream)))
+        return ssimulacra2_db(self.objective.ssimulacra2(draw_whole(self.stream)))
 
 
 @dataclass(frozen=True)
 class RateControl:
-    """Rate control for a quality: the quantum stays as asked. Other kinds override what they answer differently.
+    """Rate control at a fixed quantum. The kinds of budget override what they answer differently.
 
     pixels: size of the picture; quantum: the first one; is_short: the file is to be a short one; further_rounds: beyond
     those of the effort, while the budget is missed. Times (`at`) are parts of a run of the schedule, 0 to 1.
@@ -130,7 +123,7 @@ class RateControl:
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """Limit on the number of Gaussians, for settings that a time limit may have cut."""
-        return min(self.pixels, MOST_GAUSSIANS)
+        return min(self.pixels, MAX_GAUSSIANS)
 
     def steps(self, settings: RdSettings) -> int:
         """Steps of the first run, for settings that a time limit may have cut."""
@@ -160,8 +153,13 @@ class RateControl:
         """Whether the file may hold a texture."""
         return True
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
-        """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload."""
+    def first_quantum(
+        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
+    ) -> float:
+        """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload.
+
+        halvings: as many as there is time for.
+        """
         return self.quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
@@ -179,6 +177,32 @@ class RateControl:
     def relaxed_bytes(self, coded: Coded) -> int:
         """Limit on the payload when a file is coded again after relaxing."""
         return NO_LIMIT
+
+    # --- asked where a picture has alpha, which is encoded before its colours (alpha.py)
+
+    def for_alpha(self) -> RateControl:
+        """Rate control for the alpha plane."""
+        return RateControl(self.settings, self.pixels, self._quantum_of_alpha)
+
+    @property
+    def _quantum_of_alpha(self) -> float:
+        return min(self.settings.alpha.coarser * self.quantum, MAX_QUANTUM)
+
+    def allows_alpha(self, error: float) -> bool:
+        """Whether alpha may make this mean squared error, that of a file with exact colours."""
+        return True
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
+        """Rate control for the colours beside a coded alpha plane, which alone makes this error."""
+        return self
+
+    def missing_db(self, stream: StreamV2, source: Pixels) -> float:
+        """How far a file with alpha is below the quality asked for. source: [H, W, 4]."""
+        return 0.0
+
+    def raised(self, by_db: float) -> RateControl:
+        """Return the same with a quality that is higher by this and a little more."""
+        return self
 
     # --- asked once files are made
 
@@ -202,18 +226,26 @@ class RateControl:
 
 @dataclass(frozen=True)
 class GaussianCount(RateControl):
-    """Rate control for a number of Gaussians, which is never exceeded, at a fixed quality."""
+    """Rate control for a number of Gaussians, which is never exceeded, at a fixed quantum."""
 
     max_gaussians: int = 1
 
     @classmethod
-    def of(cls, max_gaussians: int, pixels: int, settings: RdSettings) -> GaussianCount:
+    def from_count(cls, max_gaussians: int, pixels: int, settings: RdSettings) -> GaussianCount:
         """Create the limit for a picture of `pixels` pixels."""
-        quantum = quality_quantum(settings.rate.gaussians_quality)
+        quantum = settings.rate.gaussians_quantum
         return cls(settings, pixels, quantum, max_gaussians=max_gaussians)
 
     def expected_gaussians(self) -> int:
         return self.max_gaussians
+
+    def for_alpha(self) -> RateControl:
+        most = max(int(self.settings.alpha.most_gaussians * self.max_gaussians), 1)
+        return replace(self, quantum=self._quantum_of_alpha, max_gaussians=most)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
+        used = len(alpha.gaussians()) if alpha.payload else 0
+        return replace(self, max_gaussians=max(self.max_gaussians - used, 1))
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """The limit, and a surplus early."""

@@ -75,7 +75,7 @@ class Request:
         """Build the picture in the sizes that its file can show."""
         target = target_of(self.pixels, self.background)
         whole = Level(self.backend, Frame(*self.size), target, self.objective.visibility)
-        return Pyramid.of(whole, self.settings.pyramid, self.rate.expected_gaussians())
+        return Pyramid.from_whole(whole, self.settings.pyramid, self.rate.expected_gaussians())
 
     def coding(self, quantum: float) -> Coding:
         """Parameters with which a quantum codes this picture."""
@@ -84,4 +84,4 @@ class Request:
     def stream(self, gaussians: Gaussians, quantum: float) -> StreamV2:
         """Code Gaussians."""
         own = self.background, self.grey, self.with_shear, self.rate.is_short
-        return StreamV2.of(gaussians, self.size, quantum, *own)
+        return StreamV2.from_gaussians(gaussians, self.size, quantum, *own)

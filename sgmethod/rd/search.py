@@ -16,6 +16,8 @@ from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
+HALVINGS = 8  # of an interval of a quarter: to a thousandth
+
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
     """Code a fit with several quanta, and return the file that meets the budget best.
@@ -40,7 +42,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     refined = partial(_refined, plan, target, texture)
 
     tried: list[Coded] = []
-    quantum: float | None = rate.first_quantum(state.quantum, payload, limit)
+    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, request.deadline.tries(HALVINGS))
     for _ in request.deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2
-from sgmethod.rd.aim import LooksAim
+from sgmethod.rd.aim import QualityAim
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
 
@@ -32,9 +32,9 @@ class FitNow:
         return self.plan.psnr(self.plan.rounded(self.state.gaussians, self.state.quantum))
 
     @cached_property
-    def looks_db(self) -> float:
-        """SSIMULACRA 2, as rate_control.looks_db() counts it."""
-        return Coded(self.stream, self.plan.request.objective).looks_db
+    def ssimulacra2_db(self) -> float:
+        """SSIMULACRA 2, as rate_control.ssimulacra2_db() counts it."""
+        return Coded(self.stream, self.plan.request.objective).ssimulacra2_db
 
     @property
     def lost_db(self) -> float:
@@ -61,10 +61,10 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:
     """Prepare a further round after files that missed the budget.
 
-    Looks count grain, and a file that aims at them has no texture instead: growth is shown what was hidden, at a
+    SSIMULACRA 2 counts grain, and a file that aims at it has no texture instead: growth is shown what was hidden, at a
     quantum that is finer by as much as is missing.
     """
     rate = plan.request.rate
-    if not isinstance(rate, LooksAim):
+    if not isinstance(rate, QualityAim):
         return state
     return replace(state, target=state.target.whole(), quantum=rate.finer(state.quantum, files))

@@ -25,7 +25,7 @@ class Times:
     steering_from: float = 0.12
     early_db: float = 2.0  # when steering begins, it aims this far below the final PSNR
     early_until: float = 0.45
-    looks_at: tuple[float, ...] = (0.33, 0.65, 0.86)  # few, because measuring looks takes as long as several steps
+    quality_at: tuple[float, ...] = (0.33, 0.65, 0.86)  # few, because measuring takes as long as several steps
 
     # Surplus over the budget at first, given up between these times.
     excess: float = 0.5  # a budget of 100 bytes, or Gaussians, allows 150 at first
@@ -44,14 +44,14 @@ QUICK = Times(
     trim_at=(0.72, 0.8, 0.88, 0.94, 0.98),
     excess=0.0,
     few_until=0.85,
-    looks_at=(0.2, 0.32, 0.46, 0.6, 0.88),
+    quality_at=(0.2, 0.32, 0.46, 0.6, 0.88),
 )
 
 # A round after the first run: more Gaussians than fit are added to a file of full size, and those that gain least for
 # their bits are dropped.
 ROUND = Times(
     growth_at=(0.0, 0.1, 0.2),
-    looks_at=(0.5, 0.88),
+    quality_at=(0.5, 0.88),
     trim_at=(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.98),
     steering_from=0.0,
     early_db=0.0,
@@ -103,7 +103,7 @@ class ScheduleSettings:
     round_steps: float = 0.4  # in multiples of the first run's
     round_times: Times = ROUND
     rounds_for_psnr: int = 2  # beyond those of the effort, while a PSNR is missed
-    rounds_for_looks: int = 1
+    rounds_for_quality: int = 1
 
 
 @dataclass(frozen=True)
@@ -167,17 +167,17 @@ class RateSettings:
     gaussians_per_pixel: float = 0.0023  # first guess, times the quantum
     fewest_pixels: int = 20  # per Gaussian in a first guess; growth may go beyond
     most_bytes: int = 12  # that a pixel can use, with one Gaussian for each pixel
-    gaussians_quality: float = 85.0  # the quality for a budget of Gaussians
+    gaussians_quantum: float = 3.2 * 2 ** (-85 / 16)  # for a budget of Gaussians: about 1.2 bpp on photographs
     coarsest_of_aim: float = 0.4  # first quantum
-    looks_quantum: tuple[float, float] = (70.0, 0.16)  # looks, and a typical quantum of photographs there
+    quality_quantum: tuple[float, float] = (70.0, 0.16)  # a quality, and a typical quantum of photographs there
     # Pixels of a side, and factor on the quantum of smaller pictures, which SSIMULACRA 2 judges more harshly.
-    looks_small: tuple[int, float] = (113, 0.25)
+    quality_small: tuple[int, float] = (113, 0.25)
     steering_exponent: float = 0.9  # at the times of growth
     trim_exponent: float = 1.0  # later
     steering_limit: float = 1.35  # largest change of the quantum at one time, as a factor
-    looks_limit: float = 1.8  # the same when looks are measured, which is seldom
-    looks_refined_db: float = 0.35  # least gain of refining
-    looks_tries: int = 5  # instead of aim_tries
+    quality_limit: float = 1.8  # the same when SSIMULACRA 2 is measured, which is seldom
+    quality_refined_db: float = 0.35  # least gain of refining
+    quality_tries: int = 5  # instead of aim_tries
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles
     least_used: float = 0.985  # of the allowed bytes; if refining uses less, a finer quantum is tried
     quantum_per_size: float = 1.4  # the quantum is about proportional to this power of the size's inverse

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.pairs import Pairs, is_drawn
 from sgmethod.backend.protocol import Frame
-from sgmethod.budget import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance

@@ -12,8 +12,9 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sgmethod import decoder
+from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import MOST_GAUSSIANS, AnyInt, checked_integer
+from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.decoder import MAX_PIXELS, WHOLE, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.io.files import File
@@ -113,7 +114,7 @@ class SgDataset(Dataset[dict[str, Any]]):
         self._files: Sequence[File | Sample] = samples_of(files) if isinstance(files, str | os.PathLike) else files
         self._size = None if size is None else checked_size(size)
         self._most = (
-            0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
+            0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MAX_GAUSSIANS)
         )
 
     def __len__(self) -> int:

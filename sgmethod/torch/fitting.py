@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from threading import Event
 from typing import Literal, NamedTuple
 
@@ -12,9 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.backend.devices import backend_on, checked_device, has_tiles
+from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
-from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, checked_integer, finite_number
+from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.codec import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
@@ -26,10 +30,10 @@ from sgmethod.scene import Pixels
 from sgmethod.trace import Stop
 
 OnProgress = Callable[[float], None]
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 POLLED_S = 0.05  # between two calls of the caller's functions
 # Pictures of a batch on a GPU: each has a thread, and some ten planes as large as itself in 32 bits.
-MOST_TOGETHER, SAMPLES_TOGETHER = 256, 1 << 26
+MAX_TOGETHER, SAMPLES_TOGETHER = 256, 1 << 26
 
 
 class Fit(NamedTuple):
@@ -93,8 +97,8 @@ def fit(
 
 def task_of(gaussians: AnyInt, pixels: int, steps: AnyInt | None, seed: AnyInt, quantum: AnyFloat | None) -> ExactFit:
     """Check the arguments of a fit of pictures that have at least this many pixels. Raises BudgetError."""
-    gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MOST_GAUSSIANS), BudgetError)
-    steps = None if steps is None else checked_integer(steps, "steps", 1, MOST_STEPS, BudgetError)
+    gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MAX_GAUSSIANS), BudgetError)
+    steps = None if steps is None else checked_integer(steps, "steps", 1, MAX_STEPS, BudgetError)
     price = 0.0 if quantum is None else finite_number(quantum)
     if price is None or (quantum is not None and not MIN_QUANTUM <= price <= MAX_QUANTUM):
         raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
@@ -112,53 +116,66 @@ def fit_pictures(
 
     The work is done in threads, and stop and on_progress are called in this one.
     """
-    places, batches = 1, []
-    if has_tiles(device):
-        from sgmethod.backend.together import Together
-
-        places = max(1, min(MOST_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
-        batches = [Together(device, len(pictures[k : k + places])) for k in range(0, len(pictures), places)]
-    elif device.type == "cpu" and len(pictures) >= native.thread_count():
-        places = native.thread_count()
-    shares, stopped, abandoned = [0.0] * len(pictures), Event(), Event()
-    backend = backend_on(device)
-    clock = Clock(stopped.is_set)
+    watch = _Watch(len(pictures), stop, on_progress)
+    places, backends = _backends(pictures, device, watch.abandoned)
+    clock = Clock(watch.stopped.is_set)
 
     def fitted(index: int) -> Exact:
-        def on_step(share: float) -> None:
-            shares[index] = share
-            if abandoned.is_set():
-                raise SgError("the fits were abandoned")
-
-        if not batches:
-            return task.of(pictures[index], backend, clock, on_step)
-        batch = batches[index // places]
-        try:
-            return task.of(pictures[index], batch, clock, on_step)
-        finally:
-            batch.leave()
+        with backends[index] as backend:
+            return task.fit(pictures[index], backend, clock, partial(watch.note, index))
 
     with ThreadPoolExecutor(places, "fit", native.stay_alone if places > 1 else None) as pool:
         futures = [pool.submit(fitted, index) for index in range(len(pictures))]
         try:
-            while wait(futures, POLLED_S, FIRST_EXCEPTION).not_done:
-                for future in futures:
-                    if future.done():
-                        future.result()  # raises its error
-                if stop is not None and stop():
-                    stopped.set()
-                if on_progress is not None:
-                    on_progress(math.fsum(shares) / len(shares))
+            return watch.results(futures)
         except BaseException:
-            abandoned.set()
-            for batch in batches:
-                batch.end()
-            pool.shutdown(wait=True, cancel_futures=True)
+            watch.abandoned.set()
+            pool.shutdown(cancel_futures=True)
             raise
-    found = [future.result() for future in futures]  # raises their errors
-    if on_progress is not None:
-        on_progress(1.0)
-    return found
+
+
+def _backends(
+    pictures: Sequence[Pixels], device: torch.device, abandoned: Event
+) -> tuple[int, list[AbstractContextManager[Backend]]]:
+    """How many pictures are fitted at a time, and the backend of each, to be left when its fit ends."""
+    if has_tiles(device):
+        from sgmethod.backend.together import Together
+
+        places = max(1, min(MAX_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
+        starts = range(0, len(pictures), places)
+        batches = [Together(device, len(pictures[start : start + places]), abandoned) for start in starts]
+        return places, [batches[index // places] for index in range(len(pictures))]
+    has_cores = device.type == "cpu" and len(pictures) >= native.thread_count()
+    return native.thread_count() if has_cores else 1, [nullcontext(backend_on(device))] * len(pictures)
+
+
+class _Watch:
+    """Fits in other threads, as their caller sees them. stopped: they shall hurry; abandoned: they shall end."""
+
+    def __init__(self, fits: int, stop: Stop | None, on_progress: OnProgress | None) -> None:
+        self._shares, self._stop, self._on_progress = [0.0] * fits, stop, on_progress
+        self.stopped, self.abandoned = Event(), Event()
+
+    def note(self, index: int, share: float) -> None:
+        """Note a fit's progress, in its thread. Raises SgError if the fits were abandoned."""
+        self._shares[index] = share
+        if self.abandoned.is_set():
+            raise SgError("the fits were abandoned")
+
+    def results(self, futures: Sequence[Future[Exact]]) -> list[Exact]:
+        """Wait for all, and meanwhile call stop and on_progress. Raises the first error."""
+        while wait(futures, POLLED_S, FIRST_EXCEPTION).not_done:
+            for future in futures:
+                if future.done():
+                    future.result()  # raises its error
+            if self._stop is not None and self._stop():
+                self.stopped.set()
+            if self._on_progress is not None:
+                self._on_progress(math.fsum(self._shares) / len(self._shares))
+        found = [future.result() for future in futures]
+        if self._on_progress is not None:
+            self._on_progress(1.0)
+        return found
 
 
 def pictures_of(images: Tensor) -> list[Pixels]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sgmethod.budget import AnyInt
+from sgmethod.arguments import AnyInt
 from sgmethod.errors import GaussiansError
 from sgmethod.torch.drawing import checked_size
 

@@ -23,8 +23,9 @@ from typing import Any, Protocol
 import numpy as np
 from torch import Tensor
 
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer
 from sgmethod.backend.devices import checked_device
-from sgmethod.budget import MOST_GAUSSIANS, AnyFloat, AnyInt, checked_integer
+from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.errors import ImageError, SgError
 from sgmethod.exchange.files import arrays_of
 from sgmethod.io.files import checked_path, write_atomically
@@ -35,7 +36,7 @@ from sgmethod.rd.exact import Exact
 from sgmethod.scene import Pixels
 from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
 
-MOST_IN_A_SHARD = 1_000_000
+MAX_IN_A_SHARD = 1_000_000
 NAME = re.compile(r"((?:.*/)?[^./]+)\.([^/]*)")  # as webdataset reads it: a key, and the end after its first dot
 Arrays = dict[str, np.ndarray]
 Labelled = tuple[Pixels, tuple[str, bytes] | None]  # [H, W, 3]; a label as the end of a file's name and its content
@@ -75,8 +76,8 @@ def fit_many(
     line names it, with its error, and a run that resumes makes that shard again. Raises BudgetError for wrong options,
     SgError for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
-    fit = task_of(gaussians, MOST_GAUSSIANS, steps, seed, quantum)
-    shard, where = checked_integer(shard, "pictures in a shard", 1, MOST_IN_A_SHARD), checked_device(device)
+    fit = task_of(gaussians, MAX_GAUSSIANS, steps, seed, quantum)
+    shard, where = checked_integer(shard, "pictures in a shard", 1, MAX_IN_A_SHARD), checked_device(device)
     folder, pictures = checked_path(output_dir), len(dataset)
     folder.mkdir(parents=True, exist_ok=True)
 

@@ -11,10 +11,10 @@ import torch
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame
-from sgmethod.backend.reference import Reference
 from sgmethod.backend.tensors import Tensors
 from sgmethod.scene import Gaussians
 from tests.backend.cases import FRAMES, VISIBILITIES, image, over, target, visibility, worst
+from tests.definitions.backend import Reference
 
 REFERENCE: Backend = Reference()
 BACKENDS: dict[str, Backend] = {"kernels": Kernels(), "tensors": Tensors(torch.device("cpu"))}

@@ -11,10 +11,10 @@ import torch
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.pictures import photo, png
 from sgmethod.backend.devices import backend_on
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
-from sgmethod.backend.reference import Reference
 from sgmethod.backend.tensors import Tensors
 from sgmethod.bitstream import container
 from sgmethod.budget import Budget
@@ -24,7 +24,7 @@ from sgmethod.rd.encode import encode
 from sgmethod.settings.rd import RD, Effort
 from sgmethod.settings.shared import Tune
 from sgmethod.view import View
-from tests.harness.pictures import photo, png
+from tests.definitions.backend import Reference
 from tests.rd.short import requested
 
 SIZE, BYTES = (40, 32), 400

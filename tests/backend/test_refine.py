@@ -10,10 +10,10 @@ import pytest
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, TARGET_WHITE, Backend, Coding, Frame, RefineLimits, Target, Visibility
-from sgmethod.backend.reference import Reference
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
 from tests.backend.cases import SIZE, VISIBILITIES, scattered, visibility
+from tests.definitions.backend import Reference
 
 REFERENCE = Reference()
 BACKENDS: tuple[Backend, ...] = Kernels(), REFERENCE

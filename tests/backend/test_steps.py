@@ -10,13 +10,13 @@ import pytest
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend, Coding, Descent, Frame, Moments, step_by_step
-from sgmethod.backend.reference import MAX_AMPLITUDE, MAX_SCALE, MAX_SLANT, Reference
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
 from sgmethod.settings.rd import RD
 from sgmethod.settings.shared import OptimiserSettings
 from tests.backend.cases import FRAMES, VISIBILITIES, scattered, single, target, visibility
+from tests.definitions.backend import MAX_AMPLITUDE, MAX_SCALE, MAX_SLANT, Reference
 
 KERNELS: Backend = Kernels()
 REFERENCE: Backend = Reference()
@@ -133,7 +133,7 @@ def test_rounded(grey: bool, upright: bool, quantum: float) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(found.arrays, wanted.arrays, strict=True))
     if quantum == 4.0:
         assert 0.1 < found.colors.any(1).mean() < 0.9
-    decoded = StreamV2.of(gaussians, (40, 35), quantum, (0, 0, 0), grey, with_shear=not upright).gaussians()
+    decoded = StreamV2.from_gaussians(gaussians, (40, 35), quantum, (0, 0, 0), grey, with_shear=not upright).gaussians()
     assert as_set(found) == as_set(decoded)
 
 

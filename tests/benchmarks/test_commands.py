@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from tests.harness.data import PHOTOGRAPHS, ROOT
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT
 
 pytestmark = pytest.mark.thorough
 
@@ -30,11 +30,10 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "max_bytes",
         [250, 120],
     ),
-    "ablation": ("--images {small} --tables parts --seeds 1 --bpp 2", "table", ["parts"]),
-    "ablation representation": (
-        "--images {small} --gaussians 60 --steps 60 --methods paper",
-        "method",
-        ["paper"],
+    "ablation": (
+        "--images {small} --tables positions --seeds 1 --fit-steps 60 --tune-steps 20",
+        "setting",
+        ["16", "14", "12", "10"],
     ),
     "ablation gains": (
         "--images {small} --tables optimiser,numbers --numbers 10000,30000 --steps 20",
@@ -83,7 +82,7 @@ def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:
     for name in ("imagecodecs", "jpeglib", "pillow_heif"):
         pytest.importorskip(name)
     out = tmp_path / "rd.json"
-    arguments = ("--images", str(PHOTOGRAPHS), "--most", "1", "--profiles", "", "--bpp", "1,4", "--rivals")
+    arguments = ("--images", str(PHOTOGRAPHS), "--most", "1", "--profiles", "", "--bpp", "1,4", "--baselines")
     run("rd", out, *arguments)
     rows = {(row["codec"], row["max_bpp"]): row for row in json.loads(out.read_text())["rows"]}
     names = ["jpeg", "mozjpeg", "jpeg2000", "webp", "jpegxl", "heic", "avif tune=psnr", "avif tune=iq"]

@@ -9,15 +9,7 @@ import math
 import struct
 from collections.abc import Iterator
 
-from tests.bitstream.plain_decoder_v2 import Gaussian, add, body_of, refuse_unless, round32, to_bytes
-
-CUTOFF = 5.5
-
-
-def decode(data: bytes) -> tuple[int, int, bytes]:
-    """Width, height and the samples: height rows of width pixels of red, green and blue."""
-    width, height, gaussians = parse(data)
-    return width, height, draw(gaussians, width, height)
+from tests.bitstream.plain_decoder_v2 import Gaussian, body_of, refuse_unless, round32
 
 
 def parse(data: bytes) -> tuple[int, int, list[Gaussian]]:
@@ -69,12 +61,3 @@ def read_records(
 
 def level(code: int, bits: int, low: float, high: float) -> float:
     return round32(low + code * ((high - low) / (2**bits - 1)))
-
-
-def draw(gaussians: list[Gaussian], width: int, height: int) -> bytes:
-    """Pixels of the Gaussians, on black."""
-    planes = [[[0.0] * width for _ in range(height)] for _ in range(3)]
-    for gaussian in gaussians:
-        if gaussian[2] > 0 and gaussian[4] > 0:
-            add(gaussian, [i + 0.5 for i in range(width)], [j + 0.5 for j in range(height)], planes, CUTOFF)
-    return to_bytes(planes, (0, 0, 0))

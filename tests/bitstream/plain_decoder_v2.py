@@ -1,13 +1,11 @@
 """A second decoder of version 2, written from docs/format.md alone: plain Python, slow, sharing nothing with sgmethod.
 
-Its parts follow the sections of that text, in their order, with their names.
+Its parts follow the sections of that text, in their order, with their names, up to the Gaussians.
 """
 
 from __future__ import annotations
 
-import functools
 import json
-import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -15,9 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 MODELS = Path(__file__).parents[2] / "docs" / "format" / "models.json"
-Region = tuple[int, int, int, int]  # x, y of the corner, width, height
 Gaussian = tuple[float, float, float, float, float, tuple[float, ...]]  # x, y, l1, l2, l3, colour
-Plane = list[list[float]]  # rows of one colour's samples, in a part of a level
 
 
 class RefusedError(Exception):
@@ -58,7 +54,6 @@ MOST_EXPONENT = 18
 MOST_U_BITS, MOST_PART_BITS, MOST_RAW_BITS = 12, 16, 24
 MOST_V, MOST_R = 8, 4096
 LEAST_COLOUR_STEP = 2.0**-16
-NARROWEST, TOP_LEVEL = 1.4, 12
 OCTAVES, PATCH, MOST_STRENGTH = 2, 64, 15
 
 
@@ -466,191 +461,6 @@ def gaussian_of(header: Header, integers: Integers) -> Gaussian:
     return round32(x), round32(y), round32(l1), round32(l2), round32(l3), colour
 
 
-# Gaussians to pixels
-
-CUTOFF = 3.0
-
-
-def add(gaussian: Gaussian, xs: list[float], ys: list[float], planes: list[Plane], cutoff: float = CUTOFF) -> None:
-    """Add a Gaussian to the samples whose centres are given."""
-    x, y, l1, l2, l3, colour = gaussian
-    for j, at_y in enumerate(ys):
-        for i, at_x in enumerate(xs):
-            z1 = (at_x - x) / l1
-            z2 = (at_y - y - l2 * z1) / l3
-            sigma = (z1 * z1 + z2 * z2) / 2
-            if sigma < cutoff:
-                w = math.exp(-sigma) - math.exp(-cutoff)
-                for plane, part in zip(planes, colour, strict=True):
-                    plane[j][i] += part * w
-
-
-def level_of(l1: float, l2: float, l3: float) -> int:
-    xx = l1 * l1
-    yy = l2 * l2 + l3 * l3
-    minor = 2 * (xx * l3) * l3 / (xx + yy + math.sqrt((xx - yy) * (xx - yy) + 4 * (xx * l2) * l2))
-    ratio = minor / (NARROWEST * NARROWEST)
-    return max((level for level in range(1, TOP_LEVEL + 1) if 4**level <= ratio), default=0)
-
-
-def on_level(gaussian: Gaussian, level: int) -> Gaussian:
-    """A Gaussian in samples of its level, counted from two before the picture."""
-    x, y, l1, l2, l3, (red, green, blue) = gaussian
-    if level == 0:
-        return gaussian
-    samples = 2**level
-    p1, p2, p3, blur = l1 / samples, l2 / samples, l3 / samples, (1 - 4.0**-level) / 4
-    xx, xy, yy = p1 * p1 - blur, p1 * p2, p2 * p2 + p3 * p3 - blur
-    q1 = math.sqrt(xx)
-    q2 = xy / q1
-    q3 = math.sqrt(xx * yy - xy * xy) / q1
-    gain = round32(p1 * p3 / (q1 * q3))
-    place = round32(x / samples + 2), round32(y / samples + 2)
-    return *place, round32(q1), round32(q2), round32(q3), (gain * red, gain * green, gain * blue)
-
-
-def enlarged(plane: Plane, coarse: range, places: range) -> Plane:
-    """Samples along x in some places, from the coarse ones."""
-    pairs = [(n // 2 - coarse[0], n // 2 + (1 if n % 2 else -1) - coarse[0]) for n in places]
-    return [[0.75 * row[near] + 0.25 * row[far] for near, far in pairs] for row in plane]
-
-
-def transposed(plane: Plane) -> Plane:
-    return [list(column) for column in zip(*plane, strict=True)]
-
-
-def pyramid(by_level: list[list[Gaussian]], noise: Noise, level: int, columns: range, rows: range) -> list[Plane]:
-    """Red, green and blue of a part of a level, with all levels above it."""
-    planes = [[[0.0] * len(columns) for _ in rows] for _ in range(3)]
-    if level + 1 < len(by_level):
-        above = [range(places[0] // 2 - 1, places[-1] // 2 + 2) for places in (columns, rows)]
-        planes = [
-            transposed(enlarged(transposed(enlarged(plane, above[0], columns)), above[1], rows))
-            for plane in pyramid(by_level, noise, level + 1, *above)
-        ]
-    for y, j in enumerate(rows):
-        for x, i in enumerate(columns):
-            value = noise.value(level, i, j)
-            for plane in planes:
-                plane[y][x] += value
-    first = 0.5 if level == 0 else 2.5
-    for gaussian in by_level[level]:
-        add(gaussian, [i + first for i in columns], [j + first for j in rows], planes)
-    return planes
-
-
-def draw(
-    gaussians: list[Gaussian], noise: Noise, columns: range, rows: range, background: tuple[int, int, int]
-) -> bytes:
-    """Red, green and blue of the pixels in some columns and rows."""
-    levels = [level_of(*gaussian[2:5]) for gaussian in gaussians]
-    by_level: list[list[Gaussian]] = [[] for _ in range(max([0, noise.top, *levels]) + 1)]
-    for gaussian, level in zip(gaussians, levels, strict=True):
-        by_level[level].append(on_level(gaussian, level))
-    planes = pyramid(by_level, noise, 0, columns, rows)
-    return to_bytes(planes, background)
-
-
-def to_bytes(planes: list[Plane], background: tuple[int, int, int]) -> bytes:
-    samples = bytearray()
-    for pixels in zip(*planes, strict=True):
-        for of_pixel in zip(*pixels, strict=True):
-            lit = (sample + value / 255 for sample, value in zip(of_pixel, background, strict=True))
-            samples += bytes(math.floor(255 * min(max(sample, 0.0), 1.0) + 0.5) for sample in lit)
-    return bytes(samples)
-
-
-# Noise
-
-
-def mix(h: int) -> int:
-    h %= 2**32
-    h ^= h >> 16
-    h = h * 0x7FEB352D % 2**32
-    h ^= h >> 15
-    h = h * 0x846CA68B % 2**32
-    return h ^ h >> 16
-
-
-@functools.cache
-def white(i: int, j: int) -> int:
-    i, j = i % 256, j % 256
-    return mix(i + mix(mix(1) + j // 4)) // 256 ** (j % 4) % 256 - 128
-
-
-@functools.cache
-def detail(i: int, j: int, weights: tuple[int, ...]) -> int:
-    """White noise less its mean around a place, times the sum of all weights."""
-    reach = len(weights) // 2
-    mean = sum(
-        down * along * white(i + x - reach, j + y - reach)
-        for y, down in enumerate(weights)
-        for x, along in enumerate(weights)
-    )
-    return sum(weights) ** 2 * white(i, j) - mean
-
-
-@functools.cache
-def noise_table(octave: int, i: int, j: int) -> int:
-    """Noise in a column and a row, 0 to 255."""
-    if octave == 1:
-        return (detail(i, j, (1, 2, 1)) + 16) // 32
-    smooth = sum(
-        down * along * detail((i + x - 1) % 256, (j + y - 1) % 256, (1, 4, 6, 4, 1))
-        for y, down in enumerate((1, 6, 1))
-        for x, along in enumerate((1, 6, 1))
-    )
-    return (smooth + 8192) // 16384
-
-
-SPREADS = (34.1, 29.7)
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Strengths, and where they are drawn: output pixels for a pixel, and where in these the picture's corner lies."""
-
-    codes: Codes  # none without texture
-    scale: tuple[float, float] = (1.0, 1.0)
-    corner: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def shift(self) -> int:
-        """n: octave o is drawn on level o + n."""
-        twice = 2 * self.scale[0] * self.scale[1]
-        return max(n for n in range(-7, 8) if 4.0**n <= twice)
-
-    @property
-    def top(self) -> int:
-        """The highest level that has any."""
-        octaves = [o for o, rows in enumerate(self.codes) if any(map(any, rows))]
-        return max((o + self.shift for o in octaves), default=-1)
-
-    def value(self, level: int, i: int, j: int) -> float:
-        """What is added to a sample."""
-        octave = level - self.shift
-        if not 0 <= octave < len(self.codes):
-            return 0.0
-        noise = noise_table(octave, i % 256, j % 256)
-        share = 0.75 if self.shift < 0 and level == 0 else 1.0
-        at_x, at_y = (
-            min(max(((n + 0.5) * 2**level - corner) / scale / PATCH - 0.5, 0), patches - 1)
-            for n, corner, scale, patches in zip(
-                (i, j), self.corner, self.scale, (len(self.codes[0][0]), len(self.codes[0])), strict=True
-            )
-        )
-        ends = [self._along_x(octave, row, at_x) for row in (math.floor(at_y), math.ceil(at_y))]
-        return noise * share * (ends[0] + (ends[1] - ends[0]) * (at_y - math.floor(at_y)))
-
-    def _along_x(self, octave: int, row: int, at: float) -> float:
-        codes = self.codes[octave][row]
-        left, right = (
-            2 ** ((code - 1) / 2) / (2 * SPREADS[octave] * 255) if code else 0.0
-            for code in (codes[math.floor(at)], codes[math.ceil(at)])
-        )
-        return left + (right - left) * (at - math.floor(at))
-
-
 # The whole file
 
 
@@ -706,70 +516,3 @@ def read(data: bytes) -> File:
     of_alpha, length = alpha
     refuse_unless(len(rest) >= length, "alpha")
     return File(header, codes, (of_alpha, rest[:length]), rest[length:])
-
-
-# Views
-
-
-def view_size(region: Region, scale: float) -> tuple[int, int]:
-    """Width and height of a view."""
-    return max(round(region[2] * scale), 1), max(round(region[3] * scale), 1)
-
-
-def resized(
-    gaussians: list[Gaussian], region: Region, scale: float, cutoff: float = CUTOFF, origin: tuple[int, int] = (0, 0)
-) -> list[Gaussian]:
-    """Gaussians in a view's pixels, with the region's corner at the origin."""
-    left, top, w, h = region
-    width, height = view_size(region, scale)
-    sx, sy = width / w, height / h
-    floor = math.exp(-cutoff)
-    kept = (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
-    vx, vy = max(1 - sx * sx, 0) / (12 * kept), max(1 - sy * sy, 0) / (12 * kept)
-    shown = []
-    for x, y, l1, l2, l3, colour in gaussians:
-        p1, p2, p3 = sx * l1, sy * l2, sy * l3
-        n1 = math.sqrt(p1 * p1 + vx)
-        n3 = math.sqrt(p3 * p3 + vy + (p2 / n1) ** 2 * vx)
-        place = round32((x - left) * sx + origin[0]), round32((y - top) * sy + origin[1])
-        less = tuple(round32(value * (p1 * p3) / (n1 * n3)) for value in colour)
-        shown.append((*place, round32(n1), round32(p1 * (p2 / n1)), round32(n3), less))
-    return shown
-
-
-def view_gaussians(gaussians: list[Gaussian], region: Region, scale: float) -> list[Gaussian]:
-    """Gaussians in a view, on the samples of the whole."""
-    return resized(gaussians, region, scale, origin=origin_of(region, scale))
-
-
-def origin_of(region: Region, scale: float) -> tuple[int, int]:
-    """OX and OY."""
-    sizes = zip(region[:2], region[2:], view_size(region, scale), strict=True)
-    ox, oy = (math.floor(corner * (size / side)) % 65536 for corner, side, size in sizes)
-    return ox, oy
-
-
-def view(data: bytes, scale: float = 1, region: Region | None = None) -> tuple[int, int, bytes]:
-    """Width, height and the samples of a view: rows of pixels of red, green and blue, and alpha if there is any."""
-    file = read(data)
-    region = region or (0, 0, file.header.width, file.header.height)
-    width, height = view_size(region, scale)
-    sx, sy = width / region[2], height / region[3]
-    ox, oy = origin_of(region, scale)
-    part = range(ox, ox + width), range(oy, oy + height)
-    noise = Noise(file.codes, (sx, sy), (ox - region[0] * sx, oy - region[1] * sy))
-    shown = view_gaussians(file.gaussians(), region, scale)
-    pixels = draw(shown, noise, *part, file.header.background)
-    if file.alpha is None:
-        return width, height, pixels
-    shown = view_gaussians(file.alpha_gaussians(), region, scale)
-    alpha = draw(shown, Noise([]), *part, file.alpha[0].background)
-    samples = bytearray()
-    for at in range(0, len(pixels), 3):
-        samples += pixels[at : at + 3] + alpha[at : at + 1]
-    return width, height, bytes(samples)
-
-
-def decode(data: bytes) -> tuple[int, int, bytes]:
-    """Width, height and the samples of the whole picture."""
-    return view(data)

@@ -6,12 +6,12 @@ import re
 
 import pytest
 
+from benchmarks.harness.data import JAVASCRIPT
 from sgmethod import BitstreamError
 from sgmethod.bitstream import v1, v2
 from sgmethod.bitstream.fields import BitField, BitReader, Header, write_bits
 from sgmethod.bitstream.stream import SIGNATURE_BYTES
 from tests.bitstream.test_format_v1 import table
-from tests.harness.data import JAVASCRIPT
 
 pytestmark = pytest.mark.thorough
 
@@ -67,7 +67,7 @@ def test_javascript_has_the_tables() -> None:
     for name, header in {"HEADER": v2.HEADER, "ALPHA_HEADER": v2.ALPHA_HEADER}.items():
         part = SCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
         rows = re.findall(r"\[(\d+), (\d+), (true|false)\], // (\w+)", part)
-        found = tuple(BitField(said, int(bits), int(short), more == "true") for bits, short, more, said in rows)
+        found = tuple(BitField(name, int(bits), int(short), more == "true") for bits, short, more, name in rows)
         assert found == header
     flags = {"GREY": v2.FLAG_GREY, "UPRIGHT": v2.FLAG_UPRIGHT, "TEXTURE": v2.FLAG_TEXTURE}
     for name, flag in {**flags, "ALPHA": v2.FLAG_ALPHA}.items():

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sgmethod
+from benchmarks.harness.data import SIGNATURES, damaged, golden, with_checksum
 from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.fields import write_bits
@@ -27,7 +28,6 @@ from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.bitstream.v2 import BACKGROUND, FLAGS, QUANTUM, SIZE, StreamV2
 from sgmethod.view import View
 from tests.backend.cases import single
-from tests.harness.data import SIGNATURES, damaged, golden, with_checksum
 
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
 MAX_CPU_S = 2.0  # 0.14 s is the worst seen
@@ -151,7 +151,7 @@ def equal(n: int, side: int, factor: tuple[float, float, float], quantum: float,
     """A square grey picture with n Gaussians of one shape, all over it."""
     means = np.random.default_rng(0).uniform(0, side, (n, 2))
     gaussians = single(means, np.tile(factor, (n, 1)), np.full((n, 3), color))
-    return container.serialise(StreamV2.of(gaussians, (side, side), quantum, (10, 20, 30), True))
+    return container.serialise(StreamV2.from_gaussians(gaussians, (side, side), quantum, (10, 20, 30), True))
 
 
 CROWDED = equal(3000, 200, (1, 0, 1), 1.5)  # they cost a bit each: what follows a change can be many more

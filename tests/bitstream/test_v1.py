@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.harness.data import golden, with_checksum
 from sgmethod.bitstream import v1
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.errors import BitstreamError
-from tests.harness.data import golden, with_checksum
 
 GOLDEN = golden(1)
 

@@ -22,6 +22,8 @@ import torch
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import ROOT, golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod import codec, decode, info
 from sgmethod.budget import Budget
 from sgmethod.cli import arguments, decoding, files, terminal
@@ -32,8 +34,6 @@ from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
-from tests.harness.data import ROOT, golden_path
-from tests.harness.pictures import photo
 from tests.rd.short import shortened
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
@@ -213,7 +213,7 @@ def test_version(module: bool) -> None:
     [
         ("", "COMMAND"),
         ("compress photo.png out.sg", "'compress'"),
-        (ENCODE + "--looks best", "looks are a number, or one of preview, web, archive"),
+        (ENCODE + "--quality best", "quality is a number, or one of preview, web, archive"),
         ("encode", "IN [OUT.sg]"),
         ("decode picture.sg", "OUT"),
         ("encode ''", "a file name must not be empty"),
@@ -394,7 +394,7 @@ def test_progress_on_a_terminal() -> None:
     status, _, seen = on_terminal(*command, streams="stderr")
     assert status == 0
     first, *lines, last = seen.split(b"\r")
-    assert (first, last) == (b"", b"\x1b[K")  # the line is gone at the end
+    assert (first, last) == (b"", b"\x1b[K")  # the line is erased at the end
     assert len(lines) > 0
     shown = rb"\w+ +\[[#.]{24}\] +\d+%  [\d,]+ Gaussians  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K"
     assert all(re.fullmatch(shown, line) for line in lines)
@@ -474,7 +474,7 @@ def test_commands_of_the_help(run: Run) -> None:
     texts = (arguments.EXAMPLES, arguments.ENCODE[1], arguments.DECODE[1], arguments.INFO[1], arguments.COMPARE[1])
     lines = re.findall(r"^  (sgmethod .*)", "\n".join((*texts, arguments.PLOT[1])), re.MULTILINE)
     assert len(lines) > 15
-    run_in_order(run, [line for line in lines if "--weights" not in line])
+    run_in_order(run, lines)
 
 
 def test_python_of_the_readme() -> None:

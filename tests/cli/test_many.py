@@ -1,4 +1,4 @@
-"""Many files and folders, what is said of a file that came out badly, names of pipes, permissions, and seconds."""
+"""Many files and folders, warnings, names of pipes, permissions, and seconds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_many_files_are_decoded(run: Run) -> None:
     Path("out").mkdir()
     Path("out/two.png").write_bytes(b"before")
     options = ["--output-dir", "out", "--no-clobber", "--scale", "0.5"]
-    ran = run("decode", "bad.sg", "one.sg", "two.sg", "gone.sg", *options)
+    ran = run("decode", "bad.sg", "one.sg", "two.sg", "missing.sg", *options)
     assert ran.status == 1
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
@@ -44,9 +44,9 @@ def test_many_files_are_decoded(run: Run) -> None:
         r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, [\d.]+ pictures/s, \d+ s left\)", done
     )
     assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
-    bad, gone = ran.err.splitlines()
+    bad, missing = ran.err.splitlines()
     assert bad.startswith("sgmethod: bad.sg: ")
-    assert gone.startswith("sgmethod: gone.sg: cannot read gone.sg: No such file")
+    assert missing.startswith("sgmethod: missing.sg: cannot read missing.sg: No such file")
     assert size_of("out/one.png") == (20, 28)
     assert Path("out/two.png").read_bytes() == b"before"
 
@@ -158,7 +158,7 @@ def warnings_of(err: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "warned"),
     [
         ("--psnr 60 --time-limit 0.05", ["the requested PSNR is missed by"]),
         ("--bytes 13", ["the file contains only a background and no Gaussians"]),
@@ -166,16 +166,16 @@ def warnings_of(err: str) -> list[str]:
         ("--bpp 0.3", []),
     ],
 )
-def test_a_file_that_came_out_badly(run: Run, line: str, said: list[str]) -> None:
+def test_a_file_that_came_out_badly(run: Run, line: str, warned: list[str]) -> None:
     PHOTO.save("photo.jpg", quality=5)  # 1,400 bytes
     ran = run("encode", "photo.jpg", "out.sg", "--json", *line.split())
     assert ran.status == 0
     figures = json.loads(ran.out)
     assert figures["source_bytes"] == Path("photo.jpg").stat().st_size
-    assert bool(figures["warnings"]) == bool(said)
-    assert all(any(words in text for text in figures["warnings"]) for words in said)
+    assert bool(figures["warnings"]) == bool(warned)
+    assert all(any(words in text for text in figures["warnings"]) for words in warned)
     assert warnings_of(ran.err) == figures["warnings"]
-    assert bool(warnings_of(run("encode", "photo.jpg", "--output-dir", "out", *line.split()).err)) == bool(said)
+    assert bool(warnings_of(run("encode", "photo.jpg", "--output-dir", "out", *line.split()).err)) == bool(warned)
     assert run("encode", "photo.jpg", "out.sg", "--quiet", *line.split()) == (0, "", "")
 
 
@@ -245,12 +245,12 @@ def test_seconds_are_those_that_somebody_waits(run: Run, monkeypatch: pytest.Mon
     clock = iter(range(1000, 100_000))
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
     arguments = ["encode", "photo.png", "out.sg", "--gaussians", "9", "--trace", "trace.json"]
-    said = run(*arguments).out
+    output = run(*arguments).out
     figures = json.loads(Path("trace.json").read_text())["stats"]
     of_the_fit = json.loads(Path("trace.json").read_text())["trace"][-1]["seconds"]
     ends = next(clock) - 1
     assert figures["seconds"] == ends - 1000 > of_the_fit + 1
-    assert said.endswith(f", {figures['seconds']:.1f} s\n")
+    assert output.endswith(f", {figures['seconds']:.1f} s\n")
     began = next(clock) + 1
     lines = run("encode", "photo.png", "--output-dir", "out", "--gaussians", "9").out.splitlines()
     assert lines[-1].endswith(f", {next(clock) - 1 - began:.1f} s")

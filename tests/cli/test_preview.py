@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 from pathlib import Path
@@ -9,6 +10,9 @@ from pathlib import Path
 import pytest
 
 import sgmethod
+from sgmethod.cli.previewing import _print_in_turn
+from sgmethod.cli.several import Outcome
+from sgmethod.many.run import Tally
 from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, run
 
 __all__ = ["in_folder", "run"]  # fixtures
@@ -60,6 +64,18 @@ def test_several(run: Run) -> None:
     assert [line["text"] for line in lines] == [line.split("\t")[1] for line in ran.out.splitlines()]
 
 
+def test_the_order_is_that_of_the_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whichever process is done first."""
+    arguments = argparse.Namespace(quiet=False, json=False, html=False, element=False)
+    names, done = ["a", "b", "a"], dict[str, list[Outcome]]()
+    for name in ("b", "a", "a"):
+        outcome = Outcome(name, name, summary="text", error="bad" if name == "b" else None)
+        _print_in_turn(arguments, names, done, outcome, Tally())
+    output = capsys.readouterr()
+    assert (output.out, output.err) == ("a\ttext\na\ttext\n", "sgmethod: b: bad\n")
+    assert names == []
+
+
 @pytest.mark.usefixtures("pictures")
 def test_a_folder_and_its_manifest(run: Run) -> None:
     arguments = ("preview", "photos", "--output-dir", "out", "--resume", "--bytes", "60")
@@ -74,7 +90,7 @@ def test_a_folder_and_its_manifest(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ("photo.png --bytes 5 --output-dir out", "from 12 to 16384, got 5"),
         ("photo.png --bytes 20k --output-dir out", "from 12 to 16384, got 20000"),
@@ -87,5 +103,5 @@ def test_a_folder_and_its_manifest(run: Run) -> None:
         ("picture.sg", "an .sg file already"),
     ],
 )
-def test_refusals(run: Run, arguments: str, said: str) -> None:
-    assert_refused(run("preview", *arguments.split()), said)
+def test_refusals(run: Run, arguments: str, message: str) -> None:
+    assert_refused(run("preview", *arguments.split()), message)

@@ -20,7 +20,7 @@ def grainy(height: int = 64, width: int = 96) -> Target:
 
 
 def followed(original: Target, drawn: Target, times: int = 40) -> Target:
-    moving = ExaggeratedTarget(original, 4, RD.objective.moving)
+    moving = ExaggeratedTarget.from_target(original, 4, RD.objective.moving)
     for _ in range(times):
         moving = moving.moved(
             lambda first, end: all_halved((original - drawn)[:, first:end] / np.float32(TARGET_WHITE))
@@ -57,7 +57,7 @@ def test_grain_that_is_hidden_is_not_exaggerated() -> None:
     original = grainy()
     missing = (original - np.full_like(original, round(original.mean(dtype=np.float64)))) / np.float32(TARGET_WHITE)
     grain = np.rint(missing * TARGET_WHITE).astype(np.int16)
-    still = ExaggeratedTarget(original, 4, RD.objective.moving)
+    still = ExaggeratedTarget.from_target(original, 4, RD.objective.moving)
     plain, hiding = (
         moving.moved(lambda first, end: all_halved(missing[:, first:end])) for moving in (still, still.without(grain))
     )

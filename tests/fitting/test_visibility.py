@@ -88,7 +88,7 @@ def test_what_is_no_number_has_a_share_all_the_same() -> None:
     """A start that was spoiled has such Gaussians, and the share decides which are dropped."""
     means = [[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]]
     factors = [[width, 0.0, 3.0] for width in (3.0, 3.0, 3.0, math.nan, math.inf)]
-    found = quiet(SeenShare(visibility(40, 30)).of)(single(means, factors, np.ones((5, 3))))
+    found = quiet(SeenShare(visibility(40, 30)).look_up)(single(means, factors, np.ones((5, 3))))
     assert np.isfinite(found).all()
     assert (found > 0).tolist() == [True, True, True, False, True]
 

@@ -43,7 +43,7 @@ def test_write_atomically(tmp_path: Path) -> None:
     write_atomically(link, b"third")
     assert link.is_symlink()
     assert target.read_bytes() == b"third"
-    write_atomically(os.devnull, b"gone")
+    write_atomically(os.devnull, b"data")
     for path, error in ((tmp_path / "nowhere" / "out.sg", FileNotFoundError), (target / "out.sg", NotADirectoryError)):
         with pytest.raises(error, match=f"'{path}'$"):
             write_atomically(path, b"lost")
@@ -53,7 +53,7 @@ def test_write_atomically(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", [0o600, 0o644, 0o400, 0o660])
 def test_a_file_that_is_replaced_keeps_its_mode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int) -> None:
-    """Nobody else may read the new one before it has the name."""
+    """No other user may read the new one before it has the name."""
     target, real, seen = tmp_path / "out.sg", os.open, []
 
     def spy(path: str, flags: int, *more: int, **named: int) -> int:

@@ -16,13 +16,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image, ImageFile
 
+from benchmarks.harness.pictures import photo
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
 from sgmethod.io.levels import to_8_bit
 from sgmethod.io.pillow_defaults import pillow_defaults
-from tests.harness.pictures import photo
 from tests.io.odd_files import chunk, png, tiff
 
 pillow_heif.register_heif_opener()

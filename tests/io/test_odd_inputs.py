@@ -14,12 +14,12 @@ import pillow_heif
 import pytest
 from PIL import Image, ImageCms
 
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import photo
 from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io import chunks
 from sgmethod.io.image import read_header, read_image_8_bit
-from tests.harness import profiles
-from tests.harness.data import golden_path
-from tests.harness.pictures import photo
+from tests.io import profiles
 from tests.io.odd_files import chunk, png, tiff
 from tests.io.test_image import exif_with
 

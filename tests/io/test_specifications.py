@@ -20,7 +20,7 @@ from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, of_profile
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
-from tests.harness import profiles
+from tests.io import profiles
 from tests.io.odd_files import bmp, chunk, clap, gif, heif, mirrored, png, tiff, turned
 
 W, H = 32, 24
@@ -173,7 +173,7 @@ def test_deep_tiffs_are_the_same_opened_by_pillow(tags: dict[int, int]) -> None:
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_alpha_of_tiffs(kind: int, grey: bool, order: str) -> None:
-    """ExtraSamples: 0 is not told to be alpha, 1 is multiplied into the colours already, 2 is as we have it."""
+    """ExtraSamples: 0 need not be alpha, 1 is multiplied into the colours already, 2 is as we have it."""
     colours = GREY if grey else RGB
     data = tiff([(np.concatenate([colours, ALPHA], 2), {338: kind})], order)
     part = ALPHA.astype(int)

@@ -15,7 +15,7 @@ def doubled(item: int) -> int:
     return 2 * item
 
 
-def begun_and_killed(_threads: int, begun: c_byte) -> None:
+def begun_and_killed(_threads: int, begun: c_byte, _watched: object) -> None:
     """Begin a process, and end it."""
     begun.value = 1
     os.abort()

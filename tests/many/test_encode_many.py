@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.harness.pictures import photo
 from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded
 from sgmethod.client import encode_many as encode_on_server
@@ -27,7 +28,6 @@ from sgmethod.errors import noted
 from sgmethod.io.header import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
-from tests.harness.pictures import photo
 from tests.rd.short import short
 
 PHOTO = Image.fromarray(photo()).resize((64, 48))
@@ -88,7 +88,7 @@ def test_what_is_done_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     PHOTO.resize((50, 40)).save("2.png")
     assert counts(many(resume=True)) == (3, 0, 0)
     assert counts(many(resume=True)) == (0, 3, 0)
-    assert counts(many()) == (3, 0, 0)  # without being told to resume
+    assert counts(many()) == (3, 0, 0)  # without resume
     assert counts(many(on_progress=lambda _: None)) == (3, 0, 0)
     assert counts(many(resume=True, on_progress=lambda _: None)) == (0, 3, 0)  # another function
     assert counts(many(resume=True, stop=lambda: False)) == (3, 0, 0)  # which may have ended encodes early

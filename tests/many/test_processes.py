@@ -13,10 +13,10 @@ from unittest.mock import Mock
 
 import pytest
 
+from benchmarks.harness.processes import wait_until
 from sgmethod import SgError
 from sgmethod.many import processes
 from sgmethod.many.processes import in_processes
-from tests.harness.processes import wait_until
 from tests.many.killing import doubled, killed_once
 
 

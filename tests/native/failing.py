@@ -1,4 +1,4 @@
-"""Fails one allocation of the kernels after the other, and sees that the process survives with right results.
+"""Fails one allocation of the kernels after the other, and sees that the process goes on with right results.
 
 A program of its own, run with shims/allocations.c preloaded: python -m tests.native.failing workers|kernels
 An action ends with its right result or with MemoryError, and the next one is right. Prints how many of each there were,
@@ -15,13 +15,13 @@ from itertools import count
 
 import numpy as np
 
+from benchmarks.harness.data import PHOTOGRAPHS
 from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from tests.harness.data import PHOTOGRAPHS
 from tests.native.harness.golden import GOLDEN, is_golden
 from tests.rd.short import short
 
@@ -53,7 +53,7 @@ def decodes(name: str) -> Action:
 @cache
 def large_file() -> bytes:
     """With Gaussians enough for tasks that take memory, on several levels."""
-    stream = StreamV2.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
+    stream = StreamV2.from_gaussians(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
     return container.serialise(stream)
 
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sgmethod.backend.reference import geometry_loss
 from sgmethod.native import native
+from tests.definitions.backend import geometry_loss
 
 SIZES = [(1, 1), (7, 2), (2, 7), (1, 40), (3, 3), (4, 3), (50, 37), (33, 64), (18, 65)]  # width, height
 LAMBDAS = [0.06, 1.0]

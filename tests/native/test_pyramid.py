@@ -1,4 +1,4 @@
-"""Drawing in a pyramid, on every instruction set here, against sgmethod.native.reference.render_pyramid in float64; and
+"""Drawing in a pyramid, on every instruction set here, against sgmethod.native.drawing.render_pyramid in float64; and
 needles, which stay on the finest level however long they are.
 
 An error of the picture is absolute, 1 being full white. One of a gradient is in parts of the largest of its kind.
@@ -15,8 +15,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
+from tests.definitions import drawing
 from tests.native.test_codec import gaussians
 
 CUTOFF = native.CUTOFF_V2
@@ -39,7 +40,7 @@ def scattered(size: Size, n: int, widest: float, seed: int) -> Gaussians:
 
 
 def of_every_level(size: Size) -> Gaussians:
-    scale = 1.5 * reference.NARROWEST * np.repeat(2.0 ** np.arange(reference.MAX_LEVEL + 1), 3)
+    scale = 1.5 * drawing.NARROWEST * np.repeat(2.0 ** np.arange(drawing.MAX_LEVEL + 1), 3)
     rng, n = np.random.default_rng(1), len(scale)
     factors = np.stack([scale, rng.uniform(-0.2, 0.2, n) * scale, scale], 1)
     return gaussians(rng.uniform(-0.2, 1.2, (n, 2)) * size, factors, rng.uniform(-1, 1, (n, 3)))
@@ -49,7 +50,7 @@ def at_thresholds() -> Gaussians:
     """On both sides of where each level begins, round and slanted: the wrong level would be off by 2 %."""
     factors = []
     for level in range(1, 6):
-        minor = reference.NARROWEST * 2**level
+        minor = drawing.NARROWEST * 2**level
         for side in (1 - 1e-6, 1 + 1e-6):
             factors += [[minor * side, 0, minor * side], turned(5 * minor, minor * side)]
     means = np.random.default_rng(0).uniform(0, 60, (len(factors), 2))
@@ -106,7 +107,7 @@ def case_of(values: Gaussians, size: Size) -> Case:
     leaves = [
         torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (values.means, values.factors, values.colors)
     ]
-    picture = reference.render_pyramid(leaves[0], leaves[1], leaves[2], size, CUTOFF)
+    picture = drawing.render_pyramid(leaves[0], leaves[1], leaves[2], size, CUTOFF)
     error = (picture - torch.from_numpy(target) / native.TARGET_WHITE).square().mean()
     scalars = (error, (picture * torch.from_numpy(upstream)).sum()) if len(values) else ()
     found = [[g.numpy() for g in torch.autograd.grad(s, leaves, retain_graph=True)] for s in scalars]
@@ -133,10 +134,10 @@ def native_gradients(c: Case, isa: int) -> tuple[float, Arrays, Arrays]:
 
 
 def test_the_cases_have_what_they_are_for() -> None:
-    levels = {name: {reference.level_of(*f) for f in case(name).values.factors.tolist()} for name in CASES}
+    levels = {name: {drawing.level_of(*f) for f in case(name).values.factors.tolist()} for name in CASES}
     for name in ("not of whole tiles", "of several tiles", "narrow"):
         assert levels[name] >= {0, 1, 2, 3}, name
-    assert levels["all levels"] == set(range(reference.MAX_LEVEL + 1))
+    assert levels["all levels"] == set(range(drawing.MAX_LEVEL + 1))
     assert levels["thresholds"] == set(range(6))
 
 
@@ -191,7 +192,7 @@ def test_narrow_gaussians_are_drawn_as_without_a_pyramid() -> None:
 def test_a_pyramid_is_near_the_plain_sum() -> None:
     """At the narrow end of each level, in parts of the amplitude."""
     for level in range(1, 6):
-        minor = reference.NARROWEST * 2**level * 1.001
+        minor = drawing.NARROWEST * 2**level * 1.001
         for factor in ([minor, 0, minor], turned(5 * minor, minor)):
             c = case_of(gaussians([[40.3, 30.7]], [factor], [[1, 1, 1]]), (80, 60))
             plain = np.empty_like(c.upstream)

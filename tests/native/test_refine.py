@@ -66,13 +66,13 @@ def scene(seed: int = 0, n: int = 150) -> tuple[Gaussians, Target]:
 
 def wide_scene(seed: int) -> tuple[Gaussians, Target]:
     """The same with Gaussians of several levels, most of them wide."""
-    from sgmethod.native import reference  # torch, which takes seconds; tests/fitting does without
+    from tests.definitions import drawing  # torch, which takes seconds; tests/fitting does without
 
     rng, n = np.random.default_rng(seed), 80
     factors = np.exp(rng.uniform(0.5, 4.5, (n, 1)) + rng.normal(0, 0.5, (n, 3)))
     factors[:, 1] *= rng.choice([-1, 0, 1], n)
     values = gaussians(scattered(n, SIZE, seed).means, factors, rng.normal(0, 0.2, (n, 3)))
-    assert {reference.level_of(*factor) for factor in values.factors.tolist()} >= set(range(5))
+    assert {drawing.level_of(*factor) for factor in values.factors.tolist()} >= set(range(5))
     return values, target_of(picture(values) + rng.normal(0, 0.005, (3, SIZE[1], SIZE[0])))
 
 

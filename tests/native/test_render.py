@@ -1,4 +1,4 @@
-"""The native kernels, on every instruction set here, against sgmethod.native.reference in float64.
+"""The native kernels, on every instruction set here, against tests.definitions.drawing in float64.
 
 An error is measured against the sum of the magnitudes of what was added up: the only scale on which single
 precision promises anything where large terms cancel, as they do along a sheared needle.
@@ -22,7 +22,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod.native import native, reference
+from sgmethod.native import native
+from tests.definitions import drawing
 
 CUTOFF = native.CUTOFF_V1
 ISAS = range(native.best_isa() + 1)
@@ -90,7 +91,7 @@ def reference_of(name: str) -> tuple[Tensor, list[Tensor]]:
     """The picture and the gradients by means, factors and colours, in float64."""
     c = case(name)
     leaves = [t.double().requires_grad_() for t in (c.means, c.factors, c.colors)]
-    picture = reference.render(leaves[0], leaves[1], leaves[2], c.size, CUTOFF)
+    picture = drawing.render(leaves[0], leaves[1], leaves[2], c.size, CUTOFF)
     if not len(c.means):
         return picture.detach(), [torch.zeros_like(leaf) for leaf in leaves]
     return picture.detach(), list(torch.autograd.grad(picture, leaves, c.upstream.double()))
@@ -240,7 +241,7 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert row[50].item() == pytest.approx(1 - np.exp(-CUTOFF), abs=1e-6)  # worst seen 0
 
 
-NOT_DRAWN = {  # more, and in a pyramid: tests/gaussians/test_drawing.py
+NOT_DRAWN = {  # more, and in a pyramid: tests/torch/test_drawing.py
     "mean x": ([np.nan, 5], [2, 0, 2]),
     "mean y": ([5, np.inf], [2, 0, 2]),
     "l1 not a number": ([5, 5], [np.nan, 0, 2]),

@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.harness.data import golden_path
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2, quantum_code, quantum_of
-from tests.harness.data import golden_path
 from tests.native.test_codec import gaussians, rows, scattered
 
 
@@ -24,7 +24,7 @@ def busy() -> StreamV2:
 
 
 def short() -> StreamV2:
-    return StreamV2.of(scattered(300, (120, 90)), (120, 90), 0.05, (0, 8, 255), False, is_short=True)
+    return StreamV2.from_gaussians(scattered(300, (120, 90)), (120, 90), 0.05, (0, 8, 255), False, is_short=True)
 
 
 STREAMS = pytest.mark.parametrize("stream", [busy(), short()], ids=["busy", "short"])
@@ -49,7 +49,7 @@ def test_exact_bytes() -> None:
         [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
         [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
     )
-    data = container.serialise(StreamV2.of(values, (64, 48), 0.1, (128, 64, 32), False))
+    data = container.serialise(StreamV2.from_gaussians(values, (64, 48), 0.1, (128, 64, 32), False))
     assert data.hex() == (
         "d3c20300b079a8040200"  # signature and header
         "8e9017000301dc0ad751397a60781a69eb88b79eb6ce06488ff08316fa585a0a4fe01903"
@@ -68,7 +68,7 @@ def test_flags_of_a_stream() -> None:
     for grey, shear in itertools.product((False, True), (0, 1)):
         values = scattered(40, (70, 50))
         values.factors[:, 1] *= shear
-        stream = StreamV2.of(values, (70, 50), 0.1, (9, 9, 9) if grey else (9, 8, 7), grey)
+        stream = StreamV2.from_gaussians(values, (70, 50), 0.1, (9, 9, 9) if grey else (9, 8, 7), grey)
         assert (stream.grey, stream.upright) == (grey, not shear)
         assert container.parse(container.serialise(stream)) == stream
 

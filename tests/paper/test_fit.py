@@ -15,13 +15,13 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.harness.pictures import photo
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.levels import to_8_bit
-from sgmethod.native import reference
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
@@ -29,7 +29,7 @@ from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.backend.cases import single
-from tests.harness.pictures import photo
+from tests.definitions import drawing
 from tests.rd.short import SlowClock
 
 KERNELS = Kernels()
@@ -43,7 +43,7 @@ def level(image: FloatArray) -> Level:
 
 
 def unlimited() -> Deadline:
-    return Deadline(SlowClock())
+    return Deadline.from_limit(SlowClock())
 
 
 def recorder(tick: float = 1.0, seen: Callable[[TracePoint], None] | None = None) -> Recorder:
@@ -64,7 +64,7 @@ def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
     """Weights [pixels, Gaussians] in float64."""
     one = torch.ones(1, 3, dtype=torch.float64)
     means, factors = (torch.tensor(values).double() for values in (shapes.means, shapes.factors))
-    columns = [reference.render(m[None], f[None], one, size, CUTOFF_V1)[0] for m, f in zip(means, factors, strict=True)]
+    columns = [drawing.render(m[None], f[None], one, size, CUTOFF_V1)[0] for m, f in zip(means, factors, strict=True)]
     return torch.stack(columns, -1).reshape(-1, len(means)).numpy()
 
 
@@ -123,13 +123,14 @@ def test_the_rate_falls_from_one_to_the_last() -> None:
 def test_a_time_limit_shortens_the_schedule() -> None:
     rates: list[float] = []
     clock = SlowClock()
-    done = Schedule("fit", 10**9, 0.03, PATIENCE).run(Deadline(clock, 2.0), Recorder(clock), falling(rates))
+    done = Schedule("fit", 10**9, 0.03, PATIENCE).run(Deadline.from_limit(clock, 2.0), Recorder(clock), falling(rates))
     assert 10 < done == len(rates) < 201
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
     assert rates == sorted(rates, reverse=True)
     for limit_s in (1e-9, -5.0):  # which has passed
-        assert Schedule("fit", 1000, 0.03, PATIENCE).run(Deadline(SlowClock(), limit_s), recorder(), falling()) == 1
+        deadline = Deadline.from_limit(SlowClock(), limit_s)
+        assert Schedule("fit", 1000, 0.03, PATIENCE).run(deadline, recorder(), falling()) == 1
 
 
 def test_a_fit_that_no_longer_improves_ends_early() -> None:

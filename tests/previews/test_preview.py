@@ -15,6 +15,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.pictures import photo, saved
 from sgmethod.errors import BitstreamError, BudgetError, ImageError
 from sgmethod.io.header import ImageLimits
 from sgmethod.metrics import psnr
@@ -22,18 +24,10 @@ from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
-from tests.harness.data import ROOT
-from tests.harness.pictures import photo
 from tests.rd.short import short
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
 LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
-
-
-def saved(picture: Image.Image, kind: str, **options: object) -> bytes:
-    file = io.BytesIO()
-    picture.save(file, kind, **options)
-    return file.getvalue()
 
 
 @pytest.fixture(autouse=True)
@@ -153,10 +147,20 @@ def test_html(made: Preview) -> None:
     style = attributes["style"] or ""
     assert style.startswith(f"width:100%;height:auto;background:{made.color} url(data:image/webp;base64,")
     picture = Image.open(io.BytesIO(base64.b64decode(style.split("base64,")[1].split(")")[0])))
-    assert picture.size == (32, 24)
-    assert len(style) < 600
-    expected = LARGE.resize((32, 24), Image.Resampling.BOX)
-    assert psnr(np.asarray(picture.convert("RGB")), np.asarray(expected)) > 16  # seen: 18.3
+    shown = picture.convert("RGB").resize(LARGE.size, Image.Resampling.BICUBIC)
+    assert psnr(np.asarray(shown), np.asarray(LARGE)) > 17  # seen: 18.4
+
+
+def test_html_is_as_long_as_allowed(made: Preview) -> None:
+    """The picture of more characters is better; of too few, there is only the colour."""
+    tags = [made.html("a.jpg", characters=most) for most in (200, 400, 500, 800)]
+    assert len(tags[0]) <= 200
+    assert "url(" not in tags[0]
+    assert made.color in tags[0]
+    assert 380 < len(tags[1]) <= 400 < len(tags[2]) <= 500
+    drawn = [Image.open(io.BytesIO(base64.b64decode(tag.split("base64,")[1].split(")")[0]))) for tag in tags[1:]]
+    shown = [one.convert("RGB").resize(LARGE.size, Image.Resampling.BICUBIC) for one in drawn]
+    assert sorted(quality := [psnr(np.asarray(one), np.asarray(LARGE)) for one in shown]) == quality
 
 
 def test_html_of_a_long_strip() -> None:

@@ -59,10 +59,15 @@ def requested(
 ) -> Request:
     """A request of profile rd, as codec.encode() makes it."""
     clock = Clock()
-    objective = Objective.of(np.ascontiguousarray(pixels), tune, settings.objective)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
     return Request(
-        objective, rate, deadline or Deadline(clock), backend or Kernels(), settings, recorder or Recorder(clock)
+        objective,
+        rate,
+        deadline or Deadline.from_limit(clock),
+        backend or Kernels(),
+        settings,
+        recorder or Recorder(clock),
     )
 
 
@@ -70,12 +75,12 @@ def begun(request: Request) -> tuple[Plan, State]:
     """The plan of a request, and the state before its first step."""
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = Plan.of(request, pyramid, gaussians)
+    plan = Plan.from_request(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)
 
 
 def stage_of(plan: Plan, steps: int, at: float = 0.0) -> Stage:
     """A stage of `steps` steps that has reached this part of the first run."""
-    pace = Deadline(Clock()).pace(steps)
+    pace = Deadline.from_limit(Clock()).pace(steps)
     pace.progress = at
     return Stage(pace, plan.times(0), at, 1.0)

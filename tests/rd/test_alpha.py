@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
@@ -22,7 +23,6 @@ from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short
 
 Pixels = NDArray[np.uint8]
@@ -52,9 +52,9 @@ def test_bytes_are_kept_to_and_used(soft: bool, tune: str) -> None:
     pixels = seen_through(soft)
     encoded = encode(pixels, bytes=1200, tune=tune)
     assert 0.95 * 1200 < len(encoded.data) <= 1200
-    said = info(encoded.data)
-    assert 50 < said.bits["alpha"] / 8 < 700
-    assert sum(said.bits.values()) == 8 * len(encoded.data)
+    fields = info(encoded.data)
+    assert 50 < fields.bits["alpha"] / 8 < 700
+    assert sum(fields.bits.values()) == 8 * len(encoded.data)
     decoded = decode(encoded.data)
     assert decoded.shape == pixels.shape
     assert encoded.stats.psnr == pytest.approx(psnr(on_backgrounds(decoded), on_backgrounds(pixels)))
@@ -78,7 +78,7 @@ def test_an_opaque_picture_pays_nothing() -> None:
 @pytest.mark.parametrize("level", [0, 100])
 def test_the_same_alpha_everywhere_is_a_header(level: int) -> None:
     pixels = np.dstack([PHOTO, np.full((72, 96), level, np.uint8)])
-    encoded = encode(pixels, quality=50)
+    encoded = encode(pixels, psnr=30)
     assert info(encoded.data).bits["alpha"] == 0  # no Gaussians
     assert (decode(encoded.data)[..., 3] == level).all()
     if level == 0:
@@ -102,7 +102,7 @@ def test_better_qualities_and_more_gaussians() -> None:
 @pytest.mark.parametrize("size", [(1, 1), (7, 3)])
 def test_tiny_pictures(size: tuple[int, int]) -> None:
     pixels = np.random.default_rng(1).integers(0, 256, (*size, 4), np.uint8)
-    for budget in (Budget("bytes", 120), Budget("quality", 80), Budget("psnr", 25)):
+    for budget in (Budget("bytes", 120), Budget("psnr", 25)):
         assert decode(encode(pixels, budget).data).shape == pixels.shape
     with pytest.raises(BudgetError, match=f"at least {SMALLEST} bytes"):
         encode(pixels, bytes=SMALLEST - 1)
@@ -194,7 +194,7 @@ def test_only_what_is_clamped_may_overshoot() -> None:
     level[:, 10:20], level[:, 20:] = 128, 255
     grey = np.repeat(level[..., None], 3, 2)
     original = target_of(grey)
-    moving = OvershootingTarget(original, 0, RD.objective.moving)
+    moving = OvershootingTarget.from_target(original, 0, RD.objective.moving)
     for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
         moving = moving.moved(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
         target = moving.now[0] / TARGET_WHITE

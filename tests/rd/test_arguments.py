@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import golden_path
 from sgmethod import Budget, BudgetError, ImageError, SgError, View, ViewError
 from sgmethod.io.inputs import read_input
 from sgmethod.profiles import PROFILES
-from tests.harness.data import golden_path
 from tests.rd.short import shortened
 
 GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
@@ -34,7 +34,7 @@ def test_a_budget_is_pythons_own(kind: type[np.integer]) -> None:
         assert (type(budget.value), budget.value) == (int, 30)
     assert Budget("bytes", kind(100)).max_bytes(768, 512) == 100
     assert Budget("bpp", kind(2)).max_bytes(768, 512) == 98304
-    assert sgmethod.encode(PIXELS, quality=kind(30)).data == sgmethod.encode(PIXELS, quality=30).data
+    assert sgmethod.encode(PIXELS, psnr=kind(30)).data == sgmethod.encode(PIXELS, psnr=30).data
 
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64, np.longdouble, Fraction])
@@ -93,7 +93,7 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(PIXELS, bytes="20g"), BudgetError, "such as 20000, 20k or 1.5MB, not '20g'"),
         (lambda: sgmethod.encode(PIXELS, bytes="0.5"), BudgetError, "bytes must be a whole number, got 0.5"),
         (lambda: sgmethod.encode(PIXELS, bytes="-1k"), BudgetError, "bytes must be a positive number, got '-1k'"),
-        (lambda: sgmethod.encode(PIXELS, looks="best"), BudgetError, "or one of preview, web, archive, got 'best'"),
+        (lambda: sgmethod.encode(PIXELS, quality="best"), BudgetError, "or one of preview, web, archive, got 'best'"),
         (lambda: sgmethod.preview(PIXELS, bytes="20k"), BudgetError, "from 12 to 16384, got 20000"),
         (lambda: sgmethod.encode(PIXELS, bpp=0.3, psnr=30), BudgetError, "give one budget, not 2: bpp, psnr"),
         (lambda: sgmethod.encode(PIXELS, Budget("bpp", 1), bpp=0.3), BudgetError, "not 2"),
@@ -101,7 +101,7 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(PIXELS, tune="best"), BudgetError, "unknown tune"),
         (lambda: sgmethod.encode(PIXELS, psnr=20, tune="visual"), BudgetError, "a budget in dB"),
         (lambda: sgmethod.encode(PIXELS, profile="paper", tune="visual"), BudgetError, "profile paper"),
-        (lambda: sgmethod.encode(PIXELS, profile="paper", looks="web"), BudgetError, "has no looks scale"),
+        (lambda: sgmethod.encode(PIXELS, profile="paper", quality="web"), BudgetError, "cannot aim at a quality"),
         (lambda: sgmethod.encode(PIXELS, profile="paper", effort=6), BudgetError, "only profile rd has an effort"),
         (lambda: sgmethod.encode(PIXELS, seed=-1), BudgetError, "seed must be a whole number from 0 to"),
         (lambda: sgmethod.encode(PIXELS, seed=1.5), BudgetError, "got 1.5"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, RefineLimits, step_by_step
@@ -17,7 +18,6 @@ from sgmethod.metrics import psnr
 from sgmethod.rd import encode as pipeline
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.harness.pictures import photo
 from tests.rd.short import begun, requested
 
 Pixels = NDArray[np.uint8]

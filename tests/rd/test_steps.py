@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
@@ -16,7 +17,6 @@ from sgmethod.rd.densify import densify, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
-from tests.harness.pictures import photo
 from tests.rd.short import begun, requested, short, stage_of
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
@@ -47,7 +47,7 @@ def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:
     """At a coarse quantum rounding costs decibels, which the unrounded Gaussians do not show."""
-    request = requested(CROP, Budget("quality", 50))
+    request = requested(CROP, Budget("psnr", 30))
     plan, state = begun(request)
     for at in RD.effort.times.growth_at[:3]:
         state = densify(plan, state, stage_of(plan, 100, at))

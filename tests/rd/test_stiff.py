@@ -21,7 +21,7 @@ pytestmark = pytest.mark.thorough
 Pixels = NDArray[np.uint8]
 SIZES = (18, 64, 100, 150, 220, 300, 450, 600, 900, 2000, 6000)
 ROUNDED_DB = 58.9  # as good as rounding to 8 bits allows
-MOST_STEPS = 1300  # of an encode with the default effort; 787 but for two rounds while a PSNR is missed
+MAX_STEPS = 1300  # of an encode with the default effort; 787 but for two rounds while a PSNR is missed
 Y, X = np.mgrid[:48, :64]
 
 
@@ -70,7 +70,7 @@ def test_more_bytes_are_never_worse_nor_exceeded(name: str) -> None:
     for size in SIZES:
         file = encoded(name, "bytes", size)
         assert len(file.data) <= size
-        assert file.stats.steps <= MOST_STEPS
+        assert file.stats.steps <= MAX_STEPS
         if (name, size) not in WORSE:
             assert file.stats.psnr >= min(best, ROUNDED_DB) - 0.5, size
         best = max(best, file.stats.psnr)
@@ -83,7 +83,7 @@ def test_a_psnr_that_is_reachable_is_reached(name: str) -> None:
     for aim in (20, 30, 45, 60):
         file = encoded(name, "psnr", aim)
         assert file.stats.psnr >= aim or reachable < aim, aim
-        assert file.stats.steps <= MOST_STEPS
+        assert file.stats.steps <= MAX_STEPS
 
 
 @each_picture
@@ -91,8 +91,6 @@ def test_other_budgets_are_kept(name: str) -> None:
     clipped = native.rd_clipped_values()
     for most in (1, 30):
         assert encode(STIFF[name], gaussians=most, tune="visual").stats.gaussians <= most
-    for quality in (1, 100):
-        assert encode(STIFF[name], quality=quality, tune="visual").stats.steps <= MOST_STEPS
     for size in (18, 60, 400):  # some of it for texture
         assert len(encode(STIFF[name], bytes=size, tune="visual").data) <= size
     assert native.rd_clipped_values() == clipped
@@ -103,15 +101,6 @@ def test_tiny_pictures_use_what_they_are_given(size: tuple[int, int]) -> None:
     """A pixel needs as many bytes as a Gaussian has, not as many as samples."""
     pixels = np.random.default_rng(8).integers(0, 256, (*size, 3), np.uint8)
     assert encode(pixels, bytes=100_000, tune="psnr").stats.psnr > 30
-    qualities = [encode(pixels, quality=quality, tune="psnr").stats.psnr for quality in (10, 60, 100)]
-    assert sorted(qualities) == qualities
-    assert qualities[-1] > 25
-
-
-@pytest.mark.parametrize("tune", ["psnr", "visual"])
-def test_a_quality_of_nothing_is_the_background(tune: str) -> None:
-    file = encode(STIFF["noise"], quality=1, tune=tune)
-    assert file.stats.gaussians == 0
 
 
 def test_a_checkerboard_of_single_pixels_gains_from_each_byte() -> None:
@@ -121,7 +110,7 @@ def test_a_checkerboard_of_single_pixels_gains_from_each_byte() -> None:
     assert found[-1] > 40
 
 
-@pytest.mark.parametrize(("name", "kind", "value"), [("squares", "quality", 45), ("lines", "psnr", 35)])
+@pytest.mark.parametrize(("name", "kind", "value"), [("squares", "bytes", 400), ("lines", "psnr", 35)])
 def test_the_trace_goes_on_to_the_end(name: str, kind: BudgetKind, value: float) -> None:
     trace = encoded(name, kind, value).trace
     assert all(before.step <= after.step for before, after in pairwise(trace))

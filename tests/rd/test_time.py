@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from benchmarks.harness.pictures import photo
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
@@ -19,7 +20,6 @@ from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
-from tests.harness.pictures import photo
 from tests.rd.short import SlowClock, requested, short, stage_of
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
@@ -79,13 +79,13 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed; and a first state."""
     clock = WorkClock()
     spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
-    reserve_s = 1 - Deadline(clock, 1.0).left_s()
-    deadline = Deadline(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
+    reserve_s = 1 - Deadline.from_limit(clock, 1.0).left_s()
+    deadline = Deadline.from_limit(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
     request = requested(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
     clock.now = 0.0
-    plan = Plan.of(request, pyramid, gaussians)
+    plan = Plan.from_request(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)
 
 
@@ -122,7 +122,7 @@ def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
     steps = []
     for prepared_s in (0.0, 6.0):
         clock = SlowClock()
-        deadline = Deadline(clock, 1e-9)
+        deadline = Deadline.from_limit(clock, 1e-9)
         clock.now += prepared_s
         steps.append(sum(1 for pace in deadline.runs([1000, 400]) for _ in pace.until(1.0)))
     assert steps[0] < 3

@@ -13,19 +13,18 @@ from typing import Any, NoReturn
 
 import pytest
 
+from benchmarks.harness import nginx, postgres_server
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.job_table import LONG_S, OpenTable, open_table
+from benchmarks.harness.nginx import Nginx
+from benchmarks.harness.postgres_server import PostgresServer, find_binaries
+from benchmarks.harness.processes import Outcome
+from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 from service.__main__ import main
 from service.jobs.table import JobTable
-from tests.harness import browser as browser_module
-from tests.harness import nginx, postgres_server
-from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
-from tests.harness.data import PICTURE
-from tests.harness.job_table import LONG_S, OpenTable, open_table
-from tests.harness.nginx import Nginx
-from tests.harness.page import Page
-from tests.harness.postgres_server import PostgresServer, find_binaries
-from tests.harness.processes import Outcome
-from tests.harness.s3_server import S3Server
-from tests.harness.service import SMALL_QUEUE, STAND_IN, RunCommand, Service, StartService
+from tests.service import browser as browser_module
+from tests.service.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
+from tests.service.s3_server import S3Server
 
 
 def _missing(required: str, hint: str) -> NoReturn:
@@ -54,7 +53,9 @@ def s3() -> Iterator[S3Server]:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Chromium]:
     """A browser for all tests that need one."""
-    browser = Chromium(find_driver() or _missing(browser_module.REQUIRED, browser_module.HINT))
+    if not (CHROMIUM and CHROMEDRIVER):
+        _missing(browser_module.REQUIRED, browser_module.HINT)
+    browser = Chromium()
     yield browser
     browser.close()
 
@@ -62,7 +63,9 @@ def browser() -> Iterator[Chromium]:
 @pytest.fixture(scope="session")
 def firefox() -> Iterator[Firefox]:
     """The other browser."""
-    browser = Firefox(find_firefox() or _missing(browser_module.REQUIRED, browser_module.FIREFOX_HINT))
+    if not FIREFOX:
+        _missing(browser_module.REQUIRED, browser_module.FIREFOX_HINT)
+    browser = Firefox()
     yield browser
     browser.close()
 
@@ -84,10 +87,10 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     yield run
     for number, handler in handlers.items():
         signal.signal(number, handler)
-    # The command's log goes where nobody listens any more: each request of a later test would leave a traceback there.
+    # The command's log goes to a closed stream: each request of a later test would leave a traceback there.
     root = logging.getLogger()
-    for told in [told for told in root.handlers if type(told) is logging.StreamHandler]:
-        root.removeHandler(told)
+    for handler in [each for each in root.handlers if type(each) is logging.StreamHandler]:
+        root.removeHandler(handler)
     root.setLevel(logging.WARNING)
 
 
@@ -153,7 +156,7 @@ def start_proxy(tmp_path_factory: pytest.TempPathFactory, certificate: Path) -> 
 
 @pytest.fixture
 def start_service(tmp_path: Path) -> Iterator[StartService]:
-    """Starts services with settings of the test's own; they are gone after the test."""
+    """Starts services with settings of the test's own; they end after the test."""
     started: list[Service] = []
 
     def start(command: str = "serve", **settings: Any) -> Service:
@@ -200,8 +203,8 @@ def service(shared_service: Service) -> Iterator[Service]:
 
 @pytest.fixture(scope="session")
 def quick(start_for_all: StartService) -> Service:
-    """The same with a stand-in for the codec."""
-    return start_for_all(extra=STAND_IN)
+    """The same with a fake codec."""
+    return start_for_all(extra=FAKE_CODEC)
 
 
 @pytest.fixture(scope="session")

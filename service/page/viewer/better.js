@@ -1,14 +1,14 @@
-// Advice: another format that suits the picture better, and a button that takes that file.
+// Advice on a format that suits the picture better, with a button that saves that file.
 
 import { ask, jobPath } from "../api.js";
 import { $, element, refill } from "../parts.js";
-import { save } from "../taking.js";
-import { trouble } from "../telling.js";
+import { save } from "../download.js";
+import { trouble } from "../status.js";
 import { withoutSuffix } from "../words.js";
 
 const FILES = { webp: "lossless WebP", avif: "AVIF" };
 
-/** Which file suits the picture better, and why; the service makes it of the job's image, as long as it has that. */
+/** Show the advice, with a button while the service keeps the job's image. */
 export function showAdvice({ id, name, job }) {
   const { advice, better } = job?.result ?? {};
   if (!better) return; // another picture is shown by now
@@ -19,7 +19,7 @@ export function showAdvice({ id, name, job }) {
 
 async function take(id, name, kind) {
   try {
-    save(await (await ask(`${jobPath(id)}/rival.${kind}`)).blob(), name);
+    save(await (await ask(`${jobPath(id)}/comparison.${kind}`)).blob(), name);
   } catch (error) {
     trouble(error.message);
   }

@@ -20,16 +20,16 @@ function contentsOf({ headerBytes, payloadBytes, textureBytes, alphaBytes, spent
   ].filter(([, part]) => part > 0);
 }
 
-/** Fill the table for a file; without one it is not shown. */
+/** Fill the table for a file, or hide it. */
 export function fillContents(file) {
   $("contents-card").hidden = !file;
   if (!file || file === fillContents.shown) return;
   fillContents.shown = file;
   const share = (bytes) => `${((100 * bytes) / file.bytes).toFixed(bytes < file.bytes / 100 ? 1 : 0)} %`;
   const rows = contentsOf(file).map(([name, bytes, words]) => {
-    const told = [`${name} `, element("span", { className: "quiet small" }, words)];
+    const label = [`${name} `, element("span", { className: "quiet small" }, words)];
     const figures = [element("td", {}, size(Math.round(bytes))), element("td", {}, share(bytes))];
-    return element("tr", {}, element("th", { scope: "row" }, ...told), ...figures);
+    return element("tr", {}, element("th", { scope: "row" }, ...label), ...figures);
   });
   $("contents").querySelector("tbody").replaceChildren(...rows);
 }

@@ -1,6 +1,6 @@
 // What is drawn over the picture: the Gaussians' ellipses, and where the bits went.
 
-const MOST_ELLIPSES = 5000;
+const MAX_ELLIPSES = 5000;
 const CELL = 6; // pixels of the picture for one of the heat map
 
 /** Ellipses at one standard deviation: orange ones add light, blue ones take it away. */
@@ -9,7 +9,7 @@ export function drawEllipses(context, file, count, { zoom, x, y, left, right, he
   const taking = new Path2D();
   const { values } = file;
   let drawn = 0;
-  for (let i = 0; i < count && drawn < MOST_ELLIPSES; i++) {
+  for (let i = 0; i < count && drawn < MAX_ELLIPSES; i++) {
     const at = 8 * i;
     const [l1, l2, l3] = [values[at + 2] * zoom, values[at + 3] * zoom, values[at + 4] * zoom];
     const [cx, cy] = [(values[at] - x) * zoom, (values[at + 1] - y) * zoom];

@@ -11,9 +11,9 @@ const overlays = () => [...document.querySelectorAll("[name=overlay]")];
 export class Tools {
   #viewer;
   #file = null;
-  #still = null; // when it is told no more how long a frame took
+  #still = null; // the timer that hides the time of a frame
 
-  /** changed: called when something else than the viewer has to be told. */
+  /** changed: called when the rest of the page needs an update. */
   constructor(viewer, changed) {
     this.#viewer = viewer;
     this.changed = changed;
@@ -37,12 +37,12 @@ export class Tools {
     return this.#file && $("prefix").value < 100 ? this.#bytesInPart() : 0;
   }
 
-  /** From the first byte to the last again. */
+  /** Draw the whole file again. */
   whole() {
     $("prefix").value = 100;
   }
 
-  /** Bring the tools up to date with a file, or with none. */
+  /** Update the tools for a file, or for none. */
   refresh(file) {
     this.#file = this.#viewer.file = file;
     $("overlays").hidden = $("prefix-field").hidden = !file;

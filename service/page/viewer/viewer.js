@@ -2,11 +2,11 @@
 
 import { latest } from "../parts.js";
 
-const MOST_ZOOM = 64; // pixels of the screen for a pixel of the picture
+const MAX_ZOOM = 64; // pixels of the screen for a pixel of the picture
 const GRAB = 22; // pixels beside the divider where it is caught
 const SETTLED_MS = 120;
 const FOLLOWS_MS = 50; // within which a frame belongs to the same movement as the one before
-const [FEWEST_FRAMES, MOST_FRAMES] = [4, 30]; // of which the time is told
+const [MIN_FRAMES, MAX_FRAMES] = [4, 30]; // averaged for the time of a frame
 
 /**
  * Shows `left` and `right`, each an ImageBitmap of the whole picture or null. `file` and `count` are the Gaussians that
@@ -69,7 +69,7 @@ export class Viewer {
 
   get fitZoom() {
     const { width, height } = this.canvas;
-    return Math.min(width / this.size[0], height / this.size[1], MOST_ZOOM);
+    return Math.min(width / this.size[0], height / this.size[1], MAX_ZOOM);
   }
 
   fit() {
@@ -82,7 +82,7 @@ export class Viewer {
   /** Zoom so that the place under (x, y), in pixels of the canvas, stays there. */
   zoomTo(zoom, x = this.canvas.width / 2, y = this.canvas.height / 2) {
     const least = Math.min(this.fitZoom, 1);
-    const next = Math.min(Math.max(zoom, least), MOST_ZOOM);
+    const next = Math.min(Math.max(zoom, least), MAX_ZOOM);
     const [dx, dy] = [x - this.canvas.width / 2, y - this.canvas.height / 2];
     this.centre[0] += dx / this.zoom - dx / next;
     this.centre[1] += dy / this.zoom - dy / next;
@@ -117,10 +117,10 @@ export class Viewer {
     this.#frame = requestAnimationFrame((now) => {
       this.#frame = 0;
       this.#draw();
-      this.#frames = follows ? [...this.#frames.slice(1 - MOST_FRAMES), now - this.#last] : [];
+      this.#frames = follows ? [...this.#frames.slice(1 - MAX_FRAMES), now - this.#last] : [];
       this.#last = now;
       this.#drawn = performance.now();
-      if (this.#frames.length < FEWEST_FRAMES) return;
+      if (this.#frames.length < MIN_FRAMES) return;
       this.timed([...this.#frames].sort((one, other) => one - other)[this.#frames.length >> 1]);
     });
   }
@@ -211,7 +211,7 @@ export class Viewer {
     const h = Math.min(Math.ceil((this.canvas.height - y) / this.zoom), height) - top;
     if (w < 1 || h < 1) return;
     const { file, count, textured: texture } = this;
-    const scale = Math.min(this.zoom, this.smooth ? MOST_ZOOM : 1);
+    const scale = Math.min(this.zoom, this.smooth ? MAX_ZOOM : 1);
     const wanted = { file, count, texture, scale, x: left, y: top, w, h, region: [left, top, w, h] };
     const old = this.#part;
     if (old && ["count", "texture", "scale", "x", "y", "w", "h"].every((name) => old[name] === wanted[name])) return;

@@ -29,13 +29,13 @@ function ours({ src, alt, previews }, size, isLoaded) {
   return tile(shown, "sgmethod", `${previews[size].length} chars`, "ours");
 }
 
-function rival(name, webp, characters, { src }, isLoaded) {
-  const shown = element("div", { className: "rival" });
+function placeholder(name, webp, characters, { src }, isLoaded) {
+  const shown = element("div", { className: "placeholder" });
   if (webp) shown.append(element("img", { src: addressOf(webp), alt: "" }));
   else shown.append(element("p", { className: "none" }, "No file is that small"));
   if (isLoaded) {
-    const looks = { className: "photograph late", alt: "", loading: "lazy" };
-    const photograph = element("img", { ...looks, src: `static/${src}` });
+    const attributes = { className: "photograph late", alt: "", loading: "lazy" };
+    const photograph = element("img", { ...attributes, src: `static/${src}` });
     photograph.addEventListener("load", () => photograph.classList.remove("late"));
     shown.append(photograph);
   }
@@ -46,9 +46,9 @@ function tilesOf(picture, size, isLoaded) {
   const { webp, blurhash, thumbhash } = picture;
   return [
     ours(picture, size, isLoaded),
-    rival("WebP", webp[size], webp[size]?.length, picture, isLoaded),
-    rival("BlurHash", blurhash[size].webp, blurhash[size].characters, picture, isLoaded),
-    rival("ThumbHash", thumbhash.webp, thumbhash.characters, picture, isLoaded),
+    placeholder("WebP", webp[size], webp[size]?.length, picture, isLoaded),
+    placeholder("BlurHash", blurhash[size].webp, blurhash[size].characters, picture, isLoaded),
+    placeholder("ThumbHash", thumbhash.webp, thumbhash.characters, picture, isLoaded),
   ];
 }
 
@@ -81,5 +81,5 @@ export async function showWall(place) {
   const hadFocus = place.contains(document.activeElement);
   place.replaceChildren(element("div", { className: "line" }, group, load), tiles);
   for (const words of NOTES) place.append(element("p", { className: "quiet small" }, words));
-  if (hadFocus) load.focus(); // the button that was pressed is gone
+  if (hadFocus) load.focus(); // the button that had it was replaced
 }

@@ -3,6 +3,19 @@
 import { min, refuseUnless } from "./header.js";
 import { SEEN, SLOW, newModels } from "./models.js";
 
+/** Where the share of a symbol begins, of 32768. */
+export const edge = (model, symbol) => (model[symbol] + model[symbol + SLOW]) >> 1;
+
+/** Let a model learn from a symbol. */
+export function adapt(model, found) {
+  const j = min(31 - Math.clz32(model[SEEN]++ + 16), 7);
+  for (let i = 1; i < 16; i++) {
+    const aim = 4 * i + (i > found && 32704);
+    model[i] += (aim - model[i] + 15) >> 5;
+    model[i + SLOW] += (aim - model[i + SLOW] + (1 << (j - 1)) - 1) >> j;
+  }
+}
+
 /** The functions that decode a payload. A state is 0 or 1; a short file has one state for both. onCost(bits, state,
  * row) is called for each value decoded, with the bits of information that it took and the row of its model. */
 export function newCoder(payload, isShort, onCost) {
@@ -19,22 +32,16 @@ export function newCoder(payload, isShort, onCost) {
 
   const symbol = (state, row) => {
     const model = models[row];
-    const edge = (i) => (model[i] + model[i + SLOW]) >> 1;
     let which = 0;
     WHOLE: which = isShort ? 0 : state;
     const place = states[which] & 32767;
     let found = 0;
-    while (place >= edge(found + 1)) found++;
-    const low = edge(found);
-    const share = edge(found + 1) - low;
+    while (place >= edge(model, found + 1)) found++;
+    const low = edge(model, found);
+    const share = edge(model, found + 1) - low;
     const next = share * (states[which] >>> 15) + place - low;
     states[which] = next < 65536 ? next * 65536 + half() : next;
-    const j = min(31 - Math.clz32(model[SEEN]++ + 16), 7);
-    for (let i = 1; i < 16; i++) {
-      const aim = 4 * i + (i > found && 32704);
-      model[i] += (aim - model[i] + 15) >> 5;
-      model[i + SLOW] += (aim - model[i + SLOW] + (1 << (j - 1)) - 1) >> j;
-    }
+    adapt(model, found);
     WHOLE: onCost?.(15 - Math.log2(share), state, row);
     return found;
   };

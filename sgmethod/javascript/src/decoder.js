@@ -11,12 +11,23 @@ export { SgError } from "./header.js";
 /**
  * The picture in a file, or a view of it: { width, height, data }, data being RGBA of 8 bits, row by row.
  *
- * bytes: a Uint8Array; scale: output pixels for a pixel of the picture, 1/64 to 64; region: [x, y, width, height] in
- * pixels of the picture; prefix: the part of the file that may be used, above 0 to 1; texture: whether it is drawn.
- * Throws SgError.
+ * bytes: a Uint8Array; region: [x, y, width, height] in pixels of the picture; scale: output pixels for a pixel of the
+ * picture, 1/64 to 64; or width, height: what the output fits into; prefix: the part of the file that may be used, above
+ * 0 to 1; texture: whether it is drawn. Throws SgError.
  */
-export function decode(bytes, { scale = 1, region = null, prefix = 1, texture = true } = {}) {
+export function decode(bytes, { scale, width, height, region = null, prefix = 1, texture = true, ...others } = {}) {
+  for (const name in others) throw new TypeError(`decode() has no option ${name}`);
   if (!(prefix > 0 && prefix <= 1)) throw new RangeError("prefix must be above 0, and at most 1");
+  const isFitted = width !== undefined || height !== undefined;
+  if (isFitted && scale !== undefined) throw new TypeError("scale cannot be combined with width or height");
   const file = readFile(bytes);
+  const [, , w, h] = region ?? [0, 0, file.width, file.height];
+  if (isFitted) scale = Math.min((width ?? Infinity) / w, (height ?? Infinity) / h);
   return draw(file, { scale, region, count: countInPart(file, prefix), texture });
+}
+
+/** What a file holds: size in pixels, Gaussians, whether it has alpha and texture. Throws SgError. */
+export function info(bytes) {
+  const { width, height, count, alpha, texture } = readFile(bytes);
+  return { width, height, gaussians: count + (alpha?.count ?? 0), alpha: Boolean(alpha), texture: Boolean(texture) };
 }

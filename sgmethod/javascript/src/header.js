@@ -6,7 +6,7 @@
 export const { ceil, exp, floor, fround, max, min, round, sqrt } = Math; // as formulas call them
 
 // Fields as in sgmethod/bitstream/: bits, bits in a short file, whether they grow. A test compares them.
-const HEADER = [
+export const HEADER = [
   [5, 5, false], // flags
   [4, 4, true], // width
   [4, 4, true], // height
@@ -15,7 +15,7 @@ const HEADER = [
   [8, 5, false], // green
   [8, 5, false], // blue
 ];
-const ALPHA_HEADER = [
+export const ALPHA_HEADER = [
   [12, 8, false], // alpha_quantum
   [8, 5, false], // alpha_background
   [5, 5, true], // alpha_bytes
@@ -38,7 +38,7 @@ export const refuseUnless = (holds, what) => {
   if (!holds) throw new SgError(`the file is damaged: ${what}`);
 };
 
-function crc32(bytes) {
+export function crc32(bytes) {
   let crc = -1;
   for (const byte of bytes) {
     crc ^= byte;

@@ -90,7 +90,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
 }
 
 /** Which of a colour's models is next, by the symbol before. */
-const level = ([, , symbol]) => (symbol > 0) + (symbol > 2) + (symbol > 5);
+export const level = ([, , symbol]) => (symbol > 0) + (symbol > 2) + (symbol > 5);
 
 /** The bits that a cell below 2^32 has for one axis: every other one. */
 function even(cell, axis) {
@@ -100,7 +100,7 @@ function even(cell, axis) {
 }
 
 /** The logarithm to base two of an integer, rounded down. Its digits are exact, Math.log2 is not. */
-const log2 = (x) => x.toString(2).length - 1;
+export const log2 = (x) => x.toString(2).length - 1;
 
 /** The logarithm to base two in sixteenths, linear between powers of two. */
 function lg(x) {
@@ -120,7 +120,7 @@ function lgOfSquares(h, r) {
 }
 
 /** How many bits divide the cell along x and along y. */
-function partBits(k, square, h, u, v, r) {
+export function partBits(k, square, h, u, v, r) {
   const within = floor(16 * u) - 8;
   const aspect = floor((46 * v) / 2 ** h);
   const slant = lgOfSquares(h, r) - 32 * h;
@@ -139,7 +139,7 @@ function exponential(x) {
 }
 
 /** What a Gaussian's integers stand for: l1, l2, l3, red, green, blue. */
-function valuesOf(quantum, k, h, u, v, r, colour) {
+export function valuesOf(quantum, k, h, u, v, r, colour) {
   const step = 2 ** -h;
   const size = (k & 1 ? 1.4142135623730951 : 1) * 2 ** (k >> 1);
   const within = (u - 0.5) * 0.34657359027997264;

@@ -1,8 +1,13 @@
+import type { Picture } from "./preview.js";
+
 export * from "./preview.js";
 
 export interface View {
   /** Output pixels for a pixel of the picture, 1/64 to 64; 1 by default. */
   scale?: number;
+  /** Instead of a scale: pixels into which the output fits. */
+  width?: number;
+  height?: number;
   /** x, y, width and height in pixels of the picture; the whole picture by default. */
   region?: [x: number, y: number, width: number, height: number] | null;
   /** The part of the file that may be used, above 0 to 1; 1 by default. */
@@ -11,16 +16,26 @@ export interface View {
   texture?: boolean;
 }
 
-export interface Picture {
+export interface Info {
+  /** Of the picture, in pixels. */
   width: number;
   height: number;
-  /** RGBA of 8 bits, row by row. */
-  data: Uint8ClampedArray;
+  /** Including those of alpha. */
+  gaussians: number;
+  alpha: boolean;
+  texture: boolean;
 }
 
 /**
  * Draw an .sg file of version 2, of any size.
  *
- * @throws SgError
+ * @throws SgError; TypeError for an option that does not exist
  */
 export function decode(bytes: Uint8Array, view?: View): Picture;
+
+/**
+ * Read what a file holds, without drawing it.
+ *
+ * @throws SgError
+ */
+export function info(bytes: Uint8Array): Info;

@@ -1,12 +1,22 @@
+/** RGBA of 8 bits, row by row: what the constructor of ImageData takes. */
+export interface Picture {
+  width: number;
+  height: number;
+  data: ReturnType<Uint8ClampedArrayConstructor["of"]>;
+}
+
+/** An ImageData where there is such a thing. */
+export type Drawn = typeof globalThis extends { ImageData: { prototype: infer T } } ? T : Picture;
+
 /** A text or a file that cannot be decoded. */
 export class SgError extends Error {}
 
 /**
  * Draw a preview of at most 1,024 bytes.
  *
- * @param text what `sgmethod preview` prints and `POST /preview` answers
+ * @param text what encodePreview() returns, `sgmethod preview` prints and `POST /preview` answers
  * @param size pixels of the longer side of the picture that is returned; 256 by default
  * @returns an ImageData; where there is none, as in Node, an object with the same `width`, `height` and `data`
  * @throws SgError, or a DOMException for characters that atob() refuses
  */
-export function decodePreview(text: string, size?: number): ImageData;
+export function decodePreview(text: string, size?: number): Drawn;

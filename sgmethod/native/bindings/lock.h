@@ -27,7 +27,9 @@ auto within_program(const Function& function) {
 class Unlocked {
  public:
   Unlocked() : state_(PyEval_SaveThread()) {}
-  ~Unlocked() { within_program([&] { PyEval_RestoreThread(state_); }); }
+  ~Unlocked() {
+    within_program([&] { PyEval_RestoreThread(state_); });
+  }
   Unlocked(const Unlocked&) = delete;
   Unlocked& operator=(const Unlocked&) = delete;
 

@@ -45,7 +45,7 @@ void require_colors(const sg::Rasterization& r, const Rows<3>& colors) {
 }
 
 sg::MutableGaussians gradients(const sg::Rasterization& r, const Rows<3>& colors, const RowsOut<2>& means,
-                        const RowsOut<3>& factors, const RowsOut<3>& out_colors) {
+                               const RowsOut<3>& factors, const RowsOut<3>& out_colors) {
   require(gaussians(colors, means, factors, out_colors) == r.gaussians(), "one row per Gaussian");
   return rows(means, factors, out_colors);
 }

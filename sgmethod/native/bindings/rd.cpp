@@ -37,14 +37,22 @@ void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors,
 }
 
 void steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
-           const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height,
-           RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second,
-           RowsOut<2> bias, std::optional<Visibility> visibility, bool by_eye) {
+           const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height, RowsOut<2> means,
+           RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
+           std::optional<Visibility> visibility, bool by_eye) {
   const int n = gaussians(means, factors, colors, first, second, bias);
   const int across = side(target, 2), down = side(target, 1);
-  const sg::Descent descent{{0, 0, across, down, cutoff, pyramid}, spacing, target.data(),
-                            values_of(visibility, across, down), by_eye ? sg::kSeenByEye : sg::kSeenAlike,
-                            quantum, price, settings, reach, width, height};
+  const sg::Descent descent{{0, 0, across, down, cutoff, pyramid},
+                            spacing,
+                            target.data(),
+                            values_of(visibility, across, down),
+                            by_eye ? sg::kSeenByEye : sg::kSeenAlike,
+                            quantum,
+                            price,
+                            settings,
+                            reach,
+                            width,
+                            height};
   const Unlocked unlocked;
   sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, rows(means, factors, colors),
                {first.data(), second.data(), bias.data()});
@@ -68,9 +76,15 @@ nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows
   const int n = gaussians(means, factors, colors);
   const int width = sg::halved(p.width, halvings), height = sg::halved(p.height, halvings);
   require_size(target, width, height);
-  const sg::RefineSettings settings{price, sweeps, seconds, max_bytes, values_of(visibility, width, height),
-                                    by_eye ? sg::kSeenByEye : sg::kSeenAlike, halvings};
-  return bytes_of(without_lock([&] { return sg::rd_refine(p, rows(means, factors, colors), n, target.data(), settings); }));
+  const sg::RefineSettings settings{price,
+                                    sweeps,
+                                    seconds,
+                                    max_bytes,
+                                    values_of(visibility, width, height),
+                                    by_eye ? sg::kSeenByEye : sg::kSeenAlike,
+                                    halvings};
+  return bytes_of(
+      without_lock([&] { return sg::rd_refine(p, rows(means, factors, colors), n, target.data(), settings); }));
 }
 
 auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max_gaussians) {
@@ -105,8 +119,8 @@ void bind_rd(nb::module_& m) {
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
-  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(),
-        "price"_a, "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true,
+  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "price"_a,
+        "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true,
         "halvings"_a = 0);
   m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "texture"_a.none() = nb::none());
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);

@@ -20,8 +20,8 @@ int whole_cores(long long quota, long long period) {
   return static_cast<int>(std::clamp<long long>(quota / period, 1, INT_MAX));
 }
 
-// The text of a small file, empty if it cannot be read. C's files: a module that brings its own C++ library, loaded beside
-// others that bring theirs, may find a foreign locale behind a stream and crash.
+// The text of a small file, empty if it cannot be read. C's files: a module that brings its own C++ library, loaded
+// beside others that bring theirs, may find a foreign locale behind a stream and crash.
 std::string text_of(const std::string& path) {
   std::string text;
   if (std::FILE* file = std::fopen(path.c_str(), "re")) {
@@ -35,8 +35,9 @@ std::string text_of(const std::string& path) {
 // Version 2: "250000 100000", or "max 100000" without a limit.
 int quota_v2(const std::string& group) {
   long long quota, period;
-  return std::sscanf(text_of(group + "/cpu.max").c_str(), "%lld %lld", &quota, &period) == 2 ? whole_cores(quota, period)
-                                                                                           : INT_MAX;
+  return std::sscanf(text_of(group + "/cpu.max").c_str(), "%lld %lld", &quota, &period) == 2
+             ? whole_cores(quota, period)
+             : INT_MAX;
 }
 
 // Version 1: two files, with -1 for no limit.

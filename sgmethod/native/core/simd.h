@@ -141,7 +141,8 @@ struct Simd {
 #else
     typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
     asm("vmovups %1, %x0\n\tvinsertf128 $1, %2, %0, %0"
-        : "=&x"(v) : "m"(*reinterpret_cast<const Four*>(low)), "m"(*reinterpret_cast<const Four*>(high)));
+        : "=&x"(v)
+        : "m"(*reinterpret_cast<const Four*>(low)), "m"(*reinterpret_cast<const Four*>(high)));
 #endif
     return v;
   }

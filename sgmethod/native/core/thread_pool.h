@@ -23,9 +23,8 @@ void parallel_for(int count, const std::function<void(int)>& task);
 // Calls body(first, last, chunk) for [0, count) in tasks of `size`.
 template <typename Body>
 void parallel_chunks(int count, int size, const Body& body) {
-  parallel_for((count + size - 1) / size, [&](int chunk) {
-    body(chunk * size, std::min(count, (chunk + 1) * size), chunk);
-  });
+  parallel_for((count + size - 1) / size,
+               [&](int chunk) { body(chunk * size, std::min(count, (chunk + 1) * size), chunk); });
 }
 
 // Processes items while they are still being produced: calls body(first, last, chunk) for chunks of `size` (the last

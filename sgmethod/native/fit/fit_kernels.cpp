@@ -196,9 +196,8 @@ SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* as
       __builtin_prefetch(out + 2 * W + 2, 1);
       F half[2];
       for (int i = 0; i < 2; ++i) {
-        const auto row_of = [&](int t) SG_INLINE_LAMBDA {
-          return V::load(gradient + (3 * t + k) * kTileWidth + i * W);
-        };
+        const auto row_of = [&](int t)
+                                SG_INLINE_LAMBDA { return V::load(gradient + (3 * t + k) * kTileWidth + i * W); };
         half[i] = (row_of(2 * w - 3) + row_of(2 * w)) * 0.25f + (row_of(2 * w - 2) + row_of(2 * w - 1)) * 0.75f;
       }
       // Shifted by one sample: the first lane of a rotated vector belongs to the next one.
@@ -288,9 +287,8 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
                    [&](typename V::F weight, float* values, int64_t) SG_INLINE_LAMBDA { add(weight, weight, values); });
   else
     for_weights<W>(f, floor, spans, count, picture,
-                   [&](typename V::F weight, float* values, int64_t at) SG_INLINE_LAMBDA {
-                     add(weight, weight * V::load(visibility + at), values);
-                   });
+                   [&](typename V::F weight, float* values, int64_t at)
+                       SG_INLINE_LAMBDA { add(weight, weight * V::load(visibility + at), values); });
   products[0] = V::sum(p0);
   products[1] = V::sum(p1);
   products[2] = V::sum(p2);
@@ -298,8 +296,8 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
 }
 
 #define SG_FIT_KERNELS(wrapper, W)                                                                               \
-  {wrapper<squared_error_body<W>>, wrapper<difference_body<W>>, wrapper<weigh_body>, wrapper<backward_body<W>>, \
-   wrapper<reduce_body>, wrapper<weights_body<W>>, wrapper<add_body<W>>, wrapper<project_body<W>>}
+  {wrapper<squared_error_body<W>>, wrapper<difference_body<W>>, wrapper<weigh_body>,  wrapper<backward_body<W>>, \
+   wrapper<reduce_body>,           wrapper<weights_body<W>>,    wrapper<add_body<W>>, wrapper<project_body<W>>}
 constexpr FitKernels kKernels[] = {
     SG_FIT_KERNELS(for_baseline, 4),
 #if SG_X86

@@ -28,8 +28,14 @@ SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const 
     const float *l = p.factors + 3 * i, *color = p.colors + 3 * i;
     const float *gm = grad.means + 2 * i, *gl = grad.factors + 3 * i, *gc = grad.colors + 3 * i;
     // Gradients by d, S and the colour.
-    const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1], l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
-                                  l[2] * gl[2], gc[0], gc[1], gc[2]};
+    const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1],
+                                  l[2] * gm[1],
+                                  l[0] * gl[0] + l[1] * gl[1],
+                                  l[2] * gl[1],
+                                  l[2] * gl[2],
+                                  gc[0],
+                                  gc[1],
+                                  gc[2]};
     const float square = std::max(color[0] * color[0] + color[1] * color[1] + color[2] * color[2], kFaint);
     const float of_color = s.newton / (l[0] * l[2]), of_shape = of_color / square;
     for (int k = 0; k < kAdamValues; ++k) {
@@ -70,8 +76,7 @@ SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const 
 AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2,
                            float min_scale, float newton_steps, float values)
     : rates{mean_rate, mean_rate, factor_rate, factor_rate, factor_rate, color_rate, color_rate, color_rate},
-      beta1(beta1), beta2(beta2), min_scale(min_scale),
-      newton(static_cast<float>(newton_steps * values / (2 * kPi))) {}
+      beta1(beta1), beta2(beta2), min_scale(min_scale), newton(static_cast<float>(newton_steps * values / (2 * kPi))) {}
 
 void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
                 const ConstGaussians& grad, const Averages& averages) {

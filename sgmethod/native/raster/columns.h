@@ -70,9 +70,13 @@ SG_INLINE int segment_end(const Footprint& f, int row, int last_row) {
 
 // The lanes of a pair, rounded to whole vectors.
 template <int W>
-SG_INLINE int lanes_begin(const Pair& pair) { return pair.first_lane / W * W; }
+SG_INLINE int lanes_begin(const Pair& pair) {
+  return pair.first_lane / W * W;
+}
 template <int W>
-SG_INLINE int lanes_end(const Pair& pair) { return pair.last_lane / W * W + W; }
+SG_INLINE int lanes_end(const Pair& pair) {
+  return pair.last_lane / W * W + W;
+}
 
 // Some of a tile's pairs. first: values in the first row of each of their column segments, at most 2 kTileWidth floats
 // per segment, in the order in which first_values() writes and next_column() reads them.

@@ -40,12 +40,12 @@ struct Footprint {
       : x(mean[0]), y(mean[1]), inv_l1(1.0f / factor[0]), inv_l3(1.0f / factor[2]), shear(factor[1] / factor[0]),
         segment(drawable(factor[0], factor[1], factor[2]) ? segment_rows(factor[2]) : 0) {}
 
-  float x, y;            // mean, pixels; pixel (row, column) has its centre at (column + 0.5, row + 0.5)
+  float x, y;  // mean, pixels; pixel (row, column) has its centre at (column + 0.5, row + 0.5)
   float inv_l1, inv_l3;  // 1 / l1, 1 / l3
-  float shear;           // l2 / l1
-  float decay = 0.0f;    // exp(-1 / l3^2): factor by which the ratio of neighbouring rows falls per row
-  float gain = 1.0f;     // factor on the colour
-  int segment = 0;       // rows after which the recurrence restarts
+  float shear;  // l2 / l1
+  float decay = 0.0f;  // exp(-1 / l3^2): factor by which the ratio of neighbouring rows falls per row
+  float gain = 1.0f;  // factor on the colour
+  int segment = 0;  // rows after which the recurrence restarts
 
  private:
   static constexpr int kMaxSegment = 16;  // rows; the recurrence's relative error stays below 16^2 / 2 * 6e-8
@@ -136,7 +136,7 @@ SG_INLINE Crossing<W> cross(const Ellipse& e, int strip, const Grid& grid, float
   const F above = within(highest * e.shear + e.y - edge(highest) - kMargin - 0.5f, top, bottom);
   const F below = within(lowest * e.shear + e.y + edge(lowest) + kMargin - 0.5f, top - 1.0f, bottom - 1.0f);
   const I first_row = whole(above), last_row = whole(below);
-  const I up = __builtin_convertvector(first_row, F) < above, down = __builtin_convertvector(last_row, F) > below;
+  const I up = __builtin_convertvector(first_row, F)<above, down = __builtin_convertvector(last_row, F)> below;
   return {first_row - up, last_row + down,  // a true comparison is -1
           whole(within(e.left - column, F{}, lanes)), whole(within(e.right - column, F{}, lanes))};
 }

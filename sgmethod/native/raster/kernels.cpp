@@ -28,13 +28,12 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth);
     const Bytes b = levels(accumulators + 2 * kTileWidth);
     // Red and green go to their places first, then blue between them.
-    const Bytes out[3] = {
-        shuffle(shuffle(r, g, Bytes{0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5}), b,
-                          Bytes{0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15}),
-        shuffle(shuffle(r, g, Bytes{21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26}), b,
-                          Bytes{0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12, 25, 14, 15}),
-        shuffle(shuffle(r, g, Bytes{0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0}), b,
-                          Bytes{26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30, 13, 14, 31})};
+    const Bytes out[3] = {shuffle(shuffle(r, g, Bytes{0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5}), b,
+                                  Bytes{0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15}),
+                          shuffle(shuffle(r, g, Bytes{21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26}), b,
+                                  Bytes{0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12, 25, 14, 15}),
+                          shuffle(shuffle(r, g, Bytes{0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0}), b,
+                                  Bytes{26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30, 13, 14, 31})};
     if (columns == kTileWidth) std::memcpy(pixels, out, sizeof out);
     else std::memcpy(pixels, out, 3 * static_cast<size_t>(columns));
   }
@@ -43,7 +42,7 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
 // Writes bytes where byte shuffles are fast: the processor clamps as it narrows, and then colours are interleaved. NaN
 // becomes black in both versions.
 [[maybe_unused]] SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels,
-                                              int64_t stride) {
+                                               int64_t stride) {
   using V = Simd<8>;
   typedef uint8_t Bytes32 __attribute__((vector_size(32)));
   constexpr Bytes32 kMixed = {0,  4,  8,  1,  5,  9,  2,  6,  10, 3,  7,  11, 12, 12, 12, 12,
@@ -76,9 +75,8 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
 template <int W>
 SG_INLINE void forward_body(const Rasterization& raster, int tile, const Pair* begin, const Pair* end,
                             const float* colors, float* accumulators) {
-  for_batches<W>(raster, tile, begin, end, [&](const Batch& batch) SG_INLINE_LAMBDA {
-    add_batch<W>(raster, batch, colors, accumulators);
-  });
+  for_batches<W>(raster, tile, begin, end,
+                 [&](const Batch& batch) SG_INLINE_LAMBDA { add_batch<W>(raster, batch, colors, accumulators); });
 }
 
 template <int W>

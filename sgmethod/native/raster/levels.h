@@ -58,9 +58,8 @@ struct Levelled {
   SG_INLINE Levelled(const float* m, const float* l, int level) {
     const double scale = power_of_two(-level);
     const Narrowed n(l, level);
-    const auto on_level = [level](float pixels, double samples) SG_INLINE_LAMBDA {
-      return level == 0 ? pixels : static_cast<float>(samples);
-    };
+    const auto on_level = [level](float pixels, double samples)
+                              SG_INLINE_LAMBDA { return level == 0 ? pixels : static_cast<float>(samples); };
     for (int k = 0; k < 2; ++k) mean[k] = on_level(m[k], m[k] * scale + kBorder);
     factor[0] = on_level(l[0], n.q1);
     factor[1] = on_level(l[1], n.q2);

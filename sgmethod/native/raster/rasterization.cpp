@@ -153,7 +153,8 @@ int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t mos
         else if (before + found > limit) return;
       }
     }
-    for (int seen = top; seen < highest && !top.compare_exchange_weak(seen, highest);) {}
+    for (int seen = top; seen < highest && !top.compare_exchange_weak(seen, highest);) {
+    }
   });
   set_levels(top);
   return total;

@@ -27,16 +27,16 @@ int64_t most_pairs(int n, int width, int height);
 
 struct Pair {
   int32_t gaussian;
-  uint8_t first_row, last_row;    // within the tile, inclusive
+  uint8_t first_row, last_row;  // within the tile, inclusive
   uint8_t first_lane, last_lane;  // the same
 };
 
 // The part of a picture to draw, and the rules of drawing.
 struct Canvas {
-  int x = 0, y = 0;    // of the first pixel
-  int width, height;   // pixels
-  float cutoff;        // sigma at which a Gaussian ends
-  bool pyramid;        // whether wide Gaussians are drawn on coarser levels
+  int x = 0, y = 0;  // of the first pixel
+  int width, height;  // pixels
+  float cutoff;  // sigma at which a Gaussian ends
+  bool pyramid;  // whether wide Gaussians are drawn on coarser levels
   std::shared_ptr<const Texture> texture = nullptr;  // only with a pyramid
 };
 
@@ -125,11 +125,11 @@ class Rasterization {
   struct Bin {
     Bin() = default;
     Bin(int first_gaussian, int end, int tiles);
-    int first = 0;                // Gaussian
+    int first = 0;  // Gaussian
     std::vector<int32_t> counts;  // number of each Gaussian's pairs
     std::vector<int32_t> places;  // each pair's index in pairs_; before sorting, its tile
-    std::vector<Pair> pairs;      // until they are sorted into pairs_
-    std::vector<int32_t> next;    // [tiles] number of pairs in each tile; while sorting, the index of the next one
+    std::vector<Pair> pairs;  // until they are sorted into pairs_
+    std::vector<int32_t> next;  // [tiles] number of pairs in each tile; while sorting, the index of the next one
   };
   int top() const { return static_cast<int>(grids_.size()) - 1; }
   int tiles() const { return first_tile_.back(); }
@@ -161,11 +161,11 @@ class Rasterization {
   std::vector<Footprint> footprints_;
   std::vector<float> factors_;  // in pixels
   std::vector<uint8_t> levels_;
-  std::vector<Grid> grids_;       // of levels 0, 1, ...
+  std::vector<Grid> grids_;  // of levels 0, 1, ...
   std::vector<TextureLayer> texture_;  // of levels 0, 1, ...; empty without texture
-  std::vector<int> first_tile_;   // [levels + 1]
+  std::vector<int> first_tile_;  // [levels + 1]
   std::vector<Bin> bins_;
-  std::unique_ptr<Pair[]> pairs_;    // sorted by tile, then by Gaussian
+  std::unique_ptr<Pair[]> pairs_;  // sorted by tile, then by Gaussian
   std::vector<int64_t> tile_start_;  // [tiles + 1]
 };
 

@@ -21,7 +21,7 @@ namespace sg {
 namespace {
 
 constexpr int kClassBits = 6, kMostRawDistanceBits = 24;
-constexpr int kChunk = 256;   // Gaussians of one task
+constexpr int kChunk = 256;  // Gaussians of one task
 constexpr int kBatch = 2048;  // Gaussians whose values are made together
 
 // The number of low bits of a distance that are sent without a model. `count` Gaussians in the cells of a class are

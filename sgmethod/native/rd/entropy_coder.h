@@ -182,7 +182,7 @@ class Encoder {
   static constexpr int kNone = -1;
   struct Step {
     uint32_t low, share;  // of a symbol; share 0: raw bits
-    int which;            // lane, or number of raw bits
+    int which;  // lane, or number of raw bits
   };
   std::vector<Step> steps_;
   std::vector<uint8_t> raw_;

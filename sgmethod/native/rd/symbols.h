@@ -27,9 +27,9 @@ constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
 
 // What the integers may be. The range of v and r ends at values that do not depend on the steps: a slanted needle in a
 // fine file is what it is in a coarse one. Steps are no finer than single precision can use.
-constexpr int kMostColor = 1 << 22;          // of each part of a colour, in steps
-constexpr int kMostV = 8, kMostR = 4096;     // of |v| and |r|
-constexpr int kMostExponent = 18;            // of the length of the colour vector, as far as it decides steps
+constexpr int kMostColor = 1 << 22;  // of each part of a colour, in steps
+constexpr int kMostV = 8, kMostR = 4096;  // of |v| and |r|
+constexpr int kMostExponent = 18;  // of the length of the colour vector, as far as it decides steps
 constexpr int kMostUBits = 12, kMostPartBits = 16;  // by which a class, and a cell, are divided
 constexpr double kLeastColorStep = 1.0 / 65536;
 
@@ -37,8 +37,8 @@ constexpr double kLeastColorStep = 1.0 / 65536;
 struct Symbols {
   int size_class;
   uint32_t cell;  // Morton code
-  int y, a, b;    // colour
-  uint32_t u;     // within the class
+  int y, a, b;  // colour
+  uint32_t u;  // within the class
   int v, r;
   uint32_t px, py;  // within the cell
 
@@ -53,7 +53,7 @@ struct Steps {
     exponent = std::min(nearest, kMostExponent);
   }
   uint64_t square;  // m^2
-  int exponent;     // of the power of two nearest to m
+  int exponent;  // of the power of two nearest to m
   int u_bits() const { return std::clamp(exponent - 1, 0, kMostUBits); }  // 0.3466 / 2^bits against 0.707 / m
   double v() const { return power_of_two(-exponent); }
   double r() const { return kRStep * v(); }

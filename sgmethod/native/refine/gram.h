@@ -76,7 +76,7 @@ class Gram {
   };
   void set_roots(const std::vector<Grid>& grids, const int16_t* visibility);
   std::vector<Band> across_, down_;  // by level
-  std::vector<Roots> roots_;         // by level; none without a visibility
+  std::vector<Roots> roots_;  // by level; none without a visibility
 };
 
 }  // namespace sg

@@ -35,7 +35,7 @@ constexpr int kPatience = 64;         // Gaussians between two looks at the cloc
 // Samples along a cell's side, half of which is a multiple of kTileWidth. Smaller on coarse levels, which would else be
 // one cell.
 constexpr int kCell = 128, kCoarseCell = 64;
-constexpr int kFar = 1 << 24;         // beyond all strips and rows
+constexpr int kFar = 1 << 24;  // beyond all strips and rows
 using Clock = std::chrono::steady_clock;
 
 class Refinement {

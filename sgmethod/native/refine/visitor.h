@@ -173,8 +173,9 @@ class Visitor {
     }
     const Footprint f = footprint(c.place, c.shape);
     const std::vector<Span>& spans = spans_of(f, c.shape, 0);
-    fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left,
-                                    state_.visibility, products);
+    fit_kernels(best_isa())
+        .project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left, state_.visibility,
+                 products);
   }
 
  private:

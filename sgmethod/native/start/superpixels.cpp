@@ -133,7 +133,8 @@ std::vector<int32_t> connected(const Lab& lab, const std::vector<int32_t>& regio
           part.emplace_back(x, y);
         }
       if (part.size() > least) ++next;
-      else for (const auto& [x, y] : part) labels[lab.at(x, y)] = beside;
+      else
+        for (const auto& [x, y] : part) labels[lab.at(x, y)] = beside;
     }
   return labels;
 }
@@ -146,9 +147,8 @@ std::vector<int32_t> superpixels(const float* values, int width, int height, int
   std::vector<Seed> seeds = first_seeds(lab, side);
   std::vector<int32_t> regions(lab.pixels());
   for (int round = 0; round < kRounds; ++round) {
-    parallel_chunks(height, kBand, [&](int first, int last, int) {
-      assign(lab, seeds, side, spacing, first, last, regions.data());
-    });
+    parallel_chunks(height, kBand,
+                    [&](int first, int last, int) { assign(lab, seeds, side, spacing, first, last, regions.data()); });
     move(lab, regions, seeds);
   }
   return connected(lab, regions, seeds.size());

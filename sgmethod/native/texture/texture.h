@@ -13,8 +13,8 @@
 namespace sg {
 
 constexpr int kTextureOctaves = 2;
-constexpr int kTextureCell = 64;      // pixels of the picture along a side of a cell
-constexpr int kTextureStrengths = 16; // codes of a strength; 0 is none
+constexpr int kTextureCell = 64;  // pixels of the picture along a side of a cell
+constexpr int kTextureStrengths = 16;  // codes of a strength; 0 is none
 
 // Number of cells along a side of so many pixels.
 constexpr size_t texture_cells(int pixels) { return (static_cast<size_t>(pixels) + kTextureCell - 1) / kTextureCell; }
@@ -27,8 +27,8 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
 struct TextureGrid {
   int columns, rows;
   double cell_x, cell_y;  // output pixels
-  double x, y;            // the picture's corner, output pixels
-  int shift;              // octave o is drawn on level o + shift, or not at all below level 0
+  double x, y;  // the picture's corner, output pixels
+  int shift;  // octave o is drawn on level o + shift, or not at all below level 0
 };
 
 // Strengths of a picture's texture, and the layout of its cells.
@@ -57,10 +57,10 @@ class TextureLayer {
 
  private:
   int octave_, x_, y_, strips_;
-  std::vector<int> cells_;        // the row of cells before each row, counted from the first row's
-  std::vector<float> parts_;      // position of each row from there to the next row of cells, 0 to 1
+  std::vector<int> cells_;  // the row of cells before each row, counted from the first row's
+  std::vector<float> parts_;  // position of each row from there to the next row of cells, 0 to 1
   std::vector<float> strengths_;  // [rows of cells, columns]; empty without noise
-  std::vector<uint8_t> busy_;     // [rows of cells, strips]: whether any strength is above 0
+  std::vector<uint8_t> busy_;  // [rows of cells, strips]: whether any strength is above 0
 };
 
 }  // namespace sg

@@ -33,8 +33,14 @@ float between(float low, float high) { return std::uniform_real_distribution<flo
 
 // Gaussians around a picture; with `wild`, one value in ten is far from any picture's.
 sg::GaussianArrays scattered(int n, bool wild) {
-  constexpr float kNever[] = {0.0f, -1.0f, 1e-30f, 1e30f, -1e30f, std::numeric_limits<float>::infinity(),
-                              std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::denorm_min()};
+  constexpr float kNever[] = {0.0f,
+                              -1.0f,
+                              1e-30f,
+                              1e30f,
+                              -1e30f,
+                              std::numeric_limits<float>::infinity(),
+                              std::numeric_limits<float>::quiet_NaN(),
+                              std::numeric_limits<float>::denorm_min()};
   const auto value = [&](float v) {
     const auto pick = random_numbers()();
     return wild && pick % 10 == 0 ? kNever[pick / 10 % 8] : v;

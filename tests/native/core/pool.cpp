@@ -67,7 +67,7 @@ TEST(pool_works_on_what_has_come_while_more_comes) {
   for (const int threads : kThreads) {
     sg::set_thread_count(threads);
     for (const int count : {0, 1, 7, 8, 9, 1000}) {
-      std::vector<int> values(count);  // each written before it is said to be there
+      std::vector<int> values(count);  // each written before it is announced
       std::vector<std::atomic<int>> calls(count);
       const auto bring = [&](const std::function<void(int)>& there) {
         for (int i = 0; i < count; ++i) {

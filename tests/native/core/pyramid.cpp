@@ -92,7 +92,7 @@ double centre(int i, int level) { return (i - (level > 0 ? sg::kBorder : 0) + 0.
 
 // The pixels [pixels, samples] of each sample of a level, along one axis: level by level a finer sample takes three
 // quarters of the nearest coarse one and a quarter of the next.
-Matrix enlarging(const std::vector<sg::Grid>& grids, int level, int sg::Grid::*side) {
+Matrix enlarging(const std::vector<sg::Grid>& grids, int level, int sg::Grid::* side) {
   const auto samples = [&](int l) { return grids[static_cast<size_t>(l)].*side; };
   Matrix all(samples(0), samples(0));
   for (int i = 0; i < samples(0); ++i) all.at(i, i) = 1.0;
@@ -186,7 +186,7 @@ TEST(levels_begin_where_the_minor_axis_is_long_enough) {
 TEST(levels_of_what_is_no_ellipse) {
   constexpr float kNan = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
   constexpr float kLargest = std::numeric_limits<float>::max();
-  const float factors[][3] = {{-9, 0, -9},  {-9, 0, 9},       {0, 0, 0},         {kNan, 0, 9},    {9, kNan, 9},
+  const float factors[][3] = {{-9, 0, -9},  {-9, 0, 9},        {0, 0, 0},         {kNan, 0, 9},    {9, kNan, 9},
                               {9, 0, kNan}, {kInfinity, 0, 9}, {9, 0, kInfinity}, {9, kLargest, 9}};
   for (const auto& factor : factors) CHECK(sg::level_of(factor) == 0);
   const float largest[] = {kLargest, 0, kLargest};

@@ -18,9 +18,9 @@ import sys
 from pathlib import Path
 from typing import TextIO
 
+from benchmarks.harness.data import ROOT, golden
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2, quantum_code
-from tests.harness.data import ROOT, golden
 from tests.native.harness.build import BUILDS, PATH, build, imports, layout, nanobind
 
 TARGETS = {"entropy": 2, "v1": 1, "rd": 2}  # and their versions of the format
@@ -36,12 +36,12 @@ def missing() -> str:
     if not shutil.which("clang++", path=PATH):
         return "clang libclang-rt-dev"
 
-    def said(option: str) -> str:
+    def output(option: str) -> str:
         return subprocess.run(["clang++", option], capture_output=True, text=True, check=True).stdout.strip()
 
-    if list(Path(said("-print-resource-dir")).rglob("libclang_rt.fuzzer*.a")):
+    if list(Path(output("-print-resource-dir")).rglob("libclang_rt.fuzzer*.a")):
         return ""
-    return f"libclang-rt-{said('-dumpversion').split('.')[0]}-dev"
+    return f"libclang-rt-{output('-dumpversion').split('.')[0]}-dev"
 
 
 def command_of(target: str, built: Path) -> tuple[list[str], dict[str, str]]:

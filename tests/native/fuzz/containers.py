@@ -13,7 +13,7 @@ import atheris
 with atheris.instrument_imports(include=["sgmethod"], enable_loader_override=False):
     from sgmethod import BitstreamError, View, ViewError, decode, info, set_threads
 
-from tests.harness.data import SIGNATURES, with_checksum
+from benchmarks.harness.data import SIGNATURES, with_checksum
 
 MAX_PIXELS = 1 << 14
 MAX_GAUSSIANS = 1 << 14

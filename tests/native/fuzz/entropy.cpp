@@ -31,8 +31,8 @@ std::vector<uint8_t> picture(const sg::GaussianArrays& g, const sg::Canvas& canv
 
 // Strengths from the bytes of an input, over and over, in cells of a few pixels.
 std::shared_ptr<const sg::Texture> texture_of(const uint8_t* data, size_t size, const sg::Canvas& canvas) {
-  const sg::TextureGrid grid{canvas.width / 8 + 1, canvas.height / 8 + 1, 8.0, 7.5, canvas.x + 0.25, canvas.y - 3.0,
-                             data[0] % 5 - 2};
+  const sg::TextureGrid grid{canvas.width / 8 + 1, canvas.height / 8 + 1, 8.0, 7.5, canvas.x + 0.25,
+                             canvas.y - 3.0,       data[0] % 5 - 2};
   std::vector<uint8_t> codes(static_cast<size_t>(sg::kTextureOctaves * grid.columns * grid.rows));
   for (size_t i = 0; i < codes.size(); ++i) codes[i] = data[i % size] % sg::kTextureStrengths;
   return std::make_shared<const sg::Texture>(codes.data(), grid);

@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 
 BUILDS = ROOT / "build"
 BIN = Path(sys.executable).parent  # of the environment, whose programs come first
@@ -56,9 +56,10 @@ def layout(built: Path) -> Path:
             if path.name != "native" and path.suffix != ".so" and not link.is_symlink():
                 link.symlink_to(path)
     (kernels,) = built.glob("_native.*.so")
-    for link, target in ((folder / "sgmethod" / "native" / kernels.name, kernels), (folder / "tests", ROOT / "tests")):
-        link.unlink(missing_ok=True)
-        link.symlink_to(target)
+    links = {name: ROOT / name for name in ("tests", "benchmarks")} | {f"sgmethod/native/{kernels.name}": kernels}
+    for name, target in links.items():
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).symlink_to(target)
     return folder
 
 

@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.harness.data import ROOT
+from benchmarks.harness.data import ROOT
 from tests.native.harness.build import build, imports, layout, nanobind
 
 GCC = {"CC": "gcc", "CXX": "g++"}

@@ -13,9 +13,9 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from benchmarks.harness.data import with_checksum
 from sgmethod import BitstreamError, View, ViewError, decode
 from sgmethod.native import native
-from tests.harness.data import with_checksum
 from tests.native.harness.golden import GOLDEN, is_golden
 
 MAX_PIXELS = 1 << 16  # a header can claim 4 gigapixels

@@ -12,13 +12,14 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from service.jobs.job import JobTableError, job_of
+from benchmarks.harness.job_table import claimed, settings, submitted
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.processes import PATIENCE_S, failing
+from service.errors import JobTableError
+from service.jobs.job import job_of
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal
-from tests.harness.job_table import RULES, claimed, submitted
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, failing
 
 PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
 
@@ -30,7 +31,7 @@ def url(postgres: PostgresServer) -> str:
 
 @pytest.fixture
 def jobs(url: str) -> Iterator[PostgresJobTable]:
-    with closing(PostgresJobTable(url, RULES)) as jobs:
+    with closing(PostgresJobTable(url, settings())) as jobs:
         yield jobs
 
 
@@ -42,7 +43,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def assert_delivers(jobs: PostgresJobTable) -> None:
-    """Each job wakes a worker at once; what it was called for and does not find does no harm; it ends when told."""
+    """Each job wakes a worker at once; what it was called for and does not find does no harm; it ends when asked."""
     stop, taken = StopSignal(), threading.Semaphore(0)
 
     def run_next() -> bool:
@@ -51,7 +52,7 @@ def assert_delivers(jobs: PostgresJobTable) -> None:
         taken.release()
         return True
 
-    thread = threading.Thread(target=jobs.deliver, args=(run_next, stop))
+    thread = threading.Thread(target=jobs.dispatch, args=(run_next, stop))
     thread.start()
     for _ in range(3):
         submitted(jobs)
@@ -60,7 +61,7 @@ def assert_delivers(jobs: PostgresJobTable) -> None:
     stop.request()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-    assert jobs.census().jobs["running"] == 3
+    assert jobs.counts().jobs["running"] == 3
 
 
 def test_delivery(jobs: PostgresJobTable) -> None:
@@ -71,18 +72,18 @@ def test_delivery(jobs: PostgresJobTable) -> None:
 def test_behind_a_pooler(postgres: PostgresServer) -> None:
     """One that pools sessions will do. With one that pools transactions, settings of ours would reach others."""
     assert PGBOUNCER is not None
-    with postgres.pooled(PGBOUNCER, "session") as url, closing(PostgresJobTable(url, RULES)) as jobs:
+    with postgres.pooled(PGBOUNCER, "session") as url, closing(PostgresJobTable(url, settings())) as jobs:
         assert_delivers(jobs)
     refused = "SG_DATABASE_URL: the pooler is in transaction mode"
     with postgres.pooled(PGBOUNCER, "transaction") as url, pytest.raises(JobTableError, match=refused):
-        PostgresJobTable(url, RULES)
+        PostgresJobTable(url, settings())
 
 
 def test_a_database_without_an_encoding(postgres: PostgresServer) -> None:
     """As a cluster made in the C locale has it: it worked once, and never again."""
     url = postgres.new_database("ENCODING 'SQL_ASCII' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0")
     for _ in range(2):
-        with closing(PostgresJobTable(url, RULES)) as jobs:
+        with closing(PostgresJobTable(url, settings())) as jobs:
             submitted(jobs)
 
 
@@ -111,7 +112,7 @@ def test_rule_6_durability_settings_of_postgresql(jobs: PostgresJobTable) -> Non
 
 
 def test_rule_6_durability_settings_of_sqlite(path: Path) -> None:
-    with closing(SqliteJobTable(path, RULES)) as table, table._connection() as db:
+    with closing(SqliteJobTable(path, settings())) as table, table._connection() as db:
         names = ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
         values = [db.execute(f"PRAGMA {name}").fetchone()[0] for name in names]
     assert values == ["wal", 2, 1, 30_000]
@@ -127,11 +128,11 @@ def test_a_standby_answers_but_takes_no_changes(url: str, jobs: PostgresJobTable
         other.execute(f"SELECT pg_terminate_backend(pid) {others}".encode(), [name])
     with pytest.raises(JobTableError, match="read-only"):
         jobs.check_writable()
-    assert jobs.census().notices == 0
+    assert jobs.counts().deliveries == 0
 
 
 def test_a_lock_that_is_held_is_no_read_only_disk(path: Path) -> None:
-    with closing(SqliteJobTable(path, RULES)) as jobs:
+    with closing(SqliteJobTable(path, settings())) as jobs:
         with closing(sqlite3.connect(path, isolation_level=None)) as other:
             other.execute("BEGIN IMMEDIATE")
             jobs.check_writable()
@@ -146,7 +147,7 @@ def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJob
     job_id = submitted(jobs)
     with psycopg.connect(url) as db:
         db.execute("UPDATE sgmethod.version SET version = '0.1' WHERE part = 'engine'")
-    with closing(PostgresJobTable(url, RULES)) as later:
+    with closing(PostgresJobTable(url, settings())) as later:
         assert tokens(url) == 0
         later._top_up()
         later._top_up()
@@ -158,27 +159,27 @@ def test_a_table_of_a_later_version_in_postgresql(url: str, jobs: PostgresJobTab
     with psycopg.connect(url) as db:
         db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
     with pytest.raises(JobTableError, match="another version"):
-        PostgresJobTable(url, RULES)
+        PostgresJobTable(url, settings())
     assert jobs.queued() == 0
 
 
 def test_a_table_of_a_later_version_in_sqlite(path: Path) -> None:
-    SqliteJobTable(path, RULES).close()
+    SqliteJobTable(path, settings()).close()
     with closing(sqlite3.connect(path)) as file:
         file.execute("PRAGMA user_version = 99")
     with pytest.raises(JobTableError, match="another version"):
-        SqliteJobTable(path, RULES)
+        SqliteJobTable(path, settings())
 
 
 def test_a_file_that_is_no_table(path: Path) -> None:
     path.write_bytes(b"this is not a database" * 100)
     with pytest.raises(JobTableError, match="not a database"):
-        SqliteJobTable(path, RULES)
+        SqliteJobTable(path, settings())
 
 
 def test_a_file_that_is_removed_or_replaced(path: Path, tmp_path: Path) -> None:
-    """Nothing is accepted into a file that nobody else sees."""
-    with closing(SqliteJobTable(path, RULES)) as table:
+    """Nothing is accepted into a file that no other process sees."""
+    with closing(SqliteJobTable(path, settings())) as table:
         first = submitted(table)
         path.parent.rename(tmp_path / "aside")
         with pytest.raises(JobTableError, match="No such file"):
@@ -186,7 +187,7 @@ def test_a_file_that_is_removed_or_replaced(path: Path, tmp_path: Path) -> None:
         path.parent.mkdir()
         path.touch()
         second = submitted(table)
-        with closing(SqliteJobTable(path, RULES)) as other:
+        with closing(SqliteJobTable(path, settings())) as other:
             assert [job.id for job in other.page(10)] == [second]
         shutil.rmtree(path.parent)
         (tmp_path / "aside").rename(path.parent)

@@ -9,12 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import table as table_module
-from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
-from service.jobs.job import Claim, EncodeResult, LimitError
-from service.jobs.table import JobTable
-from service.storage.files import source_key
-from tests.harness.job_table import (
+from benchmarks.harness.job_table import (
     CRASH,
     IMAGE,
     LONG_S,
@@ -32,6 +27,12 @@ from tests.harness.job_table import (
     submitted,
     what_all_say,
 )
+from service.errors import LimitError
+from service.jobs import table as table_module
+from service.jobs.job import Claim, EncodeResult
+from service.jobs.outcomes import BUCKETS_S, OUTCOMES, SECONDS, bucket
+from service.jobs.table import MAX_ATTEMPTS, JobTable
+from service.storage.files import source_key
 
 
 def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:
@@ -119,7 +120,7 @@ def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
 def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> None:
     hasty = open_job_table(NO_TIME_S)
     job_id = submitted(hasty)
-    for _ in range(2):
+    for _ in range(MAX_ATTEMPTS - 1):
         claimed(hasty)
         assert hasty.reconcile() == []
         assert state(hasty, job_id) == "queued"
@@ -133,8 +134,8 @@ def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> Non
 def test_a_clock_that_jumps(
     open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float, lives: bool
 ) -> None:
-    """It costs nobody a job, nor does an outage, after which every lease is over: a live worker has renewed it by the
-    second look. And a worker that is gone is noticed even if its lease lies far in the future by now.
+    """It costs no job, nor does an outage, after which every lease is over: a live worker has renewed it by the
+    second look. And a dead worker is noticed even if its lease lies far in the future by now.
     """
     table = open_job_table(LONG_S)
     submitted(table)
@@ -153,16 +154,16 @@ def test_a_clock_that_jumps(
 
 
 def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
-    """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
+    """It is not encoded as if what is new in it were not there, and it fails when no worker has understood it."""
     strange = submitted(table)
     request = json.dumps({**asdict(REQUEST), "mood": 9, "tune": "sharper"})
     change(table, "UPDATE jobs SET request = ? WHERE id = ?", request, strange)
     plain = submitted(table)
-    claims = [table.claim("w") for _ in range(4)]
+    claims = [table.claim("w") for _ in range(MAX_ATTEMPTS + 1)]
     assert [claim.job_id for claim in claims if claim is not None] == [plain]
     job = job_of(table, strange)
     assert job.error is not None
-    assert (job.state, job.crashes) == ("failed", 3)
+    assert (job.state, job.crashes) == ("failed", MAX_ATTEMPTS)
     assert asdict(job.request) == {**asdict(REQUEST), "tune": "sharper"}
     assert "another version" in job.error.detail
 
@@ -209,38 +210,38 @@ def test_queue_length_counts_waiting_jobs_only(open_job_table: OpenTable) -> Non
 
 def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
     for failures, worker in enumerate(("one", "two", "one")):
-        table.sign(worker, failures)
-    workers = table.census().workers
-    assert table.census().failures == {"one": 2, "two": 1}
+        table.register(worker, failures)
+    workers = table.counts().workers
+    assert table.counts().failures == {"one": 2, "two": 1}
     assert sorted(workers) == ["one", "two"]
     assert all(-1 < seconds < 60 for seconds in workers.values())
-    table.sign_off("two")
-    assert list(table.census().workers) == ["one"]
+    table.unregister("two")
+    assert list(table.counts().workers) == ["one"]
     monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
-    table.sign("three")  # and workers that were silent for too long are forgotten
-    assert table.census().workers == {}
+    table.register("three")  # and workers that were silent for too long are forgotten
+    assert table.counts().workers == {}
 
 
 def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
     """A webhook is due as soon as the clock shows that it was put off for too long, and then waits as any other; a
-    worker that is gone has not just been seen.
+    dead worker has not just been seen.
     """
-    table = open_job_table(LONG_S, webhooks=("http://a.example",))
+    table = open_job_table(LONG_S, webhook_urls="http://a.example")
     submitted(table)
     assert table.finish(claimed(table), RESULT)
     for tried in (False, True):  # at once at first, and after a pause
-        assert table.due_notice("http://a.example") is not None
-        assert table.due_notice("http://a.example") is None
-        change(table, "UPDATE notices SET ended_at = ended_at + ?, due_at = due_at + ?", 1000, 1000)
-        assert table.due_notice("http://a.example") is not None, tried
-        assert table.due_notice("http://a.example") is None
-        change(table, "UPDATE notices SET due_at = ended_at")
-    table.sign("gone")
-    table.sign("alive")
+        assert table.due_delivery("http://a.example") is not None
+        assert table.due_delivery("http://a.example") is None
+        change(table, "UPDATE deliveries SET ended_at = ended_at + ?, due_at = due_at + ?", 1000, 1000)
+        assert table.due_delivery("http://a.example") is not None, tried
+        assert table.due_delivery("http://a.example") is None
+        change(table, "UPDATE deliveries SET due_at = ended_at")
+    table.register("dead")
+    table.register("alive")
     change(table, "UPDATE workers SET seen_at = seen_at + ?", 1000)
-    assert table.census().silent_s is None
-    table.sign("alive")
-    assert list(table.census().workers) == ["alive"]
+    assert table.counts().silent_s is None
+    table.register("alive")
+    assert list(table.counts().workers) == ["alive"]
     with table._connection() as db:
         assert db.execute("SELECT count(*) AS number FROM workers").fetchone()["number"] == 1
 
@@ -264,26 +265,26 @@ def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, k
     done, failed, crashing = (table.submit(new(owner="ann"))[0] for _ in range(3))
     size = done.image.size_bytes
     kept = size if kept_s else 0
-    assert table.census().stored_bytes == 3 * size
+    assert table.counts().stored_bytes == 3 * size
     claims = {claim.job_id: claim for claim in (claimed(table) for _ in range(3))}
     for _ in range(2):  # as after a commit whose answer was lost
         assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
     table.fail(claims[failed.id], REFUSED)
-    assert table.census().stored_bytes == size + 7 + 2 * kept
+    assert table.counts().stored_bytes == size + 7 + 2 * kept
     table.fail(claims[crashing.id], CRASH)
-    assert table.census().stored_bytes == size + 7 + 2 * kept  # it is tried again
+    assert table.counts().stored_bytes == size + 7 + 2 * kept  # it is tried again
     while (claim := table.claim("w")) is not None:
         table.fail(claim, CRASH)
-    assert table.census().stored_bytes == 7 + 3 * kept
+    assert table.counts().stored_bytes == 7 + 3 * kept
     images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
     assert table.needed_keys() == {*images, "bitstreams/x"}
     for job in (done, done, failed, crashing):
         table.source_removed(job.id)
-    assert (table.census().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
+    assert (table.counts().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
     table.source_removed(table.submit(new())[0].id)  # which waits
-    assert table.census().stored_bytes == 7 + size
+    assert table.counts().stored_bytes == 7 + size
     table.remove(done.id)
-    assert table.census().stored_bytes == size
+    assert table.counts().stored_bytes == size
 
 
 def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
@@ -291,13 +292,14 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     done, crashed, refused, cancelled = (submitted(table) for _ in range(4))
     assert table.finish(claimed(table), RESULT)
     assert table.finish(Claim(done, 1, REQUEST, IMAGE), RESULT)  # once more, as after an answer that was lost
-    for _ in range(3):  # of RULES
+    for _ in range(MAX_ATTEMPTS):
         assert table.fail(claimed(table), CRASH)
     assert table.fail(claimed(table), REFUSED)
     for job_id in (done, crashed, refused, cancelled):
         table.remove(job_id)
-    totals = table.census().totals
-    assert {name: totals.get(name, 0) for name in ENDINGS} == {"finished": 1, "retried": 2, "failed": 2, "cancelled": 1}
+    totals = table.counts().totals
+    counted = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
+    assert {name: totals.get(name, 0) for name in OUTCOMES} == counted
     assert sum(totals.get(bucket(most), 0) for most in BUCKETS_S) == 1
     assert totals[SECONDS] >= 0
 
@@ -310,9 +312,9 @@ def test_quotas(open_job_table: OpenTable) -> None:
             open_job_table(LONG_S, **quotas).submit(new(owner=owner))
         return refusal.value.reason
 
-    own = open_job_table(LONG_S, own_quota_bytes=size)
+    own = open_job_table(LONG_S, quota_bytes_per_key=size)
     submitted(own, owner="ann")
-    assert refused("ann", own_quota_bytes=2 * size - 1) == "own_quota"
+    assert refused("ann", quota_bytes_per_key=2 * size - 1) == "own_quota"
     submitted(own, owner="bob")
-    assert refused("cat", quota_bytes=3 * size - 1, own_quota_bytes=size) == "quota"
-    submitted(open_job_table(LONG_S, quota_bytes=3 * size, own_quota_bytes=size), owner="cat")
+    assert refused("cat", quota_bytes=3 * size - 1, quota_bytes_per_key=size) == "quota"
+    submitted(open_job_table(LONG_S, quota_bytes=3 * size, quota_bytes_per_key=size), owner="cat")

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 import sgmethod
-from tests.harness.browser import Chromium
-from tests.harness.data import DATA, STATIC, golden_path
+from benchmarks.harness.data import DATA, STATIC, golden_path
+from tests.service.browser import Chromium
 
 OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
 COFFEE, PHOTOGRAPH = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
@@ -21,7 +21,7 @@ def assert_open_to_all(page: Chromium, place: str = "document", least: int = 10,
     page.run("for (const one of document.querySelectorAll('details')) one.open = true")
     page.run(AXE)
     for scheme in ("light", "dark"):
-        page.prefer(scheme)
+        page.tell("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         passed, findings = page.run(f"""
             return axe.run({place}).then(({{ passes, violations, incomplete }}) => [passes.length, {found}
                 .map(({{ id, nodes }}) => [id, ...nodes.map(({{ target }}) => target.join(" "))])]);

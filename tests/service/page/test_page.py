@@ -10,26 +10,25 @@ import time
 import numpy as np
 import pytest
 
+from benchmarks.harness.data import golden_path
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import encoder_of, wait_until
+from benchmarks.harness.service import Service, StartService
 from service.keys import digest
-from tests.harness.browser import Chromium
-from tests.harness.data import golden_path
-from tests.harness.page import Page
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import encoder_of, wait_until
-from tests.harness.service import Service, StartService
+from tests.service.browser import Chromium, Page
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
 
-def test_the_main_road(each_browser: Page, service: Service) -> None:
+def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> None:
     """A picture dropped, encoded, compared, enlarged, loaded again; a file opened and decoded; and back."""
     page = each_browser
     page.open_page(service)
     page.run("document.getElementById('effort').value = '1'")
     page.give("drop", SMALL, "my disc.png")
-    page.says("my disc.png is done", "#said")
+    page.says("my disc.png is done", "#announcement")
     page.says("Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
-    wait_until(lambda: "WebP" in page.text("#rivals"))
+    wait_until(lambda: "WebP" in page.text("#others"))
     (job,) = service.client.get("/jobs").json()["jobs"]
     page.says(f"all {job['result']['gaussians']} Gaussians", "#prefix-words")
     assert (job["tune"], job["effort"]) == ("visual", 1)
@@ -105,7 +104,7 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
 
 @pytest.mark.thorough
 def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
-    """Given, chosen, or gone back to, whatever ends last."""
+    """Given, chosen, or returned to, whatever ends last."""
     page.open_page(web)
     first = page.run("return location.hash")
     page.click("#figures-field summary")
@@ -122,7 +121,7 @@ def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
     for step, words, where in ((-1, "5.4 kB", "#right-label"), (-1, "9.0 kB", "#right-label"), (2, "40 ×", "#figures")):
         page.run(f"history.go({step})")
         page.says(words, where)
-    # The address is another one before the page is told of it. What then becomes new must not take it back.
+    # The address is another one before the page learns of it. What then becomes new must not take it back.
     page.run(f"location.hash = '{first}'; document.querySelector('#rows [aria-pressed=true]').click()")
     page.says("9.0 kB", "#right-label")
     assert page.run("return location.hash") == first
@@ -139,7 +138,7 @@ def test_one_that_is_cancelled(page: Chromium, web: Service) -> None:
     page.cancel()
     assert page.run("return document.getElementById('work').className") == "card"
     assert not page.is_seen("#cancel")
-    wait_until(lambda: web.client.get(f"/jobs/{job_id}").status_code == 404)  # it is said before the service knows
+    wait_until(lambda: web.client.get(f"/jobs/{job_id}").status_code == 404)  # the page says so first
     page.run("window.goOn()")
     time.sleep(1)
     assert page.complaints() == []
@@ -177,33 +176,33 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
     web.clear()  # of what other tests left
     page.open_page(web)
     page.queued(SMALL, "one.png")
-    first, address = page.tab(), page.run("return location.href")
-    second = page.new_tab()
-    page.switch_to(second)
+    address, switch_to = page.run("return location.href"), page.driver.switch_to
+    switch_to.new_window("tab")
+    first, second = page.driver.window_handles
     try:
         page.open_page(web)
         page.choose("tune", "psnr")
         page.give("drop", SMALL, "two.png")
         page.says(" before it")
         assert page.run("return location.href") != address
-        page.switch_to(first)
+        switch_to.window(first)
         assert page.run("return [location.href, document.getElementById('tune').value]") == [address, "visual"]
         assert [job["tune"] for job in web.client.get("/jobs").json()["jobs"]] == ["psnr", "visual"]
-        page.switch_to(second)
+        switch_to.window(second)
         page.open("about:blank")
         page.open(address)  # the same job in both
         page.says("in the queue")
         page.says("Original", "#left-label")
         page.cancel()
-        page.switch_to(first)
+        switch_to.window(first)
         page.says("has deleted it")
         assert len(web.client.get("/jobs").json()["jobs"]) == 1
         assert web.client.get(f"/jobs/{address.rpartition('#')[2]}").status_code == 404
     finally:
-        page.switch_to(second)
+        switch_to.window(second)
         page.run("localStorage.clear()")
-        page.close_tab()
-        page.switch_to(first)
+        page.driver.close()
+        switch_to.window(first)
 
 
 @pytest.mark.thorough
@@ -260,7 +259,7 @@ def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartS
     assert all("ERR_" in complaint or "Failed to load" in complaint for complaint in page.complaints())
 
 
-def test_nobody_is_left_out(page: Chromium, web: Service) -> None:
+def test_accessibility(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.says("AVIF", "#verdict")
     assert_open_to_all(page, least=20)

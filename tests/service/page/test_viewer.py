@@ -9,12 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from tests.harness.browser import Chromium
-from tests.harness.data import golden
-from tests.harness.page import bytes_of
-from tests.harness.pictures import page_of_text
-from tests.harness.processes import wait_until
-from tests.harness.service import Service
+from benchmarks.harness.data import golden
+from benchmarks.harness.pictures import page_of_text
+from benchmarks.harness.processes import wait_until
+from benchmarks.harness.service import Service
+from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
 
 pytestmark = pytest.mark.thorough
@@ -45,7 +44,7 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     assert page.text("#figures") == ""
     page.click("#figures-field summary")
     assert re.search(r"0\.30 bits per pixel · PSNR 3\d\.\d dB · SSIM 0\.\d\d\.", page.text("#figures"))
-    assert [name in page.text("#rivals") for name in ("Original", "Gaussians", "JPEG", "WebP", "AVIF")] == [True] * 5
+    assert [name in page.text("#others") for name in ("Original", "Gaussians", "JPEG", "WebP", "AVIF")] == [True] * 5
 
     both = page.settled()
     page.press("divider", "Home")
@@ -100,13 +99,13 @@ def test_fingers(page: Chromium, web: Service) -> None:
     assert page.complaints() == []
 
 
-def test_rivals_that_the_service_makes(page: Chromium, keeping: Service) -> None:
+def test_other_codecs_of_the_service(page: Chromium, keeping: Service) -> None:
     """No browser writes AVIF: the service makes it of the job's picture, as long as it has it."""
     page.open_page(keeping)
     keeping.publish(page.queued(PHOTOGRAPH, "coffee.webp"), COFFEE)
     page.says("AVIF", "#verdict")
-    assert re.search(r"AVIF (8\.[7-9]|9\.\d) kB \d\d\.\d dB 0\.\d{3}", page.text("#rivals"))
-    row = "#rivals tbody tr:last-child"
+    assert re.search(r"AVIF (8\.[7-9]|9\.\d) kB \d\d\.\d dB 0\.\d{3}", page.text("#others"))
+    row = "#others tbody tr:last-child"
     page.click(f"{row} button")
     page.says("AVIF", "#left-label")
     assert page.run(f"return document.activeElement === document.querySelector('{row} button')")
@@ -128,15 +127,15 @@ def test_the_better_file_is_offered(page: Chromium, keeping: Service) -> None:
     """)
     page.click("#advice button")
     wait_until(lambda: page.run("return window.saved") == "words.webp")
-    assert page.run("return window.size") == len(keeping.client.get(f"/jobs/{job}/rival.webp").content)
+    assert page.run("return window.size") == len(keeping.client.get(f"/jobs/{job}/comparison.webp").content)
     assert page.complaints() == []
 
 
-def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
+def test_another_codec_that_fails(page: Chromium, web: Service) -> None:
     """This service keeps no images; the page knows, and does not ask."""
     page.open_page(web)
     web.publish(page.queued(PHOTOGRAPH, "coffee.webp"), COFFEE)
-    page.says("no longer has the picture", "#rivals")
+    page.says("no longer has the picture", "#others")
     assert page.complaints() == []
 
 
@@ -149,7 +148,7 @@ def test_a_codec_that_fails_is_not_the_end(page: Chromium, web: Service) -> None
         };
     """)
     page.click("#sample-cat")
-    page.says("WebP answers[name] is not a function", "#rivals")
+    page.says("WebP answers[name] is not a function", "#others")
     page.says("AVIF", "#verdict")
 
 
@@ -192,10 +191,10 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     assert not page.is_seen("#contents")
 
 
-def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
+def test_the_time_of_a_frame(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.click("#figures-field summary")
-    # It is told for a while only, and of frames without long pauses between them, which a busy machine may make.
+    # It is shown for a while only, and of frames without long pauses between them, which a busy machine may make.
     text = wait_until(
         lambda: page.run("""
             return new Promise((done) => {

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
+from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService
 from service.sandbox import confinement
 from service.sandbox.frames import Crashed, Ended, Preview
-from tests.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
-from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
-from tests.harness.service import STAND_IN, RunCommand, StartService
+from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task
 
-SECRET = "not-for-strangers-" * 2
+SECRET = "not-for-everyone-" * 2
 MEMORY_BYTES = 2**28
 PROBE = """
 import ctypes, json, mmap, os, resource, signal, socket, sys
@@ -34,7 +34,7 @@ for attempt in {attempts!r}:
         outcomes.append("it went through")
     except (OSError, ImportError, ValueError) as error:
         outcomes.append(f"refused: {{error}}")
-answer.send(b"P", json.dumps(outcomes).encode())
+answer.send(frames.Preview(file=json.dumps(outcomes).encode()))
 """
 ATTEMPTS = (
     *("open(secret).read()", "os.listdir(os.path.dirname(secret))", "os.stat(secret)", "open(secret, 'w')"),
@@ -74,13 +74,13 @@ def outcomes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     secret.write_text(SECRET)
     before = secret.stat()
     program = PROBE.format(secret=str(secret), other=os.getpid(), attempts=ATTEMPTS)
-    with sandbox(TAKEN_OVER + SYSTEMS[request.param], STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER + SYSTEMS[request.param], FAKE_CODEC) as (tasks, _):
         report = messages_of(tasks, task(), program.encode())[0]
     assert isinstance(report, Preview), report
     assert secret.read_text() == SECRET
     assert (secret.stat().st_mode, secret.stat().st_mtime) == (before.st_mode, before.st_mtime)
     assert not Path("/tmp/way-out").exists()
-    return dict(zip(ATTEMPTS, json.loads(report.bitstream), strict=True))
+    return dict(zip(ATTEMPTS, json.loads(report.file), strict=True))
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)
@@ -121,7 +121,7 @@ try:
         kept.append(bytes(PART))
 except MemoryError:
     pass
-answer.send(b"P", b"holds it")
+answer.send(frames.Preview(file=b"holds it"))
 time.sleep(1000)
 """
 
@@ -131,7 +131,7 @@ def test_memory_of_every_kind_is_limited(system: str) -> None:
     """Beyond what the codec takes, which forks share."""
     greedy = task(memory_bytes=MEMORY_BYTES)
     with (
-        sandbox(TAKEN_OVER + SYSTEMS[system], STAND_IN) as (tasks, _),
+        sandbox(TAKEN_OVER + SYSTEMS[system], FAKE_CODEC) as (tasks, _),
         file_of(HOARD.encode()) as file,
         tasks.start(greedy, file) as running,
     ):
@@ -154,23 +154,23 @@ try:
         started += 1
 except RuntimeError:
     pass
-answer.send(b"P", str(started).encode())
+answer.send(frames.Preview(file=str(started).encode()))
 time.sleep(1000)
 """
-    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], STAND_IN) as (tasks, _), ExitStack() as held:
+    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], FAKE_CODEC) as (tasks, _), ExitStack() as held:
         for threads in (1, 10, 1):
             file = held.enter_context(file_of(program.encode()))
             what = task(threads=threads)
             running = held.enter_context(tasks.start(what, file))
             report = wait_until(lambda running=running: [m for m in running.read(0.1) if isinstance(m, Preview)])
             # Threads of others come and go as they are counted.
-            assert what.most_threads - 2 <= int(report[0].bitstream) <= what.most_threads + confinement.THREADS_STEP
+            assert what.max_threads - 2 <= int(report[0].file) <= what.max_threads + confinement.THREADS_STEP
 
 
 def test_a_task_that_is_not_confined_is_not_run() -> None:
     """Though the system could confine those before it."""
     fails = "server.confine = lambda *limits: confinement.confine(*limits) + ['Landlock']\n"
-    with sandbox(TAKEN_OVER + fails, STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER + fails, FAKE_CODEC) as (tasks, _):
         assert messages_of(tasks, task(), b"import os; os._exit(0)") == [
             Crashed(detail="service.sandbox.confinement.SandboxError: it was not confined by Landlock")
         ]
@@ -179,23 +179,23 @@ def test_a_task_that_is_not_confined_is_not_run() -> None:
 def test_time_is_limited() -> None:
     """Also of one that does not listen to the timer."""
     program = b"import signal\nsignal.signal(signal.SIGPROF, signal.SIG_IGN)\nwhile True: pass"
-    with sandbox(TAKEN_OVER, STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _):
         assert messages_of(tasks, task(cpu_s=0.1), b"while True: pass")[-1] == Ended(status=-signal.SIGPROF)
         assert messages_of(tasks, task(cpu_s=0.1), program)[-1] == Ended(status=-signal.SIGKILL)
 
 
 def test_tasks_see_nothing_of_each_other() -> None:
     """Neither their descriptors, nor what another has left in memory."""
-    look = b"import sys; answer.send(b'P', repr(hasattr(sys, 'left_behind')).encode())"
+    look = b"import sys; answer.send(frames.Preview(file=repr(hasattr(sys, 'left_behind')).encode()))"
     sleeper = task()
     with (
-        sandbox(TAKEN_OVER, STAND_IN) as (tasks, _),
+        sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _),
         file_of(b"import sys, time; sys.left_behind = 1; time.sleep(1000)") as file,
         tasks.start(sleeper, file) as running,
     ):
         wait_until(lambda: running.read(0.1) or running.begun)
         (report,) = (m for m in messages_of(tasks, task(), look) if isinstance(m, Preview))
-        assert report.bitstream == b"False"
+        assert report.file == b"False"
         descriptors = Path(f"/proc/{running_encoder(sleeper.job_id)}/fd")
         opened = [str(entry.readlink()).partition(":")[0] for entry in descriptors.iterdir()]
         assert sorted(opened) == ["/dev/null"] * 3 + ["socket"] * 2  # to its client, and to the sandbox
@@ -208,7 +208,7 @@ def test_secrets_stay_behind() -> None:
 
 
 def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> None:
-    service = start_service(link_secret=SECRET, extra=STAND_IN)
+    service = start_service(link_secret=SECRET, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     number = running_encoder(job_id)
     process = Path("/proc", str(number))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.processes import run
 from service.sandbox.filter import (
     ABSENT,
     ALLOW,
@@ -24,7 +25,6 @@ from service.sandbox.filter import (
     program,
     steps,
 )
-from tests.harness.processes import run
 
 PROCESS = 1234
 HEADERS = {"x86_64": "x86_64-linux-gnu/asm/unistd_64.h", "aarch64": "asm-generic/unistd.h"}
@@ -148,6 +148,6 @@ def test_the_kernel_takes_it() -> None:
         program("riscv64", PROCESS)
     if platform.machine() in ARCHITECTURES:
         confined = "from service.sandbox.confinement import absent_layers; print(absent_layers())"
-        said = run(sys.executable, "-c", confined)
-        assert said.status == 0
-        assert "seccomp" not in said.stdout
+        output = run(sys.executable, "-c", confined)
+        assert output.status == 0
+        assert "seccomp" not in output.stdout

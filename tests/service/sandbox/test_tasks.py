@@ -15,16 +15,16 @@ import pytest
 from PIL import Image, ImageCms
 
 import sgmethod
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SMALL, saved
+from benchmarks.harness.processes import encoder_of, wait_until
+from benchmarks.harness.service import FAKE_CODEC
 from service.jobs.job import EncodeRequest, new_job_id
+from service.pictures import Drawing, PictureOptions
 from service.sandbox import frames
 from service.sandbox.client import Sandbox, TaskError
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
-from service.sandbox.pictures import Drawing, PictureOptions, Rival
-from tests.harness.data import PICTURE
-from tests.harness.pictures import SMALL, saved
-from tests.harness.processes import encoder_of, wait_until
-from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
-from tests.harness.service import STAND_IN
+from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
 FORMATS = ("PNG", "JPEG", "WebP", "TIFF", "BMP", "GIF", "AVIF", "PPM")
@@ -49,7 +49,7 @@ def real() -> Iterator[Sandbox]:
 @pytest.fixture(scope="module")
 def taken_over() -> Iterator[Sandbox]:
     """One whose encodes are programs."""
-    with sandbox(TAKEN_OVER, STAND_IN) as (tasks, _):
+    with sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _):
         yield tasks
 
 
@@ -64,7 +64,7 @@ def test_pictures_are_those_of_the_codec(real: Sandbox, kind: Any) -> None:
     info = sgmethod.info(PICTURE)
     for options in (PictureOptions(), PictureOptions(scale=1.5, region="2,3,20,9")):
         made = asked(real, Draw(**LIMITS, options=options, file_kind=kind), PICTURE).file
-        assert made == Drawing.of(options, kind, (info.width, info.height), 10**6).draw(PICTURE)
+        assert made == Drawing.from_options(options, kind, (info.width, info.height), 10**6).draw(PICTURE)
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -75,14 +75,14 @@ def test_every_format_is_read(real: Sandbox, kind: str) -> None:
     file = saved(image, kind, **({} if kind in ("GIF", "BMP", "PPM") else more))
     header = asked(real, ReadHeader(**LIMITS), file).figures
     assert (header.format, header.width, header.height) == (kind, *image.size)
-    made = asked(real, frames.MakePreview(**LIMITS, most_bytes=100), file).figures
+    made = asked(real, frames.MakePreview(**LIMITS, max_bytes=100), file).figures
     assert made == frames.PreviewFigures.model_validate(sgmethod.preview(file, 100).to_dict())
 
 
 @pytest.mark.parametrize("kind", ["jpg", "webp", "avif"])
-def test_rivals(real: Sandbox, kind: Any) -> None:
+def test_other_codecs(real: Sandbox, kind: Any) -> None:
     for image in (picture(), picture(drawn=True), picture(alpha=True)):
-        made = asked(real, frames.MakeRival(**LIMITS, rival=Rival(kind, 500)), saved(image)).file
+        made = asked(real, frames.Compare(**LIMITS, file_kind=kind, size=500), saved(image)).file
         assert Image.open(io.BytesIO(made)).size == image.size
 
 
@@ -130,7 +130,9 @@ def test_what_starts_tasks_has_one_thread_and_reads_nothing() -> None:
 
 def test_one_that_is_to_end_early(taken_over: Sandbox) -> None:
     """Whenever it is asked to; and to ask again changes nothing."""
-    program = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)\nanswer.send(b'P', b'early')"
+    program = (
+        b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)\nanswer.send(frames.Preview(file=b'early'))"
+    )
     with file_of(program) as file, taken_over.start(task(), file) as running:
         for _ in range(3):
             running.end_early()
@@ -156,7 +158,7 @@ def test_ends(taken_over: Sandbox, program: str, end: object) -> None:
 def test_a_system_without_pidfd_open() -> None:
     """Kernels before 5.3 lack it, and older container engines refuse it. Each end is noticed all the same."""
     refuse = "import os\ndef refuse(*_):\n    raise OSError(38, 'Function not implemented')\nos.pidfd_open = refuse"
-    with sandbox(f"{TAKEN_OVER}\n{refuse}", STAND_IN) as (tasks, _):
+    with sandbox(f"{TAKEN_OVER}\n{refuse}", FAKE_CODEC) as (tasks, _):
         for number in range(4):
             assert messages_of(tasks, task(), f"import os; os._exit({number})".encode())[-1] == Ended(status=number)
 
@@ -168,8 +170,8 @@ def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
 
 
 def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
-    for said in ("b'Z' + bytes(4)", "b'S' + bytes([18, 192, 0, 0])", "b'S' + bytes([0, 0, 0, 2]) + b'[]'"):
-        program = f"import os, time\nos.write(answer._descriptor, {said})\ntime.sleep(1000)"
+    for answer in ("bytes(8)", "bytes([18, 192, 0, 0]) * 2", "bytes([0, 0, 0, 2, 0, 0, 0, 0]) + b'[]'"):
+        program = f"import os, time\nos.write(answer._descriptor, {answer})\ntime.sleep(1000)"
         what = task()
         with pytest.raises(FrameError):
             messages_of(taken_over, what, program.encode())
@@ -193,8 +195,11 @@ def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
 
 def test_a_client_that_reads_nothing_holds_nobody_up(taken_over: Sandbox) -> None:
     """Its task waits for it, and so does the word of its end; others are served."""
-    with file_of(b"answer.send(b'P', bytes(1 << 20))") as file, taken_over.start(task(), file) as running:
+    with (
+        file_of(b"answer.send(frames.Preview(file=bytes(1 << 20)))") as file,
+        taken_over.start(task(), file) as running,
+    ):
         assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
         *_, preview, end = until_end(running)
-        assert preview == Preview(bitstream=bytes(1 << 20))
+        assert preview == Preview(file=bytes(1 << 20))
         assert end == Ended(status=0)

@@ -18,12 +18,12 @@ from pathlib import Path
 import obstore
 import pytest
 
+from benchmarks.harness.nginx import make_certificate
+from benchmarks.harness.processes import failing
 from service.storage import bucket
 from service.storage.bucket import BucketStorage
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
-from tests.harness.nginx import make_certificate
-from tests.harness.processes import failing
-from tests.harness.s3_server import S3Server
+from tests.service.s3_server import S3Server
 
 JOB = "0123456789abcdef" * 2
 A_MOMENT_S = -5.0  # what was stored just now is older than this, whatever the server's clock
@@ -74,7 +74,7 @@ def test_what_was_put_is_there(storage: Storage, open_storage: OpenStorage) -> N
 
 
 def test_a_disk_that_has_become_read_only(disk: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It can still be looked at. That a disk is full says its free room alone."""
+    """It can still be looked at. Only its free space shows that a disk is full."""
     disk.check()
     assert list(disk.old(A_MOMENT_S)) == []
     for code, refused in ((errno.EROFS, True), (errno.ENOSPC, False)):
@@ -195,7 +195,7 @@ def test_a_bucket_that_stores_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It said no more than that a request could not be sent."""
+    """The message was no more than that a request could not be sent."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(make_certificate(tmp_path), tmp_path / "key.pem")
     with ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.harness.data import ROOT
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.s3_server import S3Server
-from tests.harness.service import Service
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.service import Service
+from tests.service.s3_server import S3Server
 
 pytestmark = [
     pytest.mark.thorough,

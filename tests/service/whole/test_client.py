@@ -14,6 +14,10 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from benchmarks.harness.data import PICTURE, ROOT
+from benchmarks.harness.pictures import SMALL, png, saved
+from benchmarks.harness.processes import Outcome, run, wait_until
+from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, Service, StartService, keys_of
 from sgmethod import Budget
 from sgmethod.cli import encoding
 from sgmethod.cli import main as cli
@@ -22,10 +26,6 @@ from sgmethod.client import client as client_module
 from sgmethod.client.connection import Connection
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
-from tests.harness.data import PICTURE, ROOT
-from tests.harness.pictures import SMALL, png, saved
-from tests.harness.processes import Outcome, run, wait_until
-from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService, keys_of
 
 
 def test_an_encode(service: Service) -> None:
@@ -134,17 +134,17 @@ def test_a_full_queue_is_waited_for(empty: Service) -> None:
     with Client(empty.url, patience_s=0) as hasty, pytest.raises(ServerError, match="full"):
         hasty.submit(SMALL, Budget("bpp", 1))
     threading.Timer(0.5, lambda: empty.client.delete(f"/jobs/{first}")).start()
-    told: list[str] = []
-    with Client(empty.url, patience_s=60, on_retry=told.append) as patient:
+    messages: list[str] = []
+    with Client(empty.url, patience_s=60, on_retry=messages.append) as patient:
         assert patient.submit(SMALL, Budget("bpp", 1)) != first
-    assert "full" in told[0]
+    assert "full" in messages[0]
 
 
 @pytest.mark.thorough
 def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
     web = start_service("web")
-    told: list[str] = []
-    with Client(web.url, on_retry=told.append) as client, ThreadPoolExecutor(1) as pool:
+    messages: list[str] = []
+    with Client(web.url, on_retry=messages.append) as client, ThreadPoolExecutor(1) as pool:
         job_id = client.submit(SMALL, Budget("bpp", 2))
         wait = pool.submit(client.wait, job_id)
         wait_until(lambda: watches(web) == 1)
@@ -154,12 +154,12 @@ def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
         wait_until(lambda: watches(web) == 1)
         web.publish(job_id, PICTURE)
         assert wait.result()["state"] == "done"
-    assert told
-    assert all("trying again in" in text for text in told)
+    assert messages
+    assert all("trying again in" in text for text in messages)
 
 
 def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
-    service = start_service(api_keys=keys_of("ann"), extra=STAND_IN)
+    service = start_service(api_keys=keys_of("ann"), extra=FAKE_CODEC)
     (tmp_path / "in.png").write_bytes(SMALL)
 
     def encode(*arguments: object, key: str = "ann") -> Outcome:
@@ -241,7 +241,7 @@ def test_a_killed_run_finds_its_jobs_again(
     start_service: StartService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its pictures were encoded twice."""
-    service = start_service(extra=STAND_IN)
+    service = start_service(extra=FAKE_CODEC)
     pictures = [(str(number), png(64, 48, number)) for number in range(2)]
     ask = Connection.ask
 

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.nginx import make_certificate
+from benchmarks.harness.pictures import SMALL
 from sgmethod import Budget
 from sgmethod.cli import main as cli
 from sgmethod.client import Client
 from sgmethod.errors import ServerError
-from tests.harness.nginx import make_certificate
-from tests.harness.pictures import SMALL
 
 
 def fail_to_sleep(seconds: float) -> None:
@@ -36,9 +36,9 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
         client.job("0" * 32)
     with pytest.raises(ServerError, match="is not a valid address"):
         Client("http://two..dots")
-    with socket.socket() as nobody:  # holds the port and does not listen
-        nobody.bind(("127.0.0.1", 0))
-        address = f"http://127.0.0.1:{nobody.getsockname()[1]}"
+    with socket.socket() as silent:  # holds the port and does not listen
+        silent.bind(("127.0.0.1", 0))
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}"
         with Client(address) as client:
             with pytest.raises(ServerError, match=f"{address} cannot be reached: .*refused"):
                 client.submit(SMALL, Budget("bpp", 1))
@@ -71,9 +71,9 @@ def test_an_environment_that_cannot_be_used(
     monkeypatch.setitem(sys.modules, "socksio", None)
     names = [str(tmp_path / f"{name}.png") for name in "ab"]
     assert cli.main(["encode", *names, "--output-dir", str(tmp_path / "out"), "--server", "https://127.0.0.1:9"]) == 2
-    said = capfd.readouterr().err
-    assert re.fullmatch(rf"sgmethod: .*{name}.*\n", said)
-    assert "secret" not in said
+    output = capfd.readouterr().err
+    assert re.fullmatch(rf"sgmethod: .*{name}.*\n", output)
+    assert "secret" not in output
 
 
 @pytest.mark.parametrize(
@@ -172,9 +172,9 @@ def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.M
 def test_what_is_tried_again_is_said(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     """By default in the log, which Python shows on stderr."""
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    told: list[str] = []
+    messages: list[str] = []
     with other() as address:
-        patient, quiet = Client(address, patience_s=5), Client(address, patience_s=5, on_retry=told.append)
+        patient, quiet = Client(address, patience_s=5), Client(address, patience_s=5, on_retry=messages.append)
         for client in (patient, quiet):
             assert client.bitstream("0" * 32)  # it has answered, so that it may come back
     with patient, quiet:
@@ -183,9 +183,9 @@ def test_what_is_tried_again_is_said(caplog: pytest.LogCaptureFixture, monkeypat
                 client.job("0" * 32)
             with pytest.raises(ServerError, match="cannot be reached"):
                 client.wait("0" * 32)
-    assert [text.rpartition("; ")[2] for text in told] == [f"trying again in {pause} s" for pause in (1, 2, 4)] * 2
-    assert all(text.startswith(f"{address} cannot be reached: ") for text in told)
-    assert [record.getMessage() for record in caplog.records if record.name == "sgmethod.client"] == told
+    assert [text.rpartition("; ")[2] for text in messages] == [f"trying again in {pause} s" for pause in (1, 2, 4)] * 2
+    assert all(text.startswith(f"{address} cannot be reached: ") for text in messages)
+    assert [record.getMessage() for record in caplog.records if record.name == "sgmethod.client"] == messages
 
 
 class Busy(Other):
@@ -211,7 +211,7 @@ def test_the_command_line_says_what_it_tries_again(
     refused = "the server refused: no such picture"
     tries = [f"sgmethod: {refused}; trying again in {pause} s" for pause in (1, 2)]
     with other(handler=Busy) as address:
-        for extra, said in (([], tries), (["--quiet"], [])):
+        for extra, lines in (([], tries), (["--quiet"], [])):
             names = [str(tmp_path / name) for name in ("in.png", "out.sg")]
             assert cli.main(["encode", *names, "--server", address, *extra]) == 2
-            assert capfd.readouterr().err.splitlines() == [*said, f"sgmethod: {refused}"]
+            assert capfd.readouterr().err.splitlines() == [*lines, f"sgmethod: {refused}"]

@@ -1,6 +1,6 @@
 """The rules of durability, each under fire: real processes, either database.
 
-A stand-in takes the codec's place, but where an encode takes too long: it is the processes around it that are tested.
+The codec is a fake, but where an encode takes too long: it is the processes around it that are tested.
 
 After everything that happens here, each accepted job has ended, none was published twice, and nothing is
 left over but the bitstreams of those that are done.
@@ -20,9 +20,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.harness.data import PICTURE
-from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import (
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import (
     PATIENCE_S,
     Kind,
     encoder_of,
@@ -32,7 +32,7 @@ from tests.harness.processes import (
     wait_until,
     worker_of,
 )
-from tests.harness.service import STAND_IN, Service, StartService
+from benchmarks.harness.service import FAKE_CODEC, Service, StartService
 
 
 @pytest.fixture
@@ -44,13 +44,13 @@ def start_service(start_service: StartService, database_url: str) -> StartServic
 @pytest.fixture(scope="module")
 def one_worker(new_table: Callable[[], str], start_for_module: StartService) -> Service:
     """A service for all tests that leave it as they found it."""
-    return start_for_module(database_url=new_table(), extra=STAND_IN)
+    return start_for_module(database_url=new_table(), extra=FAKE_CODEC)
 
 
 @pytest.fixture(scope="module")
 def two_workers(new_table: Callable[[], str], start_for_module: StartService) -> Service:
     """The same with two workers, and leases long enough that a worker on a busy machine is not taken for lost."""
-    return start_for_module(database_url=new_table(), workers=2, lease_s=2, extra=STAND_IN)
+    return start_for_module(database_url=new_table(), workers=2, lease_s=2, extra=FAKE_CODEC)
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def asleep(service: Service, job_id: str) -> Iterator[None]:
 
 
 def assert_settled(service: Service, *done: str) -> None:
-    """These jobs are done and all others have failed or are gone; nothing runs, and nothing is left over."""
+    """These jobs are done and all others have failed or are deleted; nothing runs, and nothing is left over."""
     jobs = service.client.get("/jobs?limit=200").json()["jobs"]
     assert {job["id"] for job in jobs if job["state"] == "done"} == set(done)
     assert {job["state"] for job in jobs} <= {"done", "failed"}
@@ -127,7 +127,7 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
 @pytest.mark.thorough
 def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) -> None:
     """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
-    service = start_service(extra=STAND_IN)
+    service = start_service(extra=FAKE_CODEC)
     first = service.accepted_slow()
     running_encoder(first)
     second = service.accepted()
@@ -218,7 +218,7 @@ def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
 @pytest.mark.thorough
 def test_rule_4_timed_out(start_service: StartService) -> None:
     """An encode beyond the time-out is ended and not tried again."""
-    service = start_service(max_time_limit_s=2, extra=STAND_IN)
+    service = start_service(max_time_limit_s=2, extra=FAKE_CODEC)
     job_id = service.accepted(SLOW, bpp=1, time_limit_s=2)
     encoder = running_encoder(job_id)
     os.kill(encoder, signal.SIGSTOP)
@@ -248,12 +248,12 @@ def test_rule_5_poison(solo: Service) -> None:
 @pytest.mark.thorough
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
-    service = start_service(stop_grace_s=PATIENCE_S, extra=STAND_IN)
+    service = start_service(stop_grace_s=PATIENCE_S, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     encoder = running_encoder(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
     assert service.stop() == 0
-    assert not ours & set(processes())
+    wait_until(lambda: not ours & set(processes()))  # a killed process disappears a moment later
     service.start()
     assert service.wait(job_id, "running", "failed")["state"] == "running"
     assert service.job(job_id)["attempt"] == 2

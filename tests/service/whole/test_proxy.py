@@ -16,15 +16,15 @@ import httpx
 import pytest
 
 import sgmethod
+from benchmarks.harness.nginx import Nginx
+from benchmarks.harness.pictures import SLOW, SMALL, noisy_png
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import FAKE_CODEC, Service, StartService
 from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
-from tests.harness.browser import Chromium
-from tests.harness.nginx import Nginx
-from tests.harness.pictures import SLOW, SMALL, noisy_png
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.s3_server import KeptS3Server
-from tests.harness.service import STAND_IN, Service, StartService
+from tests.service.browser import Chromium
+from tests.service.s3_server import KeptS3Server
 
 pytestmark = pytest.mark.thorough
 
@@ -37,11 +37,11 @@ StartProxy = Callable[..., Nginx]
 def proxied(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, start_proxy: StartProxy
 ) -> Iterator[tuple[Service, str]]:
-    """A service with a stand-in for the codec, whose images are kept, and where it is to be found."""
+    """A service with a fake codec, whose images are kept, and where it is to be found."""
     prefix = request.param
     settings = {"trusted_proxies": "127.0.0.1", "root_path": prefix, "link_secret": "x" * 32}
     data_dir = tmp_path_factory.mktemp("proxied") / "data"
-    service = Service(data_dir, source_retention_s=1000, extra=STAND_IN, **settings)
+    service = Service(data_dir, source_retention_s=1000, extra=FAKE_CODEC, **settings)
     second = Service(data_dir, "web", source_retention_s=1000, **settings)
     yield service, start_proxy((service.url, second.url), prefix).url
     assert service.stop() == second.stop() == 0
@@ -143,7 +143,7 @@ def test_everything_restarts(
     picture is there in the end, once.
     """
     shared = {"database_url": postgres.new_database(), "storage_url": store.new_storage(), "lease_s": 2}
-    shared |= {"trusted_proxies": "127.0.0.1", "extra": {**store.environment, **STAND_IN}}
+    shared |= {"trusted_proxies": "127.0.0.1", "extra": {**store.environment, **FAKE_CODEC}}
     webs = [start_service(command, **shared) for command in ("serve", "web")]
     root = start_proxy([web.url for web in webs]).url
     rows: list[Row] = []

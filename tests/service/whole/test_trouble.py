@@ -15,15 +15,23 @@ import psycopg
 import pytest
 from PIL import Image
 
+from benchmarks.harness.data import PICTURE, ROOT
+from benchmarks.harness.job_table import grow_older
+from benchmarks.harness.pictures import noisy_png, saved
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.processes import (
+    PATIENCE_S,
+    encoder_of,
+    end_early,
+    processes,
+    running_encoder,
+    wait_until,
+    worker_of,
+)
+from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService, assert_problem
 from service.api.context import PROBE_THREADS, WORK_THREADS
 from service.storage.bucket import SILENCE
-from tests.harness.data import PICTURE, ROOT
-from tests.harness.job_table import grow_older
-from tests.harness.pictures import noisy_png, saved
-from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, running_encoder, wait_until, worker_of
-from tests.harness.s3_server import S3Server
-from tests.harness.service import STAND_IN, RunCommand, StartService, assert_problem
+from tests.service.s3_server import S3Server
 
 pytestmark = pytest.mark.thorough
 
@@ -39,7 +47,7 @@ def mount(*options: str) -> None:
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of its own, with little room, where services keep their data."""
+    """A file system of its own, with little space, where services keep their data."""
     folder = tmp_path / "data0"
     folder.mkdir()
     mount("-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder))
@@ -48,7 +56,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def fill(disk: Path) -> Path:
-    """Leave no room at all; the file that takes it."""
+    """Leave no space at all; the file that takes it."""
     ballast = disk / "ballast"
     with ballast.open("wb", buffering=0) as file:
         for size in (65536, 4096, 1):
@@ -76,8 +84,8 @@ def test_full_disk_while_accepting(small_disk: Path, start_service: StartService
 
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
-    """A result waits for room; the encode is not done again."""
-    service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=ROOM_BYTES, extra=STAND_IN)
+    """A result waits for space; the encode is not done again."""
+    service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=ROOM_BYTES, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     encoder = running_encoder(job_id)
     ballast = fill(small_disk)
@@ -123,7 +131,7 @@ def test_a_disk_that_becomes_read_only(start_service: StartService) -> None:
 def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgres: PostgresServer) -> None:
     """A row without a job of the engine gets one."""
     database_url = postgres.new_database()
-    service = start_service(database_url=database_url, extra=STAND_IN)
+    service = start_service(database_url=database_url, extra=FAKE_CODEC)
     wait_until(lambda: ": ready," in service.log.read_text())  # it holds no lock of the set-up that others wait for
     (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGSTOP)
@@ -136,7 +144,7 @@ def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgr
 
 def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: PostgresServer) -> None:
     """An encode goes on meanwhile, its result is published afterwards, and new jobs find their workers."""
-    service = start_service(database_url=postgres.new_database(), lease_s=20, extra=STAND_IN)
+    service = start_service(database_url=postgres.new_database(), lease_s=20, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     encoder = running_encoder(job_id)
     postgres.stop("immediate")
@@ -205,7 +213,7 @@ def own_s3() -> Iterator[S3Server]:
 def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
     """It accepts and never answers. Clients hear so within seconds, whatever the size of what they send or fetch."""
     settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}
-    service = start_service(**settings, extra={**own_s3.environment, **STAND_IN})
+    service = start_service(**settings, extra={**own_s3.environment, **FAKE_CODEC})
     done = service.wait(service.accepted())
     own_s3.freeze()
     service.client.timeout = httpx.Timeout(SOON_S)
@@ -226,7 +234,7 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
 def test_nothing_waits_behind_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
     """Though more requests wait for it, probes among them, than there are threads for that."""
     settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}
-    service = start_service(**settings, extra={**own_s3.environment, **STAND_IN})
+    service = start_service(**settings, extra={**own_s3.environment, **FAKE_CODEC})
     done = service.wait(service.accepted())
     own_s3.freeze()
     with ThreadPoolExecutor(3 * WORK_THREADS) as pool:
@@ -245,7 +253,7 @@ def test_workers_that_share_only_a_database_and_a_bucket(
 ) -> None:
     """As on several machines: no common folder. One is killed in the middle; the others do its work."""
     shared = {"database_url": postgres.new_database(), "storage_url": s3.new_storage(), "lease_s": 2}
-    web = start_service("web", **shared, extra={**s3.environment, **STAND_IN})
+    web = start_service("web", **shared, extra={**s3.environment, **FAKE_CODEC})
     workers = []
     for name in ("a", "b"):
         environment = {**web.environment, "SG_DATA_DIR": str(tmp_path / name)}
@@ -276,7 +284,7 @@ def test_workers_that_share_only_a_database_and_a_bucket(
 
 def test_supervisor_killed_alone(start_service: StartService) -> None:
     """Without their supervisor the other processes end by themselves, so that a new one finds free ground."""
-    service = start_service(extra=STAND_IN)
+    service = start_service(extra=FAKE_CODEC)
     encoder = running_encoder(service.accepted_slow())
     orphans = {encoder, *service.ours("sandbox"), *service.ours("web"), *service.ours("worker")}
     service.process.kill()

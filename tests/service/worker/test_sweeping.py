@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.job import EncodeResult, JobTableError, new_job_id
+from benchmarks.harness import job_table
+from benchmarks.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
+from benchmarks.harness.processes import failing, wait_until
+from service.errors import JobTableError
+from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
@@ -16,9 +20,6 @@ from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, preview_key, source_key
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
-from tests.harness import job_table
-from tests.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
-from tests.harness.processes import failing, wait_until
 
 AT_ONCE_S = -5.0
 
@@ -91,7 +92,7 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
     monkeypatch.setattr(storage, "delete", delete)
     times = {"source_retention_s": AT_ONCE_S, "orphan_age_s": AT_ONCE_S}
     assert sweep(table, storage, retention_s=1000, **times) == Swept(0, 5, 2)
-    assert table.census().stored_bytes == IMAGE.size_bytes + 4 * 9
+    assert table.counts().stored_bytes == IMAGE.size_bytes + 4 * 9
     assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == Swept(4, 0, 3)
     assert table.page(10) == []
     assert stored(storage) == held
@@ -128,7 +129,7 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S, dry_run=True) == swept
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
         assert stored(storage) == {source_key(waiting)}
-    assert table.census().stored_bytes == 7 + IMAGE.size_bytes
+    assert table.counts().stored_bytes == 7 + IMAGE.size_bytes
     assert {job.id for job in table.page(10)} == {done, refused, waiting}
 
 

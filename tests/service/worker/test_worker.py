@@ -10,20 +10,21 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.harness.job_table import LONG_S, claimed, job_of, settings, submitted
+from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
-from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JobTableError, JsonObject
+from service.errors import JobTableError
+from service.jobs.job import Claim, EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
-from service.sandbox.frames import TASK_BYTES
+from service.sandbox.frames import MAX_TASK_BYTES
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from service.worker import attempt as attempt_module
 from service.worker import loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.harness.job_table import LONG_S, claimed, job_of, submitted
-from tests.harness.processes import PATIENCE_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):
@@ -49,7 +50,7 @@ class Unsteady(SqliteJobTable):
 
 @pytest.fixture
 def table(tmp_path: Path) -> Iterator[Unsteady]:
-    table = Unsteady(tmp_path / "jobs.sqlite3", JobRules(LONG_S, 4))
+    table = Unsteady(tmp_path / "jobs.sqlite3", settings())
     yield table
     table.close()
 
@@ -239,7 +240,7 @@ def test_a_long_silence_does_not_fill_the_log(
 ) -> None:
     clock = [1000.0]
     monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(logs, "_said", {})
+    monkeypatch.setattr(logs, "_last_logged", {})
     table.lost_answers = 1000
     attempt = Attempt(table, storage, claim, stop)
     for _ in range(100):
@@ -289,7 +290,7 @@ def test_a_source_that_is_gone(
         assert worker.run_one()
     job = job_of(table, claim.job_id)
     assert job.error is not None
-    assert (job.state, job.error.detail) == ("failed", "the source image is gone")
+    assert (job.state, job.error.detail) == ("failed", "the source image is missing")
     assert not worker.run_one()
 
 
@@ -300,10 +301,10 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
 
     def answer() -> None:
         for _ in range(4):
-            _, (number, file), _, _ = socket.recv_fds(sandbox, TASK_BYTES, 2)
+            _, (number, file), _, _ = socket.recv_fds(sandbox, MAX_TASK_BYTES, 2)
             os.close(file)
-            with socket.socket(fileno=number) as told:
-                told.sendall(b"nonsense")
+            with socket.socket(fileno=number) as other:
+                other.sendall(b"nonsense")
 
     encoder = threading.Thread(target=answer)
     encoder.start()
@@ -314,4 +315,4 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
     job = job_of(table, claim.job_id)
     assert job.error is not None
     assert (job.state, job.error.code) == ("failed", "crashed")
-    assert job.error.detail.startswith("the encoder spoke nonsense: a frame")
+    assert job.error.detail.startswith("the encoder sent an invalid message: a frame")

@@ -1,0 +1,270 @@
+"""A real service: started, watched, stopped and killed; and for tests also asked, answered and worked for."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+import sgmethod
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.job_table import IMAGE, LONG_S, submitted
+from benchmarks.harness.pictures import SLOW, SMALL
+from benchmarks.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
+from service.jobs.job import Claim, EncodeResult, JobError, SourceImage
+from service.jobs.table import JobTable
+from service.keys import digest
+from service.opening import open_job_table, open_storage
+from service.settings import Settings
+from service.storage.files import bitstream_key
+
+SMALL_QUEUE = 5
+# The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
+_FOLDERS = (str(ROOT / "benchmarks" / "harness" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
+FAKE_CODEC = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
+
+
+class ServiceProcess:
+    """One `python -m service`, started at once, and a client of it.
+
+    Give settings by name, such as queue_length=2, and keys as api_keys; extra: more environment variables. What it
+    writes to standard error is appended to a log beside its data folder.
+    """
+
+    timeout_s = PATIENCE_S  # of the client's requests
+
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
+        self.data_dir = data_dir
+        self.log = data_dir.with_name(data_dir.name + ".log")
+        chosen = {"port": 0, "data_dir": data_dir, **settings}
+        if (keys := chosen.pop("api_keys", None)) is not None:
+            chosen["api_keys_file"] = data_dir.with_name(data_dir.name + ".keys")
+            chosen["api_keys_file"].write_text(keys)
+        self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}, **(extra or {})}
+        self._command = [sys.executable, "-m", "service", command]
+        self.start()
+
+    def start(self) -> None:
+        """Start it, again after a stop or kill. It listens when this returns."""
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                self._command, cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self.process.stdout is not None
+        with self.process.stdout as output:
+            words = output.readline().split()
+        if words[:3] != ["sgmethod", "service", "on"]:
+            self.process.kill()
+            self.process.wait()
+            raise AssertionError(self.log.read_text())
+        self.url = words[3].rstrip(",")
+        self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
+
+    def wait_ready(self) -> None:
+        """Wait until it can do all that it is for, the sandbox too."""
+        wait_until(lambda: self.client.get("/readyz").status_code == 200)
+
+    def family(self) -> dict[int, Process]:
+        """All its processes that are alive, by number."""
+        alive = processes()
+        family = {self.process.pid}
+        for _ in range(2):  # children, then theirs
+            family |= {number for number, process in alive.items() if process.parent in family}
+        return {number: alive[number] for number in sorted(family & alive.keys())}
+
+    def ours(self, kind: Kind) -> list[int]:
+        """The numbers of its processes of a kind."""
+        return [number for number, process in self.family().items() if process.is_a(kind)]
+
+    def stop(self) -> int:
+        """Stop it as an operator does; the exit status."""
+        self.client.close()
+        self.process.terminate()
+        return self.process.wait(PATIENCE_S)
+
+    def kill_all(self) -> None:
+        """End every process at once, without a chance to say anything."""
+        self.client.close()
+        victims = self.family()
+        for number in victims:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        self.process.wait(PATIENCE_S)
+        wait_until(lambda: not victims.keys() & processes().keys())
+
+    def files(self) -> list[str]:
+        """What lies in the storage."""
+        folders = ("sources", "bitstreams", "unfinished")
+        return sorted(f"{f}/{path.name}" for f in folders for path in (self.data_dir / f).iterdir())
+
+
+class Service(ServiceProcess):
+    """One `python -m service` with one worker and short leases, which keeps no image of a finished job.
+
+    With command "web" nothing is ever encoded.
+    """
+
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
+        lease_s = 1 if command == "serve" else 60  # /readyz fails after four of them without a worker
+        chosen = {"workers": 1, "lease_s": lease_s, "source_retention_s": 0, **settings}
+        super().__init__(data_dir, command, extra, **chosen)
+
+    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
+        """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
+        form = {name: str(value) for name, value in {"time_limit_s": 0.1, **(fields or {"bpp": 1})}.items()}
+        headers = {"Idempotency-Key": key} if key else {}
+        return self.client.post("/encode", files={"image": ("any.png", image)}, data=form, headers=headers)
+
+    def accepted(self, image: bytes = SMALL, **fields: Any) -> str:
+        """The id of a new job."""
+        answer = self.post(image, **fields)
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["id"])
+
+    def accepted_slow(self, seconds: float = 100) -> str:
+        """The id of a new job that takes about so many seconds; far longer than any test waits, by default."""
+        return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """The status of a job."""
+        answer = self.client.get(f"/jobs/{job_id}")
+        assert answer.status_code == 200, answer.text
+        job: dict[str, Any] = answer.json()
+        return job
+
+    def wait(self, job_id: str, *states: str) -> dict[str, Any]:
+        """The job's status once it is in one of the states; done or failed unless named."""
+        wanted = states or ("done", "failed")
+        job = wait_until(lambda: (job := self.job(job_id))["state"] in wanted and job)
+        assert job
+        return job
+
+    def figures(self) -> dict[str, float]:
+        """What GET /metrics says, by name and labels."""
+        answer = self.client.get("/metrics")
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith("text/plain")
+        lines = [line for line in answer.text.splitlines() if not line.startswith("#")]
+        return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines)}
+
+    def clear(self) -> None:
+        """Remove all jobs; returns when nothing is left of them."""
+        while jobs := self.client.get("/jobs?limit=200").json()["jobs"]:
+            for job in jobs:
+                assert self.client.delete(f"/jobs/{job['id']}").status_code in (204, 404)
+        wait_until(lambda: not self.ours("encoder") and self.files() == [])
+
+    def published(self, bitstream: bytes, owner: str | None = None) -> str:
+        """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
+        info = sgmethod.info(bitstream)
+        job_id = self.submitted(SourceImage("PNG", info.width, info.height, 10), owner)
+        self.publish(job_id, bitstream)
+        return job_id
+
+    def submitted(self, image: SourceImage = IMAGE, owner: str | None = None) -> str:
+        """The id of a new job of which there is no more than its row in the table: nothing was posted."""
+        with self.table() as table:
+            return submitted(table, image=image, owner=owner)
+
+    def publish(self, job_id: str, bitstream: bytes, **figures: Any) -> None:
+        """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running. figures:
+        others than those of a bitstream; a file of another `format` needs its size.
+        """
+        if "format" not in figures:
+            info = sgmethod.info(bitstream)
+            figures = {"width": info.width, "height": info.height, "gaussians": 9, **figures}
+        stats = {"bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, **figures}
+        with self.table() as table:
+            claim = self._claimed(table, job_id)
+            key = bitstream_key(job_id, claim.attempt)
+            open_storage(self._settings()).put(key, bitstream)
+            assert table.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
+
+    def refuse(self, job_id: str) -> None:
+        """Do as a worker whose codec refuses the job."""
+        with self.table() as table:
+            assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"))
+
+    @contextlib.contextmanager
+    def table(self) -> Iterator[JobTable]:
+        """Its job table."""
+        with contextlib.closing(open_job_table(self._settings())) as table:
+            yield table
+
+    def _settings(self) -> Settings:
+        kept_s = float(self.environment["SG_SOURCE_RETENTION_S"])
+        url = self.environment.get("SG_DATABASE_URL", "")
+        return Settings(
+            data_dir=self.data_dir, database_url=url, lease_s=LONG_S, source_retention_s=kept_s, queue_length=100_000
+        )
+
+    @staticmethod
+    def _claimed(table: JobTable, job_id: str) -> Claim:
+        while (claim := table.claim("test")) is not None and claim.job_id != job_id:
+            pass  # what other tests left waiting runs forever now
+        assert claim is not None
+        return claim
+
+    def connect(self) -> socket.socket:
+        """A connection over which a test says what it likes."""
+        url = httpx.URL(self.url)
+        return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
+
+    def raw(self, request: bytes) -> bytes:
+        """All that is answered to these bytes until the server closes the connection, even with a reset."""
+        with self.connect() as connection:
+            answer = b""
+            with contextlib.suppress(ConnectionError):
+                connection.sendall(request)
+                while data := connection.recv(65536):
+                    answer += data
+            return answer
+
+
+StartService = Callable[..., Service]
+
+
+RunCommand = Callable[..., Outcome]
+
+
+def keys_of(*owners: str) -> str:
+    """What api_keys says so that each owner's name is the key."""
+    return ",".join(f"{name}:{digest(name)}" for name in owners)
+
+
+def bearer(key: str) -> dict[str, str]:
+    """The header that shows a key."""
+    return {"Authorization": f"Bearer {key}"}
+
+
+def max_age(answer: httpx.Response) -> int:
+    """For how many seconds a client may cache an answer."""
+    assert answer.status_code == 200, answer.text
+    return int(re.findall(r"max-age=(\d+)", answer.headers["cache-control"])[0])
+
+
+def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
+    """The answer is a problem document of that status whose detail holds the words."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    assert re.fullmatch(r"(/\w+)*/problems#\w+", problem["type"])
+    for word in words:
+        assert word in problem["detail"]
+    return problem

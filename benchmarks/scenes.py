@@ -1,0 +1,118 @@
+"""What a scene does not need: Gaussians, bytes and seconds by content at one PSNR, and what each saving saves.
+
+    SG_THREADS=1 python -m benchmarks.scenes --images KODAK [--psnr 34] [--repeats 3]
+
+Scenes have 256x256 pixels: half are parts of Kodak's photographs, half are drawn here. Seconds are processor time, on
+which other work on the machine has little effect.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from unittest.mock import PropertyMock, patch
+
+import cv2
+import numpy as np
+
+from benchmarks.machine import RUNS, Record
+from benchmarks.pictures import Pixels
+from sgmethod import Encoded, encode
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.rd.rate_control import EXACT_DB
+from sgmethod.rd.request import Request
+from sgmethod.settings.rd import RD, RdSettings
+
+SIDE = 256
+PHOTOGRAPHED = {  # a picture of Kodak's, and the scene's first row and column
+    "sky": ("kodim19", 0, 0),
+    "face": ("kodim04", 180, 190),
+    "foliage": ("kodim13", 100, 0),
+    "facade": ("kodim08", 200, 300),
+}
+TEXT = ("Structure-guided", "allocation of 2D", "Gaussians: more of", "them where there is", "more to be seen")
+
+# Each saving, and the settings that refuse it.
+BY_SETTINGS: dict[str, RdSettings] = {
+    "reduced pictures while Gaussians are few": replace(RD, pyramid=replace(RD.pyramid, contrast_kept=np.inf)),
+    "fewer steps for sparse Gaussians": replace(RD, schedule=replace(RD.schedule, sparse=-2.0, dense=-1.0)),
+    "no growth at a price that found nothing": replace(RD, densify=replace(RD.densify, saturated=0.0)),
+    "Gaussians dropped that are not worth their bits": replace(
+        RD, prune=replace(RD.prune, bits_of_nothing=0.0, bits_of_dropped=0.0)
+    ),
+}
+# Savings that are no settings: what tells that the scene allows them.
+BY_PROPERTY = {"no Gaussians for a single colour": "is_one_colour", "no chroma for grey": "grey"}
+SAVINGS = (*BY_SETTINGS, *BY_PROPERTY)
+
+
+def drawn() -> dict[str, Pixels]:
+    """The scenes that are no photographs."""
+    across = np.linspace(0, 1, SIDE)
+    x, y = np.meshgrid(across, across)
+    gradient = np.stack([20 + 200 * x, 40 + 160 * y, 220 - 120 * x * y], axis=2)
+    text = np.full((SIDE, SIDE, 3), 255, np.uint8)
+    for k, line in enumerate(TEXT):
+        cv2.putText(text, line, (8, 44 + 46 * k), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 1, cv2.LINE_AA)
+    noise = np.random.default_rng(0).normal(128, 30, (SIDE, SIDE, 3))
+    return {
+        "one colour": np.full((SIDE, SIDE, 3), (90, 140, 200), np.uint8),
+        "gradient": np.rint(gradient).astype(np.uint8),
+        "text": text,
+        "noise": np.clip(np.rint(noise), 0, 255).astype(np.uint8),
+    }
+
+
+def scenes(images: Path) -> dict[str, Pixels]:
+    """All scenes by name. Raises OSError if a photograph is missing."""
+    photographed = {
+        scene: np.ascontiguousarray(read_image_8_bit((images / f"{name}.png").read_bytes())[y : y + SIDE, x : x + SIDE])
+        for scene, (name, y, x) in PHOTOGRAPHED.items()
+    }
+    return drawn() | photographed
+
+
+def without(saving: str) -> AbstractContextManager[object]:
+    """Refuse a saving that is no setting, for as long as the context lasts."""
+    name = BY_PROPERTY.get(saving)
+    return patch.object(Request, name, PropertyMock(return_value=False)) if name else nullcontext()
+
+
+def encoded(pixels: Pixels, psnr: float, saving: str) -> tuple[Encoded, float]:
+    """Encode without a saving ("" for none); return the file and the processor time in seconds."""
+    with without(saving):
+        began = time.process_time()
+        file = encode(pixels, psnr=psnr, tune="psnr", settings=BY_SETTINGS.get(saving, RD))
+        return file, time.process_time() - began
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=Path, required=True, help="folder with Kodak's photographs")
+    parser.add_argument("--psnr", type=float, default=34.0)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=RUNS / "scenes.json")
+    options = parser.parse_args()
+    record = Record(options.out, "benchmarks.scenes", {"psnr": options.psnr})
+    for scene, pixels in scenes(options.images).items():
+        if record.has(scene=scene):
+            continue
+        encode(pixels, psnr=options.psnr, tune="psnr")  # the first of a process loads what others find there
+        took: dict[str, list[float]] = {saving: [] for saving in ("", *SAVINGS)}
+        files = {}
+        for _ in range(options.repeats):
+            for saving, seconds in took.items():
+                files[saving], once = encoded(pixels, options.psnr, saving)
+                seconds.append(once)
+        for saving, file in files.items():
+            s = file.stats
+            figures = {"gaussians": s.gaussians, "bytes": s.bytes, "psnr": min(s.psnr, EXACT_DB), "steps": s.steps}
+            record.add({"scene": scene, "without": saving, **figures, "cpu_s": median(took[saving])})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Rows written when an attempt ends: totals for /metrics, and webhooks.
+
+Webhooks wait beside the jobs until they are delivered to the operator's addresses.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal, get_args
+
+from service.jobs.job import FINAL_STATES, Job, JobState
+from service.jobs.statements import Database
+
+Outcome = Literal["finished", "failed", "retried", "cancelled"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed", "queued": "retried"}
+BUCKETS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float("inf"))
+SECONDS = "encode_seconds"
+# Each pause is about as long as the delivery has waited until then, and so doubles.
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0
+KEPT_S = 3 * 86_400.0  # retry time of a delivery
+
+ADD = """
+INSERT INTO totals VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET amount = totals.amount + excluded.amount
+"""
+ADD_DELIVERY = "INSERT INTO deliveries VALUES (?, ?, ?, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING"
+# Also due if its pause is longer than any: the clock was set back.
+DUE = """
+WITH clock AS MATERIALIZED (SELECT epoch() AS now)
+SELECT job, body, due_at, now - ended_at AS age_s FROM deliveries, clock
+WHERE address = ? AND (due_at <= now OR due_at - now > ? OR due_at - now > ? + now - ended_at) ORDER BY due_at LIMIT 1
+"""
+PUT_OFF = """
+UPDATE deliveries SET due_at = epoch() + ?, ended_at = CASE WHEN ended_at > epoch() THEN epoch() ELSE ended_at END
+WHERE job = ? AND address = ? AND due_at = ?
+"""
+
+
+FORWARD = """
+INSERT INTO deliveries SELECT job, ?, body, ended_at, epoch() FROM deliveries WHERE address NOT IN ({known})
+ON CONFLICT (job, address) DO NOTHING
+"""
+ASTRAY = "DELETE FROM deliveries WHERE address NOT IN ({known})"
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A webhook to deliver: one job, one address. body: JSON."""
+
+    job_id: str
+    address: str
+    body: str
+
+
+def count(db: Database, outcome: Outcome) -> None:
+    """Count a job with this outcome."""
+    db.execute(ADD, (outcome, 1))
+
+
+def conclude(db: Database, job: Job, addresses: Sequence[str]) -> None:
+    """Count the outcome of an attempt; if the job ended with it, add a delivery for each address."""
+    count(db, OUTCOME_OF[job.state])
+    if job.state == "done" and job.finished_at and job.started_at:
+        seconds = max(0.0, job.finished_at - job.started_at)
+        db.execute(ADD, (SECONDS, seconds))
+        db.execute(ADD, (bucket(next(most for most in BUCKETS_S if seconds <= most)), 1))
+    for address in addresses if job.state in FINAL_STATES else ():
+        db.execute(ADD_DELIVERY, (job.id, address, _body(job)))
+
+
+def bucket(most_s: float) -> str:
+    """Name of the total that counts encodes of at most this many seconds and more than the previous bucket's."""
+    return f"{SECONDS} {most_s:g}"
+
+
+def totals(db: Database) -> Mapping[str, float]:
+    """Return all totals by name. Those that are still zero are missing."""
+    return {row["name"]: row["amount"] for row in db.execute("SELECT name, amount FROM totals").fetchall()}
+
+
+def take_delivery(db: Database, address: str) -> Delivery | None:
+    """Take the delivery to the address that is due for longest; None if there is none, or another worker took it.
+
+    It is due again after a pause, unless it is forgotten.
+    """
+    row = db.execute(DUE, (address, LONGEST_PAUSE_S, FIRST_PAUSE_S)).fetchone()
+    if row is None:
+        return None
+    pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), LONGEST_PAUSE_S)
+    first = db.execute(PUT_OFF, (pause_s, row["job"], address, row["due_at"])).rowcount == 1
+    return Delivery(row["job"], address, row["body"]) if first else None
+
+
+def forget_delivery(db: Database, delivery: Delivery) -> None:
+    """Delete a delivery that succeeded."""
+    db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
+
+
+def forward_deliveries(db: Database, addresses: Sequence[str]) -> int:
+    """Redirect deliveries to unknown addresses to the known ones, due at once. Returns how many there were."""
+    known = ", ".join("?" * len(addresses))
+    for address in addresses:
+        db.execute(FORWARD.format(known=known), (address, *addresses))
+    return int(db.execute(ASTRAY.format(known=known), addresses).rowcount)
+
+
+def give_up_deliveries(db: Database) -> int:
+    """Delete deliveries that have been retried for KEPT_S seconds. Returns how many."""
+    return int(db.execute("DELETE FROM deliveries WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount)
+
+
+def _body(job: Job) -> str:
+    """Return the body of a webhook: type, timestamp and data, as in Standard Webhooks."""
+    ended = datetime.fromtimestamp(job.finished_at or 0.0, UTC)
+    data = {
+        **{"id": job.id, "key": job.owner, "state": job.state, "attempt": job.attempt},
+        "error": None if job.error is None else {"code": job.error.code, "detail": job.error.detail},
+        "bytes": None if job.result is None else job.result.stats.get("bytes"),
+        "sha256": None if job.result is None else job.result.sha256,
+    }
+    return json.dumps({"type": f"job.{job.state}", "timestamp": ended.isoformat(), "data": data})

@@ -1,0 +1,100 @@
+// The progress of a job: place in the queue, seconds left, and the chart of the fit.
+
+import { $ } from "./parts.js";
+import { count, decibels, seconds, size } from "./words.js";
+
+const [WIDTH, HEIGHT] = [560, 240];
+const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
+
+/** A new SVG element. */
+function shape(tag, attributes, text = "") {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.textContent = text;
+  return made;
+}
+
+/** A round step that divides a range into about `most` parts. */
+function stepOf(range, most) {
+  const rough = range / most || 1;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  return [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough);
+}
+
+function ticks(low, high, step) {
+  const found = [];
+  for (let at = Math.ceil(low / step) * step; at <= high + 1e-9; at += step) found.push(Number(at.toFixed(6)));
+  return found;
+}
+
+/** Draw the trace as a chart. end: the PSNR of the finished file, drawn as a dot. */
+export function drawTrace(trace, end = null) {
+  const chart = $("chart");
+  // The last points are measured after rounding, as is the file, which has its own dot.
+  const points = trace.filter((point) => point.psnr !== null && point.phase !== "done");
+  $("chart-card").hidden = points.length < 2;
+  if (points.length < 2) return;
+  const all = [...points.map((point) => point.psnr), ...(end === null ? [] : [end])];
+  const last = Math.max(trace.at(-1).seconds, 0.1);
+  const [least, most] = [Math.min(...all), Math.max(...all)];
+  const step = stepOf(most - least, 4);
+  const low = step * Math.floor(least / step);
+  const high = Math.max(step * Math.ceil(most / step), low + step); // the curve stays between the outer ticks
+  const x = (s) => LEFT + ((WIDTH - LEFT - RIGHT) * s) / last;
+  const y = (psnr) => TOP + ((HEIGHT - TOP - BOTTOM) * (high - psnr)) / (high - low);
+  const parts = [];
+  for (const psnr of ticks(low, high, step)) {
+    parts.push(shape("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y(psnr), y2: y(psnr), class: "grid" }));
+    parts.push(shape("text", { x: LEFT - 8, y: y(psnr) + 6, "text-anchor": "end" }, psnr));
+  }
+  for (const at of ticks(0, last, stepOf(last, 5))) {
+    parts.push(shape("text", { x: x(at), y: HEIGHT - BOTTOM + 24, "text-anchor": "middle" }, at));
+  }
+  parts.push(shape("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, "seconds"));
+  const middle = (TOP + HEIGHT - BOTTOM) / 2;
+  const side = { x: 16, y: middle, "text-anchor": "middle", transform: `rotate(-90 16 ${middle})` };
+  parts.push(shape("text", side, "PSNR, dB"));
+  const places = points.map((point) => `${x(point.seconds).toFixed(1)},${y(point.psnr).toFixed(1)}`);
+  parts.push(shape("polyline", { points: places.join(" ") }));
+  if (end !== null) parts.push(shape("circle", { cx: x(last), cy: y(end), r: 4 }));
+  $("chart-words").textContent = `${wordsOf(points)}${end === null ? "" : ` The dot is the file: ${decibels(end)}.`}`;
+  chart.setAttribute("aria-label", `Quality against time: ${decibels(points.at(-1).psnr)} after ${seconds(last)}`);
+  chart.replaceChildren(...parts);
+}
+
+/** Explain why the curve falls, if it does. */
+function wordsOf(points) {
+  const most = Math.max(...points.map(({ bytes }) => bytes));
+  const last = points.at(-1).bytes;
+  if (most < 1.2 * last) return "Higher is closer to the original.";
+  return (
+    `Higher is closer to the original. The fit starts with more Gaussians than it keeps, at first ${size(most)} of them, ` +
+    "and then drops those that help least, again in each round. That is where the curve falls."
+  );
+}
+
+/** Estimate the seconds between two jobs of the queue from the last jobs and the number of running ones; null if
+ * unknown. */
+export function paceOf(done, running) {
+  if (!done.length || !running.length) return null;
+  const took = done.map((job) => (Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000);
+  return took.reduce((sum, one) => sum + one) / took.length / running.length;
+}
+
+/** Describe what a job is doing, and its progress from 0 to 1; null if unknown. */
+export function stateOf(job, stopping, paceS = null) {
+  if (job.state === "queued") {
+    const ahead = job.position - 1;
+    const words = ahead === 0 ? "next in the queue" : `in the queue, ${ahead} before it`;
+    const wait = paceS === null ? "" : `, starts in about ${seconds(paceS * job.position)}`;
+    return { words: `Waiting: ${words}${wait}`, done: null };
+  }
+  const last = job.trace.at(-1);
+  if (!last) return { words: "Starting the encoder", done: null };
+  if (stopping) return { words: "Finishing early", done: null };
+  if (job.progress === 1 && last.step === last.steps) return { words: "Writing and measuring the file", done: null };
+  const whole = Math.min(last.seconds / job.progress, job.time_limit_s);
+  const left = job.progress > 0.05 ? Math.max(whole - last.seconds, 0) : null;
+  const rest = left === null ? "" : `, about ${seconds(left)} left`;
+  return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };
+}

@@ -1,0 +1,116 @@
+// Encodes previews: pictures of a few hundred bytes, as sgmethod.preview() in Python makes them.
+//
+//   const { text } = encodePreview(rgba, width, height, { bytes: 200 });
+//
+// reducing.js   the picture, to what its bytes can show
+// fitting.js    Gaussians, to that: the schedule
+// grid.js       their weights, what they leave of the picture, derivatives
+// growing.js    where another one pays
+// refining.js   their integers
+// integers.js   Gaussians and integers
+// writing.js    integers and bytes
+
+import { COARSE, FINE, expectedIn, fitted } from "./fitting.js";
+import { newGrid } from "./grid.js";
+import { averaged, reducedSize } from "./reducing.js";
+import { fileOf } from "./writing.js";
+
+const { abs, floor, max, min, round, sqrt } = Math;
+
+const [LEAST_BYTES, MOST_BYTES] = [16, 1024];
+// As in sgmethod/previews/preview.py, which says why.
+const PIXELS_PER_BYTE = 256;
+const [SOFT_PX, SOFT_BYTES, NARROWEST_PX] = [10, 200, 0.5];
+const DARK = 0.179;
+const BYTES_OF_ALPHA = 0.4; // at most, as a part of those for Gaussians
+const UNSEEN = 1 / 512; // half a level of 8 bits
+
+/** A preview of a picture.
+ *
+ * rgba: 4 numbers of 8 bits for each of width x height pixels, row by row, as in an ImageData; alpha is kept. bytes: of
+ * the file at most, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and
+ * average colour, "#rrggbb", and whether white text on that is easier to read than black. Throws a TypeError or a
+ * RangeError for arguments that are no picture. */
+export function encodePreview(rgba, width, height, options = {}) {
+  const { bytes = 200, ...others } = options;
+  for (const name in others) throw new TypeError(`encodePreview() has no option ${name}, only bytes`);
+  if (!(Number.isInteger(bytes) && bytes >= LEAST_BYTES && bytes <= MOST_BYTES)) {
+    throw new RangeError(`bytes must be a whole number from ${LEAST_BYTES} to ${MOST_BYTES}`);
+  }
+  if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
+    throw new TypeError("rgba must have 4 numbers for each of width x height pixels");
+  }
+  const size = reducedSize(width, height, PIXELS_PER_BYTE * bytes);
+  const small = sqrt((size[0] * size[1]) / (PIXELS_PER_BYTE * bytes)); // below 1 for a picture that was small already
+  const least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), NARROWEST_PX);
+  const [coarse, fine] = picturesOf({ rgba, columns: width, rows: height }, size, expectedIn(bytes), least);
+  const [red, green, blue, alpha] = averaged(fine, 1, 1).means;
+  const average = [red, green, blue].map((sum) => sum / (alpha || 1));
+  const file = encoded([coarse, fine], size, average, alpha, least, bytes);
+  const text = btoa(String.fromCharCode(...file.subarray(1)));
+  return {
+    text: text.replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", ""),
+    bytes: file,
+    width,
+    height,
+    color: `#${average
+      .map((level) =>
+        round(255 * level)
+          .toString(16)
+          .padStart(2, "0"),
+      )
+      .join("")}`,
+    dark: luminance(average) < DARK,
+  };
+}
+
+/** Relative luminance of an sRGB colour (WCAG 2). */
+function luminance(colour) {
+  const [red, green, blue] = colour.map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
+  return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+}
+
+/** A picture with the samples that the coarse and the fine part of a fit need. */
+function picturesOf(picture, [width, height], gaussians, least) {
+  const [coarse, fine] = [COARSE, FINE].map(([each, along]) => {
+    const scale = min(sqrt((each * gaussians) / (width * height)), along / least, 1);
+    return [width, height].map((side) => max(round(side * scale), 1));
+  });
+  const finer = averaged(picture, ...fine);
+  return [averaged(finer, ...coarse), finer];
+}
+
+/** The file of a picture of this size, given twice: coarse and fine. average, alpha: means. */
+function encoded(pictures, [width, height], average, alpha, least, bytes) {
+  const { means } = pictures[1];
+  const all = (holds) => means.every((_, i) => i % 4 || holds(means[i], means[i + 1], means[i + 2], means[i + 3]));
+  const grey = all((red, green, blue) => abs(red - green) < UNSEEN && abs(green - blue) < UNSEEN);
+  const header = { width, height, grey, background: average.map(fiveBits), payload: [] };
+  // What alpha hides counts as average, which takes no Gaussians.
+  const colours = gridsOf(pictures, header, (at, c, picture) => picture[at + c] + (1 - picture[at + 3]) * average[c]);
+  if (all((red, green, blue, shown) => shown > 1 - UNSEEN)) {
+    return fileOf(fitted(colours, header, bytes - fileOf({ ...header, code: 0 }).length, least));
+  }
+  const plane = { width, height, grey: true, background: [alpha, alpha, alpha].map(fiveBits), payload: [] };
+  const rest = bytes - fileOf({ ...header, code: 0 }, { ...plane, code: 0 }).length;
+  const most = floor(BYTES_OF_ALPHA * rest);
+  const overshooting = gridsOf(pictures, plane, (at, c, picture) => 1.3 * picture[at + 3] - 0.15); // for clear edges
+  const shown = fitted(overshooting, plane, most, least);
+  const left = bytes - fileOf({ ...header, code: 0 }, shown).length;
+  return fileOf(fitted(colours, header, left, least), shown);
+}
+
+/** The code of a background in a short file, and its level. */
+const fiveBits = (level) => min(max(round((255 * level - 3.5) / 8.26), 0), 31);
+const levelOf = (code) => (8 * code + (code >> 2)) / 255;
+
+/** Grids with what Gaussians are to add to a background. value(at, c, means): that wanted of a channel. */
+function gridsOf(pictures, { width, height, background }, value) {
+  return pictures.map(({ means, columns, rows }) => {
+    const target = Float32Array.from({ length: 3 * columns * rows }, (_, i) => {
+      const c = i % 3;
+      return value((4 * (i - c)) / 3, c, means) - levelOf(background[c]);
+    });
+    return newGrid(target, columns, rows, width, height);
+  });
+}

@@ -1,0 +1,72 @@
+// A picture reduced to what a preview can show.
+
+const { abs, floor, max, min, round, sqrt } = Math;
+
+const THINNEST = 16; // pixels; a thinner strip counts as this thick, because its Gaussians are no smaller along it
+const SHORTEST = 3 / 4; // least shorter side tried for the best aspect ratio, as a part of the longest allowed
+
+/** Size of about this many pixels at most, with the nearest aspect ratio: sgmethod/previews/reducing.py. */
+export function reducedSize(width, height, pixels) {
+  const [short, long] = [min(width, height), max(width, height)];
+  const longest = floor(pixels / THINNEST);
+  const scale = min(sqrt(pixels / (short * long)), longest / long);
+  if (scale >= 1) return [width, height];
+  const most = max(floor(scale * short), 1);
+  let best = [1, longest];
+  let least = Infinity;
+  for (let side = most; side > floor(SHORTEST * most); side--) {
+    const other = min(round((side * long) / short), longest);
+    const off = abs(((other / side) * short) / long - 1);
+    if (off < least) [best, least] = [[side, other], off];
+  }
+  return width < height ? best : best.reverse();
+}
+
+/** Where each of `from` pixels falls on `to` samples: the sample, and the part of the pixel that is in it, not in the
+ * next. */
+function shares(from, to) {
+  const scale = to / from;
+  const first = Int32Array.from({ length: from }, (_, i) => min(floor(i * scale + 1e-9), to - 1));
+  return [first, Float64Array.from(first, (at, i) => min((at + 1 - i * scale) / scale, 1))];
+}
+
+/** A picture's means over columns x rows samples: four numbers each, 0 to 1, the colour multiplied by alpha. The
+ * picture has columns and rows, and either such `means` itself or `rgba` of 8 bits. */
+export function averaged(picture, columns, rows) {
+  const [across, acrossShares] = shares(picture.columns, columns);
+  const [down, downShares] = shares(picture.rows, rows);
+  const [row, line] = [new Float32Array(4 * picture.columns), new Float32Array(4 * columns + 4)];
+  const means = new Float32Array(4 * columns * (rows + 1)); // the last row stays empty
+  const scale = (columns * rows) / (picture.columns * picture.rows);
+  for (let y = 0; y < picture.rows; y++) {
+    read(picture, y, row);
+    line.fill(0);
+    for (let x = 0; x < picture.columns; x++) {
+      const share = acrossShares[x];
+      const rest = 1 - share;
+      for (let from = 4 * x, to = 4 * across[x], end = to + 4; to < end; from++, to++) {
+        line[to] += share * row[from];
+        line[to + 4] += rest * row[from];
+      }
+    }
+    const upper = scale * downShares[y];
+    const lower = scale - upper;
+    for (let i = 0, to = 4 * columns * down[y]; i < 4 * columns; i++, to++) {
+      means[to] += upper * line[i];
+      means[to + 4 * columns] += lower * line[i];
+    }
+  }
+  return { means: means.subarray(0, 4 * columns * rows), columns, rows };
+}
+
+/** Read a row of a picture. */
+function read({ rgba, means, columns }, y, row) {
+  if (means) return row.set(means.subarray(4 * y * columns, 4 * (y + 1) * columns));
+  for (let to = 0, at = 4 * y * columns; to < 4 * columns; to += 4, at += 4) {
+    const alpha = rgba[at + 3] / 65025;
+    row[to] = rgba[at] * alpha;
+    row[to + 1] = rgba[at + 1] * alpha;
+    row[to + 2] = rgba[at + 2] * alpha;
+    row[to + 3] = 255 * alpha;
+  }
+}

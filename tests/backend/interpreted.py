@@ -1,0 +1,174 @@
+"""The Triton kernels on the CPU, run by tests/backend/test_tiles.py in a process with TRITON_INTERPRET=1.
+
+Errors are measured as in the tests of the compiled kernels, whose cases these are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from sgmethod.backend import tiles
+from sgmethod.backend.devices import has_tiles
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Descent, Frame, Moments
+from sgmethod.backend.tensors import Tensors
+from sgmethod.backend.tiles import Tiles
+from sgmethod.fitting.deadline import Clock
+from sgmethod.rd.exact import ExactFit
+from sgmethod.scene import Gaussians
+from sgmethod.settings.rd import NEWTON_ADAM
+from sgmethod.settings.shared import ADAM, OptimiserSettings
+from sgmethod.torch.fitting import fit_pictures
+from tests.backend.cases import FRAMES, SIZE, VISIBILITIES, image, over, scattered, target, visibility, worst
+from tests.definitions.backend import Reference
+from tests.native import test_pyramid as pyramid
+from tests.native import test_render as plain
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(autouse=True)
+def no_warnings() -> Iterator[None]:
+    """Numpy, which interprets the kernels, warns where values overflow; a GPU does not."""
+    with np.errstate(all="ignore"):
+        yield
+
+
+@pytest.fixture(params=["lists", "no lists"])
+def lists(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """With and without space in the lists of tiles."""
+    monkeypatch.setattr(tiles, "PAIRS", 8 if request.param == "lists" else 0)
+    return str(request.param)
+
+
+def tensors(gaussians: Gaussians) -> list[Tensor]:
+    return [torch.from_numpy(values)[None] for values in gaussians.arrays]
+
+
+@pytest.mark.parametrize("name", [*pyramid.CASES, "needles"])
+def test_pyramid(name: str, lists: str) -> None:
+    c = pyramid.needle_case((83, 70)) if name == "needles" else pyramid.case(name)
+    drawn = Tiles(Frame(*c.size), *tensors(c.values))
+    assert np.abs(drawn.draw()[0].numpy() - c.picture).max() < 1e-5  # worst seen 6.2e-6
+    if lists == "lists":
+        for found, true in zip(drawn.gradients(torch.from_numpy(c.upstream)[None]), c.by_picture, strict=True):
+            error = np.abs(found[0].numpy() - true)
+            assert (error < 1e-5 * np.abs(true).max(initial=0)).all()  # worst seen 1.6e-6
+
+
+def test_needles_each() -> None:
+    """In parts of each needle's own gradient, as in tests/native/test_pyramid.py."""
+    c = pyramid.needle_case((83, 70))
+    found = [
+        by[0].numpy() for by in Tiles(Frame(*c.size), *tensors(c.values)).gradients(torch.from_numpy(c.upstream)[None])
+    ]
+    for by, true in zip(found, c.by_picture, strict=True):
+        assert (np.linalg.norm(by - true, axis=1) < 4e-4 * np.linalg.norm(true, axis=1)).all()  # worst seen 6.6e-5
+    own, true = (pyramid.in_frame(c.values.factors, *by[:2]) for by in (found, c.by_picture))
+    assert (np.abs(own - true).max(0) < 0.02 * np.abs(true).max(0)).all()
+
+
+@pytest.mark.parametrize("name", plain.CASES)
+def test_plain(name: str) -> None:
+    c, sizes, (picture, gradients) = plain.case(name), plain.magnitudes_of(name), plain.reference_of(name)
+    frame = Frame(*c.size, plain.CUTOFF, pyramid=False)
+    drawn = Tiles(frame, c.means[None], c.factors[None], c.colors[None])
+    assert ((drawn.draw()[0] - picture).abs().numpy() <= plain.VALUE_TOLERANCE * sizes.picture).all()
+    every = zip(drawn.gradients(c.upstream[None]), gradients, sizes.gradients, sizes.rim, strict=True)
+    for found, true, size, rim in every:
+        assert ((found[0] - true).abs().numpy() <= plain.GRADIENT_TOLERANCE * size + rim).all()
+
+
+@pytest.mark.parametrize(("name", "kind"), [*zip(FRAMES, (*VISIBILITIES, "eye", "alpha"), strict=True)])
+def test_backend(name: str, kind: str) -> None:
+    frame, reference, backend = FRAMES[name], Reference(), Tensors(CPU, has_tiles(CPU))
+    asked = over(frame, 1), frame, target(1), visibility(kind, 1)
+    assert type(backend._drawn(asked[0], frame)[0]) is Tiles
+    error, gradient = backend.gradients(*asked)
+    wanted_error, wanted = reference.gradients(*asked)
+    assert error == pytest.approx(wanted_error, rel=3e-6)
+    assert all(worst(*pair) < 1e-5 for pair in zip(gradient.arrays, wanted.arrays, strict=True))
+    loss, exact = (each.regularised(frame, image(1), 0.06) for each in (backend, reference))
+    for by, wanted_by in zip(loss(asked[0])[1].arrays, exact(asked[0])[1].arrays, strict=True):
+        assert worst(by, wanted_by) < 1e-5
+    gram = backend.gram(asked[0], frame, asked[3])
+    assert worst(gram, reference.gram(asked[0], frame, asked[3])) < 1e-5
+
+
+def test_a_batch_is_its_pictures() -> None:
+    """What cannot be drawn draws nothing, gets no gradient and disturbs no other."""
+    every = [scattered(9, seed) for seed in range(3)]
+    every[1].factors[:4, ::2] = np.array([[0, 1], [-1, 1], [np.nan, 1], [1e-30, 1]], np.float32)
+    every[1].means[4:6] = np.array([[np.inf, 0], [0, np.nan]], np.float32)
+    frame, by_image = Frame(*SIZE), torch.from_numpy(np.stack([image(seed) for seed in range(3)]))
+    batch = Tiles(frame, *(torch.cat(values) for values in zip(*map(tensors, every), strict=True)))
+    pictures, gradients = batch.draw(), batch.gradients(by_image)
+    assert all(not by[1, :6].any() for by in gradients)
+    for k, one in enumerate(every):
+        some = one.rows(np.arange(6, 9)) if k == 1 else one
+        alone = Tiles(frame, *tensors(some))
+        assert torch.equal(alone.draw()[0], pictures[k])
+        for found, wanted in zip(gradients, alone.gradients(by_image[k : k + 1]), strict=True):
+            assert torch.equal(found[k, -len(some) :], wanted[0])
+
+
+@pytest.mark.parametrize("shape", [(0, 5), (2, 0)])
+def test_nothing_to_draw(shape: tuple[int, int]) -> None:
+    drawn = Tiles(Frame(20, 33), *(torch.ones(*shape, k) for k in (2, 3, 3)))
+    assert drawn.draw().shape == (shape[0], 3, 33, 20)
+    assert not drawn.draw().any()
+    assert [by.shape for by in drawn.gradients(torch.ones(shape[0], 3, 33, 20))] == [(*shape, k) for k in (2, 3, 3)]
+
+
+@pytest.mark.parametrize(("settings", "spacing"), [(NEWTON_ADAM, 1), (ADAM, 2)])
+def test_steps(settings: OptimiserSettings, spacing: int) -> None:
+    """Two pictures at once, each at its own price, which may be none, beside the kernels; one has fewer."""
+    frame = Frame(*SIZE, spacing=spacing)
+    size = frame.width * spacing, frame.height * spacing
+    every, prices = [over(frame, 0).rows(np.arange(12)), over(frame, 1).rows(np.arange(8))], (0.0, 2e-6)
+    every[0].factors[0] = (9000, 0, 8000)  # out of range
+    every[0].colors[1] = 0
+    fits = [
+        (one, Moments.none(len(one)), Descent(frame, target(k), None, 0.3 * (price > 0), price, *size, settings))
+        for k, (one, price) in enumerate(zip(every, prices, strict=True))
+    ]
+    wanted = [(one.copy(), moments.copy(), descent) for one, moments, descent in fits]
+    for _ in range(2):
+        Tensors(CPU, tiled=True).steps_of(fits, (0.5, 0.4))
+        for (found, moments, _), beside in zip(fits, wanted, strict=True):
+            Kernels().steps(*beside, (0.5, 0.4))
+            for own, true in zip((*found.arrays, moments.first), (*beside[0].arrays, beside[1].first), strict=True):
+                assert worst(own, true) < 2e-5
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # in threads, which no_warnings() does not reach
+def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their steps are taken together, and they end near those of the kernels; an error of one ends all."""
+    batches: list[int] = []
+    steps_of = Tensors.steps_of
+
+    def counted(own: Tensors, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
+        batches.append(len(fits))
+        steps_of(own, fits, rates)
+
+    monkeypatch.setattr(Tensors, "steps_of", counted)
+    pictures = [np.asarray(255 * (0.5 + 0.5 * image(k)).clip(0, 1), np.uint8).transpose(1, 2, 0) for k in range(3)]
+    task = ExactFit(12, steps=5)
+    found = fit_pictures(pictures, task, CPU)
+    assert max(batches) == 3
+    for one, picture in zip(found, pictures, strict=True):
+        wanted = task.fit(picture, Kernels(), Clock(), lambda _: None)
+        assert one.error == pytest.approx(wanted.error, rel=0.1)
+        assert len(one.gaussians) == 12
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Tensors, "steps_of", fail)
+    with pytest.raises(MemoryError):
+        fit_pictures(pictures, task, CPU)

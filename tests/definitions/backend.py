@@ -1,0 +1,286 @@
+"""The backend that defines the others, slow on purpose: in float64, with torch's derivatives and naive searches."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+from sgmethod.backend.planes import all_halved
+from sgmethod.backend.protocol import (
+    GRID_REACH,
+    TARGET_WHITE,
+    VISIBLE,
+    Coding,
+    Frame,
+    Loss,
+    Moments,
+    RefineLimits,
+    Target,
+    Visibility,
+    step_by_step,
+)
+from sgmethod.native import native
+from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.settings.shared import OptimiserSettings
+from tests.definitions.drawing import render, render_pyramid
+
+MAX_SCALE, MAX_SLANT, MAX_AMPLITUDE = 8192.0, 2048.0, 32.0  # limits during a fit; a slant is |l2| / l3
+FAINT = 0.03  # least amplitude in the limit on steps: without it, shapes of faint Gaussians would jump
+SOBEL = torch.tensor([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], dtype=torch.float64)
+
+# Half the second derivative of the squared error by the frame's d and S and by the colour, for an isolated Gaussian:
+# to be multiplied by pi l1 l3, and for d and S by |colour|^2.
+CURVATURE = np.array([1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1])
+
+
+def squared(errors: Tensor, visibility: Visibility | None) -> Tensor:
+    """Weighted sum of squared errors [..., 3, H, W]."""
+    if visibility is None:
+        return errors.square().sum((-3, -2, -1))
+    weights = torch.from_numpy(visibility.values.astype(np.float64) / VISIBLE)
+    by_color = torch.einsum("ab,...byx->...ayx", torch.from_numpy(visibility.color), errors)
+    return (errors * by_color * weights).sum((-3, -2, -1))
+
+
+def geometry_loss(image: Tensor, target: Tensor) -> Tensor:
+    """Loss L_g of images [3, H, W] (paper, section III-D).
+
+    The mean of |Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2 over all pixels and channels; pixels without a whole 3 x 3
+    neighbourhood add nothing.
+    """
+    if min(target.shape[1:]) < 3:
+        return image.new_zeros(())
+    kernels = torch.stack([SOBEL, SOBEL.T])[:, None]
+    found, wanted = (conv2d(one[:, None], kernels) for one in (image, target))
+    return (wanted.abs() * (found - wanted).square()).sum() / target.numel()
+
+
+def bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
+    """Smooth estimate [N] of each Gaussian's bits (Backend.add_rate_gradient)."""
+    l1, l2, l3 = factors.unbind(1)
+    step = quantum / (native.COLOR_SCALE * (l1 * l3).sqrt())
+    axes = colors @ torch.tensor(native.COLOR_BASIS, dtype=torch.float64).T / step[:, None]
+    m = (axes.square().sum(1) + 1e-12).sqrt()
+    v, r = torch.log(l1 / l3) / 2, l2 / l3
+    values = torch.cat([axes, torch.stack([v * m, r * m / native.R_STEP, m, m, m], 1)], 1)
+    return torch.log2(1 + values.abs()).sum(1)
+
+
+class Reference:
+    """A Backend by these definitions, with derivatives by torch."""
+
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
+        rows = _drawn(_tensors(gaussians), frame)[:, first_row : first_row + target.shape[1]]
+        missing = _single(_image(target) - rows)
+        return all_halved(missing) if half else missing
+
+    def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
+        errors = _drawn(_tensors(gaussians), frame) - _image(target)
+        return squared(errors, visibility).item() / target.size
+
+    def gradients(
+        self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
+    ) -> tuple[float, Gaussians]:
+        leaves = _tensors(gaussians)
+        error = squared(_drawn(leaves, frame) - _image(target), visibility) / target.size
+        return error.item(), _gradient(error, leaves)
+
+    def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
+        target = torch.from_numpy(image.astype(np.float64))
+
+        def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
+            leaves = _tensors(gaussians)
+            drawn = _drawn(leaves, frame)
+            mse = (drawn - target).square().mean()
+            return mse.item(), _gradient(mse + lambda_g * geometry_loss(drawn, target), leaves)
+
+        return evaluate
+
+    def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
+        """Differentiate half the picture's energy by each colour."""
+        leaves = _tensors(gaussians)
+        alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
+        return _gradient(squared(_drawn(leaves, frame), alike) / 2, leaves).colors
+
+    def step(
+        self,
+        gaussians: Gaussians,
+        gradient: Gaussians,
+        moments: Moments,
+        settings: OptimiserSettings,
+        rate: float,
+        values: int,
+    ) -> None:
+        s = settings
+        means, factors, colors, gm, gf, gc = (a.astype(np.float64) for a in (*gaussians.arrays, *gradient.arrays))
+        l1, l2, l3 = factors.T
+        of_mean = l1 * gm[:, 0] + l2 * gm[:, 1], l3 * gm[:, 1]
+        of_factor = l1 * gf[:, 0] + l2 * gf[:, 1], l3 * gf[:, 1], l3 * gf[:, 2]
+        g = np.stack([*of_mean, *of_factor, *gc.T], 1)
+        bias = moments.bias.astype(np.float64) * (s.beta1, s.beta2)
+        first = s.beta1 * moments.first.astype(np.float64) + (1 - s.beta1) * g
+        second = s.beta2 * moments.second.astype(np.float64) + (1 - s.beta2) * g * g
+        rates = rate * np.array([s.mean_rate] * 2 + [s.factor_rate] * 3 + [s.color_rate] * 3)
+        adam = rates / (np.sqrt(second / (1 - bias[:, 1:])) + 1e-15)
+        weight = np.repeat(np.maximum(np.square(colors).sum(1, keepdims=True), FAINT**2), 8, axis=1)
+        weight[:, 5:] = 1
+        newton = s.newton_steps * values / (2 * math.pi * (l1 * l3)[:, None] * CURVATURE * weight)
+        d1, d2, s1, s2, s3, *by_color = (-np.minimum(adam, newton) * first / (1 - bias[:, :1])).T
+        gaussians.means[:] = means + np.stack([l1 * d1, l2 * d1 + l3 * d2], 1)
+        l1, l2, l3 = l1 * np.exp(s1), l2 * np.exp(s1) + l3 * s2, l3 * np.exp(s3)
+        gaussians.factors[:] = np.stack([np.maximum(l1, s.min_scale_px), l2, np.maximum(l3, s.min_scale_px)], 1)
+        gaussians.colors[:] = colors + np.stack(by_color, 1)
+        moments.first[:], moments.second[:], moments.bias[:] = first, second, bias
+
+    def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
+        _, factors, colors = _tensors(gaussians)
+        total = weight * bits(factors, colors, quantum).sum()
+        by_factors, by_colors = torch.autograd.grad(total, (factors, colors))
+        gradient.factors[:] += by_factors.numpy()
+        gradient.colors[:] += by_colors.numpy()
+
+    def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
+        means, factors, colors = (values.astype(np.float64) for values in gaussians.arrays)
+        l1, l3 = np.minimum(factors[:, ::2], MAX_SCALE).T
+        slanted = np.clip(factors[:, 1], -MAX_SLANT * l3, MAX_SLANT * l3)
+        margin = GRID_REACH * np.sqrt(l1 * l3)[:, None]
+        gaussians.means[:] = np.clip(means, -margin, np.array([width, height]) + margin)
+        gaussians.factors[:] = np.stack([l1, slanted, l3], 1)
+        gaussians.colors[:] = np.clip(colors, -MAX_AMPLITUDE, MAX_AMPLITUDE)
+
+    steps = step_by_step
+
+    def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
+        """Encode and decode each Gaussian alone."""
+        out = Gaussians(gaussians.means.copy(), gaussians.factors.copy(), np.zeros_like(gaussians.colors))
+        for i in range(len(out)):
+            payload = native.rd_encode(coding.parameters, *gaussians.rows(np.array([i])).arrays)
+            if payload:
+                for values, decoded in zip(out.arrays, native.rd_decode(coding.parameters, payload), strict=True):
+                    values[i] = decoded[0]
+        return out
+
+    def refine(
+        self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
+    ) -> bytes:
+        end_s = time.monotonic() + limits.seconds
+        descent = _Descent(self, gaussians, coding, target, limits.price, visibility)
+        for _ in range(limits.sweeps):
+            if time.monotonic() >= end_s or not descent.sweep():
+                break
+        return descent.payload(limits.max_bytes)
+
+
+class _Descent:
+    """Coordinate descent on squared error plus price times bits, one Gaussian after another.
+
+    Gaussians are kept unrounded, because a decoded one that was too small for the file would round to another.
+    """
+
+    def __init__(
+        self,
+        backend: Reference,
+        gaussians: Gaussians,
+        coding: Coding,
+        target: Target,
+        price: float,
+        visibility: Visibility | None,
+    ) -> None:
+        self._backend, self._coding, self._price, self._visibility = backend, coding, price, visibility
+        self._gaussians = self._coded(gaussians)
+        self._left = _image(target) - self._drawn(self._rounded(self._gaussians)).sum(0)
+
+    def sweep(self) -> bool:
+        """Visit every Gaussian once; return whether any has changed."""
+        changed = [self._visit(i) for i in range(len(self._gaussians))]
+        self._gaussians = self._coded(self._gaussians)
+        return any(changed)
+
+    def _visit(self, i: int) -> bool:
+        now = self._gaussians.rows(np.array([i]))
+        choices = now.with_more(_neighbours(self._rounded(now), self._coding.quantum))
+        rounded = self._rounded(choices)
+        drawn = self._drawn(rounded)
+        errors = squared(self._left + drawn[0] - drawn, self._visibility)
+        best = int((errors + self._price * self._bits(rounded)).numpy().argmin())
+        self._left += drawn[0] - drawn[best]
+        for values, chosen in zip(self._gaussians.arrays, choices.arrays, strict=True):
+            values[i] = chosen[best]
+        return best != 0
+
+    def payload(self, max_bytes: int) -> bytes:
+        """Encode, dropping one by one the Gaussians that gain least for their bits until the payload fits."""
+        while len(payload := native.rd_encode(self._coding.parameters, *self._gaussians.arrays)) > max_bytes:
+            rounded = self._rounded(self._gaussians)
+            drawn = self._drawn(rounded)
+            gains = squared(self._left + drawn, self._visibility) - squared(self._left, self._visibility)
+            least = int((gains / self._bits(rounded)).argmin())
+            self._left += drawn[least]
+            self._gaussians = self._gaussians.rows(np.arange(len(drawn)) != least)
+        return payload
+
+    def _rounded(self, gaussians: Gaussians) -> Gaussians:
+        return self._backend.rounded(gaussians, self._coding)
+
+    def _coded(self, gaussians: Gaussians) -> Gaussians:
+        """Keep the Gaussians that do not round to nothing."""
+        return gaussians.rows(np.flatnonzero(self._rounded(gaussians).colors.any(1)))
+
+    def _drawn(self, gaussians: Gaussians) -> Tensor:
+        """Pictures [N, 3, H, W] of each Gaussian alone."""
+        means, factors, colors = _tensors(gaussians)
+        frame, each = Frame(self._coding.width, self._coding.height), torch.eye(len(means), dtype=torch.float64)
+        weights = _drawn((means, factors, each), frame)  # one channel per Gaussian
+        return (colors[:, :, None, None] * weights[:, None]).detach()
+
+    def _bits(self, gaussians: Gaussians) -> Tensor:
+        _, factors, colors = _tensors(gaussians)
+        return bits(factors, colors, self._coding.quantum).detach()
+
+
+def _neighbours(one: Gaussians, quantum: float) -> Gaussians:
+    """A Gaussian with each coded value moved by about a step up or down, and last a black one, which stands for none.
+
+    A step is a change of the picture by a given energy (native/rd/symbols.h).
+    """
+    mean, (l1, l2, l3), color = (values[0].astype(np.float64) for values in one.arrays)
+    basis = np.array(native.COLOR_BASIS)
+    step = quantum / (native.COLOR_SCALE * math.sqrt(l1 * l3))
+    in_steps = max(float(np.linalg.norm(color)) / step, 1.0)
+    values = np.array([*mean, math.log(l1 * l3) / 2, math.log(l1 / l3) / 2, l2 / l3, *basis @ color])
+    by = np.array([2**0.5 * l1, 2**0.5 * l3, 0.5**0.5, 1, native.R_STEP, *[in_steps * step] * 3]) / in_steps
+    moved = values + np.concatenate([np.diag(by), np.diag(-by), np.zeros((1, 8))])
+    u, v, r = moved[:, 2:5].T
+    factors = np.stack([np.exp(u + v), r * np.exp(u - v), np.exp(u - v)], 1)
+    colors = moved[:, 5:] @ basis
+    colors[-1] = 0
+    return Gaussians(*(values.astype(np.float32) for values in (moved[:, :2], factors, colors)))
+
+
+def _tensors(gaussians: Gaussians) -> tuple[Tensor, ...]:
+    return tuple(torch.from_numpy(values.astype(np.float64)).requires_grad_() for values in gaussians.arrays)
+
+
+def _drawn(tensors: tuple[Tensor, ...], frame: Frame) -> Tensor:
+    means, factors, colors = tensors
+    draw = render_pyramid if frame.pyramid else render
+    return draw(means / frame.spacing, factors / frame.spacing, colors, (frame.width, frame.height), frame.cutoff)
+
+
+def _image(target: Target) -> Tensor:
+    return torch.from_numpy(target.astype(np.float64) / TARGET_WHITE)
+
+
+def _gradient(value: Tensor, leaves: tuple[Tensor, ...]) -> Gaussians:
+    return Gaussians(*(_single(by) for by in torch.autograd.grad(value, leaves)))
+
+
+def _single(values: Tensor) -> FloatArray:
+    return values.detach().numpy().astype(np.float32)

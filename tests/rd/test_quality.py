@@ -1,0 +1,74 @@
+"""A budget by quality: SSIMULACRA 2, as the figures of the encode have it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from skimage import data
+
+import sgmethod
+from sgmethod import Budget, BudgetError
+from sgmethod.budget import QUALITIES
+from sgmethod.metrics import ssimulacra2
+from sgmethod.rd.rate_control import ssimulacra2_db
+
+PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 160:320])
+
+
+@pytest.fixture(scope="module")
+def found() -> list[sgmethod.Encoded]:
+    return [sgmethod.encode(PHOTO, quality=quality, effort=2) for quality in (40, 60, 75)]
+
+
+def test_qualities_are_met_within_a_point(found: list[sgmethod.Encoded]) -> None:
+    for asked, encoded in zip((40, 60, 75), found, strict=True):
+        measured = encoded.stats.ssimulacra2
+        assert measured == ssimulacra2(sgmethod.decode(encoded.data), PHOTO)
+        assert asked - 1 < measured < asked + 2.5  # 0.2 above here, the worst seen
+        assert (encoded.stats.quality_missed, encoded.stats.warnings) == (max(asked - measured, 0), [])
+    assert found[0].stats.bytes < found[1].stats.bytes < found[2].stats.bytes
+
+
+def test_a_file_by_quality_has_no_texture(found: list[sgmethod.Encoded]) -> None:
+    without = [sgmethod.decode(encoded.data, texture=False) for encoded in found]
+    assert all(np.array_equal(sgmethod.decode(one.data), plain) for one, plain in zip(found, without, strict=True))
+
+
+def test_a_quality_of_grain_is_met() -> None:
+    """Grain is hidden from the fit at first. A further round must see it, at a finer quantum, and not settle for less:
+    with any of the three left out 57.9 to 58.8 is reached, with all of them 59.7."""
+    grain = np.random.default_rng(1).normal(0, 12, PHOTO.shape[:2])[..., None]
+    stats = sgmethod.encode(np.clip(PHOTO + grain, 0, 255).astype(np.uint8), quality=60, effort=4).stats
+    assert (stats.ssimulacra2 > 59, stats.warnings) == (True, [])
+
+
+def test_a_quality_out_of_reach_is_a_warning() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
+    stats = sgmethod.encode(noise, quality=99.9, effort=1, time_limit_s=0.2).stats
+    assert stats.quality_missed == pytest.approx(99.9 - stats.ssimulacra2)
+    assert stats.warnings[0].startswith("the requested quality is missed by")
+
+
+def test_the_quality_of_a_picture_with_alpha() -> None:
+    y, x = np.mgrid[:64, :64]
+    alpha = np.where(np.hypot(x - 32, y - 32) < 26, 255, 0).astype(np.uint8)
+    stats = sgmethod.encode(np.dstack([PHOTO[:64, :64], alpha]), quality=50, effort=1).stats
+    assert stats.ssimulacra2 > 45
+
+
+@pytest.mark.parametrize("tune", ["psnr", "visual"])
+def test_both_tunings_aim_at_quality(tune: str) -> None:
+    assert 49 < sgmethod.encode(PHOTO, quality=50, tune=tune, effort=2).stats.ssimulacra2 < 56
+
+
+def test_names_stand_for_qualities() -> None:
+    assert {name: Budget("quality", name).value for name in QUALITIES} == {"preview": 40, "web": 60, "archive": 80}
+    for value in ("best", 0, 101):
+        with pytest.raises(BudgetError):
+            Budget("quality", value)
+    with pytest.raises(BudgetError, match="sides below 8 pixels"):
+        sgmethod.encode(PHOTO[:7], quality=60)
+
+
+def test_decibels_of_ssimulacra2() -> None:
+    assert [round(ssimulacra2_db(score), 1) for score in (0, 70, 90, 99)] == [0, 5.2, 10, 20]

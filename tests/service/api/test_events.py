@@ -1,0 +1,151 @@
+"""What clients see of a job that goes on: progress, its trace, and streams of server-sent events."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+import pytest
+
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.job_table import CRASH, IMAGE, REQUEST
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import PATIENCE_S, wait_until
+from benchmarks.harness.service import Service, StartService, assert_problem
+from service.api.models import MAX_TRACE_POINTS, summary, with_trace
+from service.jobs.job import Job, JobError, JobState
+from service.settings import Settings
+
+Event = tuple[str, dict[str, Any]]
+SETTINGS = Settings()
+
+
+def read(answer: httpx.Response) -> Iterator[Event]:
+    """Events by name with their data, until the stream ends."""
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/event-stream")
+    name = ""
+    for line in answer.iter_lines():
+        if line.startswith("event: "):
+            name = line.removeprefix("event: ")
+        elif line.startswith("data: "):
+            yield name, json.loads(line.removeprefix("data: "))
+
+
+@contextlib.contextmanager
+def stream(service: Service, job_id: str) -> Iterator[Iterator[Event]]:
+    with httpx.stream("GET", f"{service.url}/jobs/{job_id}/events", timeout=PATIENCE_S) as answer:
+        yield read(answer)
+
+
+def test_a_job_from_the_queue_to_its_result(quick: Service) -> None:
+    job_id = quick.accepted(SMALL, bpp=2, time_limit_s=2)
+    with stream(quick, job_id) as events:
+        seen = list(events)
+    names = [name for name, _ in seen]
+    assert (names[0], names[-1]) == ("state", "done")
+    assert "trace" in names
+    states = [data["state"] for name, data in seen if name == "state"]
+    assert states == sorted(states, key=["queued", "running", "done"].index)
+    progress = [data["progress"] for name, data in seen if name == "trace"]
+    assert progress == sorted(progress)
+    job = quick.job(job_id)
+    assert seen[-1][1] == {name: value for name, value in job.items() if name not in ("progress", "trace")}
+    points = [point for name, data in seen if name == "trace" for point in data["trace"]]
+    assert points == job["trace"]
+
+
+def test_a_job_that_is_done_already_fails_or_is_removed(web: Service) -> None:
+    with stream(web, web.published(PICTURE)) as events:
+        assert [name for name, _ in events] == ["state", "done"]
+    failing = web.accepted()
+    with stream(web, failing) as events:
+        assert next(events)[1]["state"] == "queued"
+        web.refuse(failing)
+        *_, (name, job) = events
+    assert (name, job["error"]["code"]) == ("failed", "refused")
+    removed = web.accepted()
+    with stream(web, removed) as events:
+        assert next(events)[1]["state"] == "queued"
+        assert web.client.delete(f"/jobs/{removed}").status_code == 204
+        assert list(events) == [("removed", {})]
+    assert_problem(web.client.get(f"/jobs/{removed}/events"), 404)
+
+
+@pytest.mark.thorough
+def test_a_job_table_that_goes_away(start_service: StartService) -> None:
+    """The stream ends, and can be opened again once the table is back."""
+    web = start_service("web")
+    job_id = web.accepted()
+    file, aside = web.data_dir / "jobs.sqlite3", web.data_dir / "aside"
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+        file.rename(aside)
+        assert list(events) == []
+    assert_problem(web.client.get(f"/jobs/{job_id}/events"), 503)
+    aside.rename(file)
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+    assert "Traceback" not in web.log.read_text()
+
+
+@pytest.mark.thorough
+def test_neither_streams_nor_waits_hold_up_the_end(start_service: StartService) -> None:
+    """Who waits for a file gets the job's state."""
+    web = start_service("web", stop_grace_s=2 * PATIENCE_S)
+    asked = {"files": {"image": SMALL}, "timeout": 2 * PATIENCE_S}
+    with ThreadPoolExecutor(1) as pool:
+        asking = pool.submit(httpx.post, f"{web.url}/encode?wait=300", **asked)
+        job_id = wait_until(lambda: web.client.get("/jobs").json()["jobs"])[0]["id"]
+        with stream(web, job_id) as events:
+            next(events)
+            assert web.stop() == 0
+            # A stream that the server had cut off, as it does at half of the grace time, would raise an error here.
+            assert "done" not in [name for name, _ in events]
+        assert asking.result().json()["id"] == job_id
+    web.start()
+    assert web.job(job_id)["state"] == "queued"
+
+
+def job(state: JobState, error: JobError | None = None) -> Job:
+    return Job(1, "0" * 32, None, "interactive", state, None, REQUEST, IMAGE, 1, 0, 0.0, None, None, None, error, 0)
+
+
+def point(phase: str, step: int, steps: int) -> dict[str, Any]:
+    return {"phase": phase, "step": step, "steps": steps, "psnr": 30.0}
+
+
+def test_progress_never_falls() -> None:
+    trace = [
+        point("start", 0, 0),
+        *(point("fit", step, 50) for step in range(51)),
+        *(point("tune", step, 30) for step in range(31)),
+        *(point("fit", step, 50) for step in range(51)),  # a second try at a PSNR
+    ]
+    seen = [with_trace(job("running"), trace[:length], SETTINGS).progress for length in range(len(trace) + 1)]
+    assert seen == sorted(seen)
+    assert seen[0] == 0
+    assert seen[26] == pytest.approx(0.3, abs=0.02)
+    assert seen[52] == pytest.approx(0.6)
+    assert with_trace(job("done"), [], SETTINGS).progress == 1
+
+
+@pytest.mark.parametrize("length", [0, 1, MAX_TRACE_POINTS, MAX_TRACE_POINTS + 1, 10 * MAX_TRACE_POINTS + 7])
+def test_a_long_trace_is_thinned(length: int) -> None:
+    trace = [point("fit", step, length) for step in range(length)]
+    steps = [int(shown["step"] or 0) for shown in with_trace(job("running"), trace, SETTINGS).trace]
+    assert len(steps) == min(length, MAX_TRACE_POINTS)
+    assert steps == sorted(set(steps))
+    if length:
+        assert (steps[0], steps[-1]) == (0, length - 1)
+
+
+def test_the_error_of_a_crash_is_shown_once_the_job_has_failed() -> None:
+    assert summary(job("queued", CRASH), SETTINGS).error is None
+    shown = summary(job("failed", CRASH), SETTINGS).error
+    assert shown is not None
+    assert (shown.code, shown.detail) == (CRASH.code, CRASH.detail)

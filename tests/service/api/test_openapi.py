@@ -1,0 +1,112 @@
+"""The OpenAPI document, and whether the service keeps to it whatever is sent."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shlex
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+from PIL import Image
+
+import sgmethod
+from benchmarks.harness.data import PICTURE
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.processes import PATIENCE_S, run
+from benchmarks.harness.service import FAKE_CODEC, StartService, keys_of
+from service.api import models
+from service.api.routes import HOST
+
+pytestmark = pytest.mark.thorough
+
+# Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
+NOT_CHECKED = "positive_data_acceptance"
+
+OPEN = {"link_secret": "x" * 32}
+GUARDED = {**OPEN, "api_keys": keys_of("ann")}
+
+
+@pytest.mark.parametrize("settings", [OPEN, GUARDED], ids=["open", "guarded"])
+def test_no_answer_is_beyond_the_document(
+    start_service: StartService, tmp_path: Path, settings: dict[str, object]
+) -> None:
+    web = start_service("web", queue_length=10_000, **settings)
+    owner, header = ("ann", ["--header=Authorization: Bearer ann"]) if settings is GUARDED else (None, [])
+    config = tmp_path / "schemathesis.toml"
+    # Nothing ends a job here, so no request waits for one.
+    config.write_text(f'[parameters]\njob_id = "{web.published(PICTURE, owner)}"\nwait = 0\n')
+    program = [str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(config)]
+    # What a key changes needs no second look at each field.
+    phases = "examples,fuzzing" if settings is GUARDED else "examples,coverage,fuzzing"
+    options = ["--max-examples=8", "--seed=1", f"--phases={phases}", "--suppress-health-check=all"]
+    checks = ["--checks=all", f"--exclude-checks={NOT_CHECKED}", "--continue-on-failure", "--no-color"]
+    command = [*program, "run", f"{web.url}/openapi.json", *header, *options, *checks]
+    done = run(*command, folder=tmp_path)
+    assert done.status == 0, done.stdout
+    assert web.stop() == 0
+    assert "Traceback" not in web.log.read_text()
+
+
+def test_the_example_is_a_job() -> None:
+    (example,) = models.JobView.model_json_schema()["examples"]
+    assert set(example) == set(models.JobView.model_fields)
+    models.JobView.model_validate(example)
+
+
+def curl(command: str, folder: Path) -> httpx.Response:
+    """The answer to a curl command that is run in a folder, and the file that it asks for."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("url")
+    for flag, name in (("-X", "method"), ("--data-binary", "body"), ("-o", "output")):
+        parser.add_argument(flag, dest=name)
+    for flag, name in (("-H", "headers"), ("-F", "fields")):
+        parser.add_argument(flag, dest=name, action="append", default=[])
+    for flag in ("-N", "--fail"):
+        parser.add_argument(flag, action="store_true")
+    program, *arguments = shlex.split(command)
+    assert program == "curl"
+    given = parser.parse_args(arguments)
+    fields = dict(field.split("=", 1) for field in given.fields)
+    files = {name: (folder / value[1:]).read_bytes() for name, value in fields.items() if value.startswith("@")}
+    answer = httpx.request(
+        given.method or ("POST" if fields or given.body else "GET"),
+        given.url,
+        headers=dict(header.split(": ") for header in given.headers),
+        files=files or None,
+        data={name: value for name, value in fields.items() if name not in files},
+        content=(folder / given.body[1:]).read_bytes() if given.body else None,
+        timeout=PATIENCE_S,
+    )
+    if given.output:
+        (folder / given.output).write_bytes(answer.content)
+    return answer
+
+
+def test_every_operation_has_a_summary_and_a_command_that_works(start_service: StartService, tmp_path: Path) -> None:
+    """As they stand at /docs to be copied, but for the address and the job's id."""
+    settings = {"link_secret": "x" * 32, "source_retention_s": 1000, "max_time_limit_s": 2.0}
+    service = start_service(extra=FAKE_CODEC, **settings)
+    (tmp_path / "photo.jpg").write_bytes(SMALL)
+    (tmp_path / "photo.sg").write_bytes(PICTURE)
+    document = service.client.get("/openapi.json").json()
+    assert "examples" in document["components"]["schemas"]["JobView"]
+    done = service.wait(service.accepted())["id"]
+    operations = [(method, path, what) for path, all_ in document["paths"].items() for method, what in all_.items()]
+    for method, path, operation in sorted(operations):  # which comes to remove a job first
+        assert operation["description"], (method, path)
+        assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "it has no summary"
+        (sample,) = operation["x-codeSamples"]
+        command = sample["source"].replace(HOST, service.url).replace(models.EXAMPLE_ID, done)
+        answer = curl(command, tmp_path)
+        assert answer.is_success, (command, answer.text)
+        assert answer.request.method == method.upper()
+        known = path.replace("{job_id}", done).replace("{kind}", command.partition("?")[0].rpartition(".")[2])
+        assert answer.request.url.path == known
+        if method == "delete":
+            done = service.wait(service.accepted())["id"]
+    assert sgmethod.info((tmp_path / "photo.sg").read_bytes()).width > 0
+    pictures = ((tmp_path / name).read_bytes() for name in ("photo.png", "photo.avif", "photo.webp", "small.jpg"))
+    assert [Image.open(io.BytesIO(picture)).format for picture in pictures] == ["PNG", "AVIF", "WEBP", "JPEG"]

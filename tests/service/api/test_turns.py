@@ -1,0 +1,183 @@
+"""Fair shares among clients, on an event loop alone."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from service.api.callers import UNKNOWN, address_of
+from service.api.problems import ProblemError
+from service.api.turns import Streams, Turns
+
+
+class Clients:
+    """Tasks in turns; each runs until it is released."""
+
+    def __init__(self, turns: Turns) -> None:
+        self.turns = turns
+        self.running: list[str] = []
+        self._ends: dict[str, asyncio.Event] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    async def asks(self, *names: str) -> None:
+        """Each name is a client and a number, such as ann1."""
+        for name in names:
+            self._ends[name] = asyncio.Event()
+            self._tasks[name] = asyncio.create_task(self._run(name))
+            await settle()
+
+    async def _run(self, name: str) -> None:
+        async with self.turns.turn(name[:3]):
+            self.running.append(name)
+            try:
+                await self._ends[name].wait()
+            finally:
+                self.running.remove(name)
+
+    async def ends(self, *names: str) -> None:
+        for name in names:
+            self._ends[name].set()
+        await asyncio.gather(*(self._tasks[name] for name in names))
+        await settle()
+
+    async def goes(self, name: str) -> None:
+        """The client does not wait any longer."""
+        self._tasks[name].cancel()
+        await asyncio.gather(self._tasks[name], return_exceptions=True)
+        await settle()
+
+    def refusal(self, name: str) -> ProblemError:
+        error = self._tasks[name].exception()
+        assert isinstance(error, ProblemError)
+        return error
+
+
+async def settle() -> None:
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+CROWD = "ann0 bob0 cat0 ann1 bob1 cat1"
+# How many places there are; then who asks, ends or goes, and who is served after that.
+SCENARIOS: dict[str, tuple[int, list[tuple[str, str, str]]]] = {
+    "one client never has the last place": (
+        3,
+        [("asks", "eve0 eve1 eve2 eve3 eve4", "eve0 eve1"), ("asks", "ann1", "eve0 eve1 ann1")],
+    ),
+    "a single place serves everybody": (
+        1,
+        [
+            *(("asks", "eve1 eve2 ann1 bob1 ann2", "eve1"), ("ends", "eve1", "eve2"), ("ends", "eve2", "ann1")),
+            *(("ends", "ann1", "bob1"), ("ends", "bob1", "ann2"), ("ends", "ann2", "")),
+        ],
+    ),
+    "clients take turns, whoever came first": (
+        2,
+        [
+            ("asks", "eve1 ann1 eve2 eve3 eve4 bob1 ann2", "eve1 ann1"),
+            ("ends", "eve1", "ann1 eve2"),  # ann has one running, eve none, bob none: eve has waited longest
+            *(("ends", "ann1", "eve2 bob1"), ("ends", "bob1", "eve2 ann2")),
+            ("ends", "ann2", "eve2"),  # eve never has both
+            ("ends", "eve2", "eve3"),
+        ],
+    ),
+    "who goes leaves nothing behind": (
+        1,
+        [
+            *(("asks", "eve1 ann1 ann2 bob1", "eve1"), ("goes", "ann1", "eve1"), ("goes", "bob1", "eve1")),
+            *(("goes", "eve1", "ann2"), ("ends", "ann2", ""), ("asks", "eve2", "eve2")),
+        ],
+    ),
+    "two places": (2, [("asks", CROWD, "ann0 bob0")]),
+    "five places": (5, [("asks", CROWD, "ann0 bob0 cat0 ann1 bob1")]),
+}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_whose_turn_it_is(name: str) -> None:
+    places, steps = SCENARIOS[name]
+
+    async def scenario() -> None:
+        crowd = Clients(Turns(places, 100))
+        for step, names, served in steps:
+            await {"asks": crowd.asks, "ends": crowd.ends, "goes": crowd.goes}[step](*names.split())
+            assert crowd.running == served.split()
+            assert served or crowd.turns.waiting == 0
+
+    asyncio.run(scenario())
+
+
+def test_lines_are_bounded() -> None:
+    async def scenario() -> None:
+        crowd = Clients(Turns(1, 4))
+        await crowd.asks("eve1", "eve2", "eve3", "eve4")
+        assert crowd.refusal("eve4").status == 429
+        await crowd.asks("ann1", "bob1", "cat1")
+        assert crowd.refusal("cat1").status == 503
+        assert crowd.refusal("cat1").headers["Retry-After"]
+        assert crowd.turns.waiting == 4
+
+    asyncio.run(scenario())
+
+
+def test_who_goes_at_the_moment_of_being_served() -> None:
+    """The place was given already, and must not be lost."""
+
+    async def scenario() -> None:
+        turns = Turns(1, 10)
+        crowd = Clients(turns)
+        await crowd.asks("eve1", "ann1")
+        crowd._ends["eve1"].set()
+        while turns.waiting:  # no further than to where ann is served
+            await asyncio.sleep(0)
+        await crowd.goes("ann1")
+        await crowd.asks("bob1")
+        assert crowd.running == ["bob1"]
+
+    asyncio.run(scenario())
+
+
+def test_who_goes_as_a_place_comes_free() -> None:
+    """The next in line is served, and no other is woken."""
+
+    async def scenario() -> None:
+        crowd = Clients(Turns(1, 10))
+        await crowd.asks("eve1", "ann1", "ann2")
+        crowd._ends["eve1"].set()
+        crowd._tasks["ann1"].cancel()  # its task runs after that of eve
+        await settle()
+        assert crowd.running == ["ann2"]
+        await crowd.ends("eve1", "ann2")
+        assert crowd.turns.waiting == 0
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    ("peer", "client"),
+    [
+        (("192.0.2.1", 80), "192.0.2.1"),
+        (("::ffff:192.0.2.1", 80), "192.0.2.1"),
+        (("2001:db8:1:2:3:4:5:6", 80), "2001:db8:1:2::"),
+        (("2001:db8:1:2::9", 80), "2001:db8:1:2::"),
+        (("socket", 0), UNKNOWN),
+        (None, UNKNOWN),
+    ],
+)
+def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | None, client: str) -> None:
+    assert address_of(peer) == client
+
+
+def test_streams_are_shared() -> None:
+    """One client leaves half of them to others."""
+    streams = Streams(4)
+    with streams.one("ann"), streams.one("ann"):
+        assert streams.is_full("ann")
+        with pytest.raises(ProblemError, match="too many streams"), streams.one("ann"):
+            pass
+        with streams.one("bob"), streams.one("bob"):
+            assert streams.is_full("cat")
+            assert streams.open == 4
+    assert streams.open == 0
+    assert not streams.is_full("ann")

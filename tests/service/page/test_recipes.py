@@ -1,0 +1,105 @@
+"""The recipes of docs/previews.md that need no framework: in Node, in Chromium, and with FastAPI."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden
+from benchmarks.harness.processes import run, wait_until
+from benchmarks.harness.service import Service
+from sgmethod.bitstream.text import from_text, to_text
+from tests.service.browser import Chromium
+from tests.service.page.test_previews import show
+
+PAGE = (ROOT / "docs" / "previews.md").read_text()
+PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
+SHORTENED = "woOAaA..."  # a preview in the document
+PICTURE = """
+    const one = document.querySelector("sg-img");
+    const img = one.querySelector("img") ?? one.shadowRoot.querySelector("img");
+    return [img.alt, img.naturalWidth > 0, !one.shadowRoot.querySelector("canvas")];
+"""
+BOX = """
+    const { width, height } = document.querySelector("sg-img img").getBoundingClientRect();
+    return [width, height, document.querySelector("sg-img").getBoundingClientRect().height];
+"""
+
+
+def blocks(heading: str) -> list[str]:
+    """The code below a heading."""
+    (section,) = re.findall(rf"^## {heading}$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)
+    found: list[str] = re.findall(r"^```\w+\n(.*?)^```$", section, re.M | re.S)
+    return found
+
+
+@pytest.mark.thorough
+def test_plain_html(page: Chromium, web: Service) -> None:
+    text = to_text(golden(2)["v2-color"])
+    page.open_blank(web)
+    within, rules, alone = blocks("Plain HTML")
+    assert SHORTENED in within and SHORTENED in alone
+    within, alone = (re.sub(r"photo(-2x)?\.avif", "static/samples/cat.webp", html) for html in (within, alone))
+    page.run(f"""
+        const sheet = new CSSStyleSheet();
+        sheet.replaceSync({json.dumps(rules)});
+        document.adoptedStyleSheets.push(sheet);
+        document.body.insertAdjacentHTML("afterbegin", {json.dumps(f"<div>{within.replace(SHORTENED, text)}</div>")});
+        document.body.firstChild.style.width = "300px";
+    """)
+    assert page.run(BOX) == [300, 200, 200]  # before the script has run
+    show(page, "")
+    assert page.run(BOX) == [300, 200, 200]
+    wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
+    show(page, alone.replace(SHORTENED, text))
+    wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
+
+
+@pytest.mark.thorough
+def test_eleventy(tmp_path: Path) -> None:
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    for name, block in zip(("preview.mjs", "eleventy.config.mjs", "layout.html"), blocks("Eleventy"), strict=True):
+        (tmp_path / name).write_text(block)
+    shutil.copy(PHOTOGRAPH, tmp_path / "door.png")
+    script = """
+        const { default: configure } = await import("./eleventy.config.mjs");
+        const addShortcode = (name, made) => console.log(made("door.png", "A red door"));
+        configure({ addPassthroughCopy() {}, addShortcode });
+    """
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = run("node", "--input-type=module", "--eval", script, folder=tmp_path, PATH=path)
+    assert done.status == 0, done.stderr
+    image = r'<img src="/door.png" alt="A red door" width="128" height="96" loading="lazy" decoding="async">'
+    tag = rf'<sg-img preview="(\S+)">{image}</sg-img>\n'
+    found = re.fullmatch(tag, done.stdout)
+    assert found
+    assert len(from_text(found[1])) <= 200
+
+
+def test_fastapi() -> None:
+    (block,) = blocks("FastAPI")
+    names: dict[str, Any] = {"__name__": "recipe"}
+    exec(compile(block, "recipe", "exec"), names)
+
+    async def upload(data: bytes) -> httpx.Response:
+        transport = httpx.ASGITransport(app=names["app"])
+        async with httpx.AsyncClient(transport=transport, base_url="http://recipe") as client:
+            return await client.post("/photos", content=data)
+
+    answer = asyncio.run(upload(PHOTOGRAPH.read_bytes()))
+    assert answer.status_code == 200
+    photo = answer.json()
+    assert (photo["width"], photo["height"]) == (128, 96)
+    assert len(from_text(photo["preview"])) <= 200
+    answer = asyncio.run(upload(b"text"))
+    assert (answer.status_code, answer.json()["detail"][:15]) == (422, "the file is not")

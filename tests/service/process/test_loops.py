@@ -1,0 +1,79 @@
+"""Threads and tasks outlive unexpected errors: they go on, and the failure is counted."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
+from service import logs
+from service.api import app
+from service.keys import KeyRing, digest
+from service.process.loops import PeriodicThread, StopSignal, failures
+
+
+def test_rounds_go_on() -> None:
+    """As those that sweep, sign, notify, and fill the queue of the engine again."""
+    until, done, before = StopSignal(), threading.Event(), failures.total()
+    thread = PeriodicThread("testing", failing(done.set, RuntimeError("unexpected")), 0.01, until)
+    thread.start()
+    try:
+        wait_until(lambda: done.is_set() or not thread.is_alive())
+    finally:
+        until.request()
+        thread.join(PATIENCE_S)
+    assert done.is_set()
+    assert failures.total() == before + 1
+
+
+def test_a_line_of_the_log_is_one_line() -> None:
+    """Whatever a task that its file has taken over says of itself; a traceback keeps its lines."""
+    record = logging.LogRecord("worker", logging.WARNING, "", 0, "job: %s", ("a\nERROR worker: b\x1b[2Jé",), None)
+    assert logs._Lines("%(message)s").format(record) == r"job: a\nERROR worker: b\x1b[2Jé"
+    record.exc_info = (ValueError, ValueError("no"), None)
+    assert logs._Lines("%(message)s").format(record).endswith("é\nValueError: no")
+
+
+def test_keys_are_read_until_they_can_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever failed before, which is logged."""
+    wrong = RuntimeError("unexpected"), ValueError("cannot be read"), ValueError("key 1 is none")
+    read_keys = failing(lambda: {digest("a key"): "ann"}, *wrong)
+    monkeypatch.setattr(app, "KEYS_POLL_S", 0.0)
+    ring = KeyRing({})
+    parts: Any = SimpleNamespace(settings=SimpleNamespace(api_keys_file=tmp_path, read_keys=read_keys), keys=ring)
+
+    async def follow() -> None:
+        reloading = asyncio.create_task(app._reload_keys(parts))
+        async with asyncio.timeout(PATIENCE_S):
+            while not ring and not reloading.done():
+                await asyncio.sleep(0.01)
+        reloading.cancel()
+
+    asyncio.run(follow())
+    assert ring.owner_of("a key") == "ann"
+    assert all(str(error) in caplog.text for error in wrong)
+
+
+def test_what_comes_again_and_again_is_logged_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A full disk filled the log, which lay on it."""
+    now = 0.0
+    monkeypatch.setattr(logs.time, "monotonic", lambda: now)
+    monkeypatch.setattr(logs, "_last_logged", {})
+    for now in (0.0, 1.0, 59.0, 60.0, 61.0):
+        logs.log_seldom(logging.getLogger("disk"), "no space for %d", now)
+        logs.log_seldom(logging.getLogger("disk"), "something else")
+    assert [record.getMessage() for record in caplog.records if "space" in record.msg] == [
+        "no space for 0",
+        "no space for 60",
+    ]
+    assert len(caplog.records) == 4

@@ -1,0 +1,87 @@
+"""A sandbox of a test's own, in which one task does what the test says."""
+
+from __future__ import annotations
+
+import io
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import BinaryIO
+
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.processes import PATIENCE_S
+from service.jobs.job import EncodeRequest, new_job_id
+from service.sandbox.client import MODULE, RunningTask, Sandbox
+from service.sandbox.confinement import environment
+from service.sandbox.frames import Encode, Message, Preview, TracePoint
+
+# In place of an encode, a program in the file runs where the encoder would run: as confined, with `answer` at hand.
+TAKEN_OVER = """
+import ctypes, json, mmap, os, resource, signal, socket, sys, time  # which a program cannot import any more
+from service.sandbox import confinement, frames, server, tasks
+
+def run(task, file, answer):
+    exec(file.decode(), {"task": task, "answer": answer, "frames": frames})
+
+tasks.PERFORM[frames.Encode] = run
+
+"""
+
+
+@contextmanager
+def sandbox(preamble: str = "", extra: Mapping[str, str] | None = None) -> Iterator[tuple[Sandbox, int]]:
+    """A sandbox and the number of its process, which runs the preamble first."""
+    requests, served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    number = str(served.fileno())
+    command = [sys.executable, "-m", MODULE, number]
+    if preamble:
+        command = [sys.executable, "-c", f"{preamble}\nfrom service.sandbox import server\nserver.main()", number]
+    known = {**environment(os.environ), "OPENBLAS_NUM_THREADS": "1", **(extra or {})}
+    known["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), known.get("PYTHONPATH", ""))))
+    with requests:
+        with served:
+            process = subprocess.Popen(command, cwd="/", env=known, pass_fds=(served.fileno(),), process_group=0)
+        try:
+            yield Sandbox(requests), process.pid
+        finally:
+            requests.close()
+            try:
+                process.wait(PATIENCE_S)
+            finally:
+                process.kill()
+                process.wait()
+
+
+def task(time_limit_s: float = 0.1, **more: object) -> Encode:
+    """An encode of a small picture."""
+    limits = {"memory_bytes": 2**31, "cpu_s": 600, "max_pixels": 10_000, "threads": 1, **more}
+    return Encode(job_id=new_job_id(), request=EncodeRequest("bpp", 1.0, "rd", time_limit_s), **limits)  # type: ignore[arg-type]
+
+
+@contextmanager
+def file_of(data: bytes) -> Iterator[BinaryIO]:
+    """An open file of these bytes."""
+    with tempfile.TemporaryFile() as file:
+        file.write(data)
+        file.flush()
+        file.seek(0, io.SEEK_END)  # a task reads it from its beginning all the same
+        yield file
+
+
+def messages_of(sandbox: Sandbox, encode: Encode, data: bytes) -> list[Message]:
+    """All that an encode says, up to its end. Raises FrameError."""
+    with file_of(data) as file, sandbox.start(encode, file) as running:
+        return list(until_end(running))
+
+
+def until_end(running: RunningTask) -> Iterator[Message]:
+    """What a task says, up to the message that ends it."""
+    while True:
+        for message in running.read(1.0):
+            yield message
+            if not isinstance(message, TracePoint | Preview):
+                return

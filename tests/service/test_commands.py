@@ -1,0 +1,175 @@
+"""The operator's commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.job_table import IMAGE, change, submitted
+from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.postgres_server import PostgresServer
+from benchmarks.harness.processes import Outcome, run
+from benchmarks.harness.service import FAKE_CODEC, RunCommand
+from service.__main__ import _where
+from service.api.options import EncodeOptions
+from service.api.problems import ProblemError
+from service.jobs.job import new_job_id
+from service.opening import open_job_table, open_storage
+from service.settings import Settings
+from service.storage.files import source_key
+
+
+def verdicts(result: Outcome) -> dict[str, str]:
+    lines = (line.split(maxsplit=1) for line in result.stdout.splitlines())
+    return {rest.partition(":")[0]: word for word, rest in lines}
+
+
+def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
+    result = run_command("check", data_dir=tmp_path / "data", database_url=database_url)
+    names = ("settings", "database", "storage", "free disk", "kernels", "sandbox")
+    assert verdicts(result) == dict.fromkeys(names, "ok"), result
+    assert result.status == 0
+    assert list((tmp_path / "data" / "unfinished").iterdir()) == []
+
+
+def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> None:
+    """Its layers may all be there, and still it may do no task."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, sys\nif 'service.sandbox.server' in sys.orig_argv:\n    os.fork = lambda: open('/nowhere')\n"
+    )
+    result = run_command("check", data_dir=tmp_path / "data", PYTHONPATH=tmp_path)
+    assert (result.status, verdicts(result)["sandbox"]) == (1, "FAILED"), result
+
+
+def test_a_parent_that_ignores_the_ends_of_children(run_command: RunCommand, tmp_path: Path) -> None:
+    """As some launchers do, and children inherit it: the system then keeps no status of theirs."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        result = run_command("check", data_dir=tmp_path)
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+    assert (result.status, verdicts(result)["sandbox"]) == (0, "ok"), result
+
+
+def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One profile does; the service does not."""
+    paper = EncodeOptions(profile="paper")
+    assert paper.request(IMAGE, 60).profile == "paper"
+    monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
+    result = run_command("check", data_dir=tmp_path)
+    assert verdicts(result)["kernels"] == "ok"
+    assert "profile paper needs PyTorch" in result.stdout
+    assert EncodeOptions().request(IMAGE, 60).profile == "rd"
+    with pytest.raises(ProblemError, match="profile paper needs PyTorch") as refusal:
+        paper.request(IMAGE, 60)
+    assert refusal.value.status == 422
+
+
+def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> None:
+    """A password is not printed, even where the address cannot be read."""
+    for url in ("postgresql://someone:secret@127.0.0.1:1/none", "postgresql://someone:secret%@127.0.0.1/none"):
+        result = run_command("check", data_dir=tmp_path / "data", database_url=url, max_upload_bytes=2**50)
+        right = dict.fromkeys(("settings", "storage", "kernels", "sandbox"), "ok")
+        assert verdicts(result) == {**right, "database": "FAILED", "free disk": "FAILED"}
+        assert result.status == 1
+        assert "secret" not in result.stdout + result.stderr
+    assert "SG_DATABASE_URL cannot be read" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({}, "data in {}"),
+        ({"database_url": "postgresql://u:secret@db/x"}, "jobs in PostgreSQL, images and bitstreams in {}"),
+        ({"storage_url": "s3://pictures/sg"}, "jobs in {}, images and bitstreams in s3://pictures/sg"),
+    ],
+)
+def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], words: str) -> None:
+    """It printed that data were in a folder, where a database and a bucket held them all."""
+    assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
+
+
+def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path / "data")
+    table, storage = open_job_table(settings), open_storage(settings)
+    needed, orphan = source_key(submitted(table)), source_key(new_job_id())
+    table.close()
+    for key in (needed, orphan):
+        storage.put(key, SMALL)
+    for arguments, verb, files in (
+        ([], "removed", 0),  # as young as it is, it may belong to a job to come
+        (["--orphan-age-s", "0", "--dry-run"], "would remove", 1),
+        (["--orphan-age-s", "0"], "removed", 1),
+    ):
+        result = run_command("sweep", *arguments, data_dir=settings.data_dir)
+        assert (result.status, result.stdout) == (0, f"{verb} finished jobs: 0, files that no job needs: {files}\n")
+    assert set(storage.old(-5)) == {needed}
+    for age in ("nan", "-1", "inf"):
+        with pytest.raises(SystemExit, match="2"):
+            run_command("sweep", f"--orphan-age-s={age}", data_dir=settings.data_dir)
+
+
+def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
+    """Containers ask whether their own one is; those of other containers do not count."""
+    settings: dict[str, Any] = {"data_dir": tmp_path, "database_url": database_url}
+    table = open_job_table(Settings(**settings))
+
+    def status() -> int:
+        result = run_command("alive", **settings)
+        assert ("no worker of" in result.stderr) == (result.status != 0)
+        return result.status
+
+    ours, others = f"{socket.gethostname()}:17", f"{socket.gethostname()}0:17"
+    table.register(others)
+    assert status() == 1
+    table.register(ours)
+    assert status() == 0
+    change(table, "UPDATE workers SET seen_at = seen_at - 20 WHERE name = ?", ours)
+    assert status() == 1
+    table.close()
+
+
+def test_a_check_that_nobody_reads_to_its_end(tmp_path: Path) -> None:
+    """As `python -m service check | head -1` does it."""
+    command = [sys.executable, "-m", "service", "check"]
+    environment = {**os.environ, "SG_DATA_DIR": str(tmp_path)}
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == ""
+
+
+def test_a_database_out_of_reach_is_one_clear_line(
+    run_command: RunCommand, tmp_path: Path, postgres: PostgresServer
+) -> None:
+    for command in ("serve", "web", "worker", "alive", "sweep"):
+        result = run_command(command, data_dir=tmp_path, database_url=postgres.url("there_is_none"), port=0)
+        assert (result.status, result.stdout) == (1, "")  # and no address is printed where nothing answers
+        (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]
+        assert "PostgreSQL: " in line
+        assert "does not exist" in line
+
+
+@pytest.mark.thorough
+def test_chaos_draws_up_a_ledger(tmp_path: Path) -> None:
+    """A few jobs and no encodes, to see that the command works; benchmarks/results has the large runs."""
+    out = tmp_path / "chaos.json"
+    command = [sys.executable, "-m", "benchmarks.service", "chaos", "--jobs", 3, "--seed", 3, "--out", out]
+    result = run(*command, **FAKE_CODEC)
+    assert result.status == 0, result
+    (row,) = json.loads(out.read_text())["rows"]
+    assert row["balanced"]
+    assert row["ledger"]["accepted"] == 3

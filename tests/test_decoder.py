@@ -1,0 +1,230 @@
+"""Bytes to pixels: golden pixels, the same on every instruction set and for every number of threads; limits."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.harness.data import golden
+from sgmethod import BitstreamError, decode, info
+from sgmethod.bitstream.container import parse, serialise
+from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
+from sgmethod.bitstream.v2 import StreamV2
+from sgmethod.decoder import draw, draw_whole
+from sgmethod.native import native
+from sgmethod.scene import Gaussians, Scene
+from sgmethod.view import View
+from tests.backend.cases import scattered
+from tests.native.harness.golden import GOLDEN, is_golden
+
+VERSION_1 = sorted(golden(1))
+ISAS = range(native.best_isa() + 1)
+
+
+def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[float, float] = (0, 1)) -> bytes:
+    """A file of n Gaussians of one scale; positions is the range of both coordinates, in pixels."""
+    rng = np.random.default_rng(0)
+    codes, factors = rng.integers(0, 4096, (n, 2), np.uint16), rng.integers(0, 64, (n, 3), np.uint16)
+    group = Group(6, codes, factors, rng.integers(0, 8, (n, 2), np.uint8))
+    factor_range = np.array([[scale_px] * 2, [-scale_px, scale_px], [scale_px] * 2], np.float32)
+    codebooks = rng.normal(0, 1, (2, 8, 3)).astype(np.float16)
+    return serialise(
+        StreamV1("paper", width, height, 12, np.array([positions] * 2, np.float32), factor_range, codebooks, (group,))
+    )
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_pixels(name: str) -> None:
+    """Their pictures or hashes were written when the files were made."""
+    pixels = decode(GOLDEN[name])
+    assert pixels.dtype == np.uint8
+    assert pixels.flags.c_contiguous
+    assert is_golden(name, pixels)
+
+
+@pytest.mark.parametrize("name", sorted(GOLDEN.keys() - {"v2-busy"}))  # the definition would draw it for seconds
+@pytest.mark.parametrize("scale", [0.4, 1.0, 2.3])
+def test_pictures_and_views_are_those_of_the_definition(name: str, scale: float) -> None:
+    """Without texture, which the test vectors hold. Seen: 1 level, in 1 of 6,720 samples."""
+    scene = parse(GOLDEN[name]).scene()
+    width, height = scene.width, scene.height
+    for region in None, (width // 3, height // 2, (width + 2) // 3, (height + 3) // 4):
+        view = View(scale, region, texture=False)
+        expected = defined(view.apply(scene))
+        found = decode(GOLDEN[name], view=view)
+        assert found.shape == expected.shape
+        difference = np.abs(found - expected)
+        assert difference.max() <= 1
+        assert np.mean(difference > 0) < 0.001
+
+
+def defined(scene: Scene) -> NDArray[np.int64]:
+    """Levels [H, W, 3], or [H, W, 4] with alpha."""
+    torch = pytest.importorskip("torch", reason="the definition needs PyTorch")
+    from tests.definitions import drawing
+
+    size = scene.origin[0] + scene.width, scene.origin[1] + scene.height
+    drawn = scene.gaussians.rows((scene.gaussians.factors[:, ::2] > 0).all(1))
+    values = [torch.from_numpy(array).double() for array in drawn.arrays]
+    draw_exactly = drawing.render_pyramid if scene.pyramid else drawing.render
+    picture = draw_exactly(values[0], values[1], values[2], size, scene.cutoff).numpy().transpose(1, 2, 0)
+    shown = picture[scene.origin[1] :, scene.origin[0] :] + np.array(scene.background) / 255
+    levels = np.floor(255 * shown.clip(0, 1) + 0.5).astype(int)
+    return levels if scene.alpha is None else np.dstack([levels, defined(scene.alpha)[..., :1]])
+
+
+@pytest.mark.parametrize("name", [*VERSION_1, "scattered"])
+def test_pixels_are_the_same_everywhere(name: str, set_threads: Callable[[int], None]) -> None:
+    if name == "scattered":
+        scene = Scene(scattered(700, 0, (301, 203)), 301, 203, (0, 0, 0), native.CUTOFF_V1)
+    else:
+        scene = parse(GOLDEN[name]).scene()
+    gaussians, width, height = scene.gaussians, scene.width, scene.height
+    expected = draw(scene)
+    assert expected.shape == (height, width, 3)
+    for threads in (1, 2, 3, 8):
+        set_threads(threads)
+        for isa in ISAS:
+            pixels = np.full((height, width, 3), 77, np.uint8)
+            raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, isa=isa)
+            raster.render_bytes(gaussians.colors, pixels)
+            assert np.array_equal(pixels, expected), (threads, isa)
+        assert np.array_equal(draw(scene), expected)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int, set_threads: Callable[[int], None]) -> None:
+    set_threads(threads)
+    for data in GOLDEN.values():
+        stream = parse(data)
+        assert np.array_equal(draw_whole(stream), draw(stream.scene()))
+    for name in ("v2-color", "v2-texture"):
+        stream = parse(GOLDEN[name])
+        for prefix in np.linspace(0.01, 0.99, 50).tolist():
+            expected = draw(View(texture=False).apply(stream.scene(prefix)))
+            assert np.array_equal(draw_whole(stream, prefix, texture=False), expected)
+
+
+def test_more_gaussians_than_expected_are_laid_out_too() -> None:
+    """Equal ones take less than a bit each."""
+    n = 2000
+    many = Gaussians(*(np.tile(np.float32([row]), (n, 1)) for row in ((20, 20), (3, 0, 3), (0.02, 0.02, 0.02))))
+    stream = StreamV2.from_gaussians(many, (64, 64), 0.25, (0, 0, 0), False)
+    assert 8 * len(stream.payload) < 9 * n
+    assert np.array_equal(draw_whole(stream), draw(stream.scene()))
+    assert len(stream.gaussians()) == n
+
+
+def test_levels_are_computed_in_double_and_rounded_once() -> None:
+    stream = parse(GOLDEN["v1-every-bitwidth"])
+    gaussians = stream.dequantised()
+    at = 0
+    for group in stream.groups:
+        for k, (codes, bits, low, high) in enumerate(
+            [(group.positions[:, i], stream.position_bits, *stream.position_range[i]) for i in range(2)]
+            + [(group.factors[:, i], group.bitwidth, *stream.factor_range[i]) for i in range(3)]
+        ):
+            found = np.concatenate([gaussians.means, gaussians.factors], 1)[at : at + len(codes), k]
+            for code, value in zip(codes.tolist(), found, strict=True):
+                step = (float(high) - float(low)) / (2**bits - 1)
+                assert value == np.float32(float(low) + code * step)
+        at += len(group.positions)
+    assert at == len(gaussians) == stream.gaussians
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 4096), (4096, 1), (65_535, 1), (1, 65_535)])
+def test_thin_pictures(size: tuple[int, int]) -> None:
+    pixels = decode(wide(1, *size, scale_px=40.0, positions=(0.5, 0.5)))
+    assert pixels.shape == (size[1], size[0], 3)
+    assert not pixels[-200:, -200:].any() or max(size) < 200  # the Gaussian is at the other end
+
+
+def test_info() -> None:
+    for name in VERSION_1:
+        data = GOLDEN[name]
+        stream, fields = parse(data), info(data).to_dict()
+        json.dumps(fields, allow_nan=False)
+        assert fields["bytes"] == len(data)
+        assert fields["bpp"] == 8 * len(data) / (stream.width * stream.height)
+        assert fields["version"] == data[1] - 0xC0 == 1
+        assert fields["checksum"] == data[-4:].hex()
+        assert PROFILE_CODES[str(fields["profile"])] == data[2]
+        for field in ("width", "height", "position_bits", "gaussians"):
+            assert fields[field] == getattr(stream, field)
+        bits = info(data).bits
+        assert list(bits) == ["headers", "positions", "covariances", "colors"]
+        assert sum(bits.values()) == 8 * len(data)
+        assert fields["groups"] == [{"bitwidth": g.bitwidth, "gaussians": len(g.positions)} for g in stream.groups]
+
+
+def test_the_limit_of_pixels() -> None:
+    data = wide(1, 100, 50, scale_px=9.0)
+    assert decode(data, max_pixels=5000).shape == (50, 100, 3)
+    with pytest.raises(BitstreamError, match="limit of 4999"):
+        decode(data, max_pixels=4999)
+    huge = wide(1, 65_535, 65_535, scale_px=9.0)
+    with pytest.raises(BitstreamError, match="65535 x 65535 pixels"):
+        decode(huge)
+    assert info(huge).width == 65_535
+
+
+def test_the_limit_of_gaussians() -> None:
+    """Those of alpha count too; the message has the limit that was given."""
+    data = GOLDEN["v2-alpha"]  # 9, and 15 of alpha
+    assert info(data, 24).gaussians == 24
+    for most in (23, 8):
+        with pytest.raises(BitstreamError, match=f"limit of {most} Gaussians"):
+            info(data, most)
+
+
+HOSTILE = {
+    "every Gaussian covers 100 megapixels": wide(40_000, 10_000, 10_000, scale_px=1e5),
+    "every Gaussian spans all columns, and is seen in few": wide(
+        60_000, 65_535, 1_525, scale_px=1e6, positions=(-3.2e6, -3.1e6)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_overlap_is_refused_before_it_costs(name: str, tmp_path: Path) -> None:
+    """In a process of its own, whose memory tells: refusing takes less than the picture's 300 MB by far."""
+    path = tmp_path / "hostile.sg"
+    path.write_bytes(HOSTILE[name])
+    script = (
+        "import re, sys, time, sgmethod\n"
+        "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+) kB', open('/proc/self/status').read())[1]) // 1024\n"
+        "data, before, began = open(sys.argv[1], 'rb').read(), peak(), time.process_time()\n"
+        "try:\n"
+        "    sgmethod.decode(data)\n"
+        "except sgmethod.BitstreamError as error:\n"
+        "    print(peak() - before, time.process_time() - began, error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, check=True, timeout=60)
+    megabytes, cpu_s, why = run.stdout.split(maxsplit=2)
+    assert "overlap" in why
+    assert int(megabytes) < 60
+    assert float(cpu_s) < 2
+
+
+def test_coarse_levels_of_a_narrow_picture_take_little_memory() -> None:
+    """16 x 1,048,560 pixels take 50 MB, and the coarse levels below one wide Gaussian 120 MB: their rows are as wide as
+    their samples."""
+    script = (
+        "import re, numpy as np\n"
+        "from sgmethod.native import native\n"
+        "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+) kB', open('/proc/self/status').read())[1]) // 1024\n"
+        "before, pixels = peak(), np.empty((1 << 20, 16, 3), np.uint8)\n"
+        "gaussian = np.full((1, 2), 8, np.float32), np.float32([[1e4, 0, 1e4]])\n"
+        "raster = native.Rasterization(*gaussian, 16, 1 << 20, native.CUTOFF_V2, pyramid=True)\n"
+        "raster.render_bytes(np.ones((1, 3), np.float32), pixels)\n"
+        "print(peak() - before)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert int(run.stdout) < 200  # seen: 155

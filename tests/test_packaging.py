@@ -1,0 +1,46 @@
+"""The places that configure wheels, the packed source and the image agree. `make wheel` builds and tries a wheel."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import pytest
+from packaging.requirements import Requirement
+
+from benchmarks.harness.data import ROOT
+
+pytestmark = pytest.mark.thorough
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+WHEELS = PROJECT["tool"]["cibuildwheel"]
+
+
+def test_wheels_are_made_for_every_python_that_the_project_names() -> None:
+    named = re.findall(r"Python :: 3\.(\d+)", "\n".join(PROJECT["project"]["classifiers"]))
+    assert WHEELS["build"] == f"cp3{{{','.join(named)}}}-*"
+    assert WHEELS["config-settings"] == {"wheel.py-api": "cp312"}  # the first stable ABI that nanobind can use
+    python, _, script = WHEELS["test-command"].partition(" {project}/")
+    assert (python, (ROOT / script).is_file()) == ("python", True)
+
+
+def test_the_packed_source_and_the_image_hold_the_same() -> None:
+    packed = PROJECT["tool"]["scikit-build"]["sdist"]["exclude"]
+    image = (ROOT / ".dockerignore").read_text().splitlines()
+    assert packed[0] == "/*"
+    assert image[0] == "*"
+    assert sorted(name.removeprefix("!/") for name in packed[1:]) == sorted(re.findall(r"!(\S+)", "\n".join(image)))
+
+
+def test_the_image_installs_what_the_project_requires() -> None:
+    """`make lock` renews the files."""
+    extras = PROJECT["project"]["optional-dependencies"]
+    served = [*PROJECT["project"]["dependencies"], *extras["service"], *extras["postgres"], *extras["s3"]]
+    wanted = {"build": PROJECT["build-system"]["requires"], "slim": served, "torch": extras["torch"]}
+    for file, requirements in wanted.items():
+        text = (ROOT / "service" / "requirements" / f"{file}.txt").read_text()
+        pins = re.findall(r"^([\w-]+)==([^ ]+) .*\\\n +--hash=sha256:", text, re.MULTILINE)
+        for requirement in map(Requirement, requirements):
+            versions = [version for name, version in pins if name == requirement.name]
+            assert versions, f"{file}: {requirement}"
+            assert all(map(requirement.specifier.contains, versions)), f"{file}: {requirement}"
