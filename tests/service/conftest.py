@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
@@ -22,9 +22,10 @@ from benchmarks.harness.processes import Outcome
 from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 from service.__main__ import main
 from service.jobs.table import JobTable
-from tests.service import browser as browser_module
-from tests.service.browser import CHROMEDRIVER, CHROMIUM, FIREFOX, Chromium, Firefox, Page
 from tests.service.s3_server import S3Server
+
+if TYPE_CHECKING:
+    from tests.service.browser import Chromium, Firefox, Page
 
 
 def _missing(required: str, hint: str) -> NoReturn:
@@ -53,9 +54,11 @@ def s3() -> Iterator[S3Server]:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Chromium]:
     """A browser for all tests that need one."""
-    if not (CHROMIUM and CHROMEDRIVER):
-        _missing(browser_module.REQUIRED, browser_module.HINT)
-    browser = Chromium()
+    from tests.service import browser as drivers  # not above: .ci/versions installs no selenium
+
+    if not (drivers.CHROMIUM and drivers.CHROMEDRIVER):
+        _missing(drivers.REQUIRED, drivers.HINT)
+    browser = drivers.Chromium()
     yield browser
     browser.close()
 
@@ -63,9 +66,11 @@ def browser() -> Iterator[Chromium]:
 @pytest.fixture(scope="session")
 def firefox() -> Iterator[Firefox]:
     """The other browser."""
-    if not FIREFOX:
-        _missing(browser_module.REQUIRED, browser_module.FIREFOX_HINT)
-    browser = Firefox()
+    from tests.service import browser as drivers
+
+    if not drivers.FIREFOX:
+        _missing(drivers.REQUIRED, drivers.FIREFOX_HINT)
+    browser = drivers.Firefox()
     yield browser
     browser.close()
 
