@@ -282,7 +282,7 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
     for width in (1, 20_000):
         page.run(f"document.getElementById('width').value = {width}")
         page.click("#save-picture")
-        page.says("the width must lie between 10 and 8660 pixels", "#taken")
+        page.says("the width must be between 10 and 8660 pixels", "#taken")
         page.run("document.getElementById('taken').textContent = ''")
     page.run("Object.defineProperty(navigator, 'clipboard', { value: undefined })")  # as over plain HTTP
     page.click("#link")
