@@ -68,12 +68,12 @@ class Tuner:
         self.loss = loss_of(level, s.lambda_g)
         self.p = Parameters.from_gaussians(gaussians)
         self.n = len(gaussians)
-        means, factors = self.p.means, self.p.factors
+        means, factors, tail = self.p.means, self.p.factors, s.range_quantile
         self.book = ResidualCodebook(
             self.p.colors, stages=CODEBOOK_STAGES, entries=CODEBOOK_ENTRIES, decay=s.codebook_decay, seed=seed
         )
         self.position_bits = torch.tensor([s.position_bits], dtype=torch.float32)
-        self.ranges = [means.amin(0), means.amax(0), factors.amin(0), factors.amax(0)]
+        self.ranges = [means.amin(0), means.amax(0), factors.quantile(tail, dim=0), factors.quantile(1 - tail, dim=0)]
         self._widen()
         bits = s.start_bitwidth if s.adaptive_bitwidth else s.min_bitwidth
         self.soft_bits = torch.full((self.n, 1), bits, dtype=torch.float32)
