@@ -21,9 +21,11 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.machine import RUNS, command, found, origin, write_json
-from benchmarks.mixture.fit import Array, Variant, at_budget, code, fit_bits, prior_of, psnr, search, symbol_shares
+from benchmarks.mixture.fit import Array, Variant, at_budget, code, fit_bits, prior_of, search, symbol_shares
 from benchmarks.perceptual.networks import Networks
-from benchmarks.pictures import Pixels, pictures_in
+from benchmarks.pictures import Pixels, middle_of, pictures_in
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.metrics import psnr
 
 SIDE = 192
 Row = dict[str, Any]
@@ -35,10 +37,8 @@ VARIANTS = {
 
 
 def crop(path: Path) -> Pixels:
-    with Image.open(path) as picture:
-        pixels = np.asarray(picture.convert("RGB"))
-    y, x = (max(0, side - SIDE) // 2 for side in pixels.shape[:2])
-    return np.ascontiguousarray(pixels[y : y + SIDE, x : x + SIDE])
+    pixels = read_image_8_bit(path.read_bytes())
+    return middle_of(pixels, *(min(side, SIDE) for side in pixels.shape[:2]))
 
 
 def planes(pixels: Pixels) -> Array:
@@ -56,7 +56,7 @@ def trained(folder: Path, v: Variant) -> list[str]:
 
 
 def compared(source: Pixels, image: Pixels, networks: Networks | None) -> Row:
-    found: Row = {"psnr": round(psnr(planes(image), planes(source)), 4)}
+    found: Row = {"psnr": round(psnr(image, source), 4)}
     if networks is not None:
         found |= {name: round(value, 5) for name, value in networks(image, source).items()}
     return found

@@ -46,8 +46,7 @@ def library() -> ctypes.CDLL:
     subprocess.run(["g++", *flags, "-o", built, Path(__file__).with_name("kernel.cpp")], check=True)
     found = ctypes.CDLL(str(built))
     for name in ("errors", "fit", "refine"):
-        if hasattr(found, name):
-            getattr(found, name).restype = ctypes.c_double
+        getattr(found, name).restype = ctypes.c_double
     return found
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import statistics
 from typing import Any
 
 from benchmarks.report.plots import style
 from benchmarks.report.results import rows
+from benchmarks.tables import mean, standard_error
 
 STARTS = {"random": "random", "fixed": "structure-guided, 6:2:1", "dynamic": "structure-guided, dynamic ratio"}
 
@@ -27,8 +27,6 @@ def draw(axes: Any) -> None:
     """Gain over a random start against the number of Gaussians, with standard errors."""
     for k, (start, by_number) in enumerate(gains().items()):
         numbers = sorted(by_number)
-        values = [by_number[n] for n in numbers]
-        means = [statistics.fmean(v) for v in values]
-        errors = [statistics.stdev(v) / len(v) ** 0.5 for v in values]
+        means, errors = ([figure(by_number[n]) for n in numbers] for figure in (mean, standard_error))
         axes.errorbar(numbers, means, errors, capsize=2, **style(k) | {"label": STARTS[start]})
     axes.set(xlabel="Gaussians, of a picture of 768x512 pixels", ylabel="dB above a random start")

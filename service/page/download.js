@@ -1,6 +1,6 @@
 // Downloads: the file, pictures of any size, commands to repeat the encode, and a link.
 
-import { MOST_PIXELS, MOST_SCALE } from "./sgmethod/drawing.js";
+import { MAX_PIXELS, MAX_SCALE } from "./sgmethod/drawing.js";
 import { choices, drawn, hasKey, json } from "./api.js";
 import { $ } from "./parts.js";
 import { size, withoutSuffix } from "./words.js";
@@ -20,8 +20,8 @@ export function save(blob, name) {
 export const saveFile = async (item) => save(new Blob([item.sg]), `${withoutSuffix(item.name)}.sg`);
 
 const widths = ([width, height]) => [
-  Math.ceil(width / MOST_SCALE),
-  Math.floor(Math.min(MOST_SCALE * width, Math.sqrt((MOST_PIXELS * width) / height))),
+  Math.ceil(width / MAX_SCALE),
+  Math.floor(Math.min(MAX_SCALE * width, Math.sqrt((MAX_PIXELS * width) / height))),
 ];
 
 /** Limit the width field to the possible widths. */

@@ -49,7 +49,7 @@ def body_of(data: bytes, version: int) -> bytes:
 
 # Version 2: limits
 
-MOST_COLOUR = 2**22
+MAX_COLOUR = 2**22
 MOST_EXPONENT = 18
 MOST_U_BITS, MOST_PART_BITS, MOST_RAW_BITS = 12, 16, 24
 MOST_V, MOST_R = 8, 4096
@@ -408,7 +408,7 @@ def read_turn(
     if has_next:
         colour = [coder.rest(number) for number in (y, a, b)]
         refuse_unless(any(colour), "no colour")
-        refuse_unless(max(colour) <= MOST_COLOUR, "colour")
+        refuse_unless(max(colour) <= MAX_COLOUR, "colour")
         cell = (now.cell if now else 0) + coder.rest(distance) * 2**of_class.t + low
         column, row = deinterleave(cell)
         refuse_unless(cell < 2**32 and column < of_class.columns and row < of_class.rows, "cell")

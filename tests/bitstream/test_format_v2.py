@@ -42,7 +42,7 @@ def test_the_limits_in_the_text() -> None:
     """They are the plain decoder's, which the kernels have to agree with."""
     plain, text = plain_decoder_v2, " ".join(TEXT.split())
     for phrase in (
-        f"one of them above 2^{plain.MOST_COLOUR.bit_length() - 1},",
+        f"one of them above 2^{plain.MAX_COLOUR.bit_length() - 1},",
         f"<= S < 2^(2 h + 1), {plain.MOST_EXPONENT})",
         f"u bits = min(max(h - 1, 0), {plain.MOST_U_BITS})",
         f"each limited to 0 .. {plain.MOST_PART_BITS}.",

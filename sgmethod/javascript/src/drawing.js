@@ -3,17 +3,17 @@
 import { CELL, OCTAVES, SgError, unknown } from "./header.js";
 import { drawGaussians, rounded, setAlpha } from "./planes.js";
 
-export const MOST_PIXELS = 50e6;
-export const MOST_SCALE = 64; // and 1 / 64 at least
+export const MAX_PIXELS = 50e6;
+export const MAX_SCALE = 64; // and 1 / 64 at least
 
 /** Which part of the picture a view shows, and how large. Throws SgError. */
 function viewOf(file, scale = 1, region = null) {
   const [x, y, w, h] = region ?? [0, 0, file.width, file.height];
   const within = x >= 0 && y >= 0 && w >= 1 && h >= 1 && x + w <= file.width && y + h <= file.height;
-  const isScale = scale >= 1 / MOST_SCALE && scale <= MOST_SCALE;
+  const isScale = scale >= 1 / MAX_SCALE && scale <= MAX_SCALE;
   if (!isScale || !within) throw new SgError("this view is not in the picture");
   const [width, height] = [Math.max(rounded(w * scale), 1), Math.max(rounded(h * scale), 1)];
-  if (width * height > MOST_PIXELS) throw unknown("the picture is too large to be drawn here");
+  if (width * height > MAX_PIXELS) throw unknown("the picture is too large to be drawn here");
   const [sx, sy] = [width / w, height / h];
   const [left, top] = [Math.floor(x * sx) % 65536, Math.floor(y * sy) % 65536];
   return { x, y, left, top, width, height, sx, sy, dx: left - x * sx, dy: top - y * sy };

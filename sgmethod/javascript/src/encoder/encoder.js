@@ -17,7 +17,7 @@ import { fileOf } from "./writing.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
 
-const [LEAST_BYTES, MOST_BYTES] = [16, 1024];
+const [MIN_BYTES, MAX_BYTES] = [16, 1024];
 // As in sgmethod/previews/preview.py, which says why.
 const PIXELS_PER_BYTE = 256;
 const [SOFT_PX, SOFT_BYTES, NARROWEST_PX] = [10, 200, 0.5];
@@ -34,8 +34,8 @@ const UNSEEN = 1 / 512; // half a level of 8 bits
 export function encodePreview(rgba, width, height, options = {}) {
   const { bytes = 200, ...others } = options;
   for (const name in others) throw new TypeError(`encodePreview() has no option ${name}, only bytes`);
-  if (!(Number.isInteger(bytes) && bytes >= LEAST_BYTES && bytes <= MOST_BYTES)) {
-    throw new RangeError(`bytes must be a whole number from ${LEAST_BYTES} to ${MOST_BYTES}`);
+  if (!(Number.isInteger(bytes) && bytes >= MIN_BYTES && bytes <= MAX_BYTES)) {
+    throw new RangeError(`bytes must be a whole number from ${MIN_BYTES} to ${MAX_BYTES}`);
   }
   if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
     throw new TypeError("rgba must have 4 numbers for each of width x height pixels");
