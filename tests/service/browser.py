@@ -11,11 +11,13 @@ import shutil
 import tempfile
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
 from benchmarks.harness.processes import PATIENCE_S, wait_until
@@ -34,6 +36,8 @@ OPTIONS = (
     "--window-size=1000,1000",
 )
 
+T = TypeVar("T")
+
 
 def bytes_of(data: bytes) -> str:
     """An expression of JavaScript."""
@@ -44,6 +48,7 @@ class Page(ABC):
     """A window of a browser: what tests do in it. Elements are those of the driver's library, found by selector."""
 
     driver: Any
+    stale: type[Exception]  # raised for an element that the page has replaced since it was found
 
     @abstractmethod
     def run(self, script: str) -> Any:
@@ -70,25 +75,29 @@ class Page(ABC):
         """A page of the service on which nothing is drawn: enough for a test of a module alone."""
         self.open(f"{service.url}/docs")
 
-    def element(self, selector: str) -> Any:
-        """Return the element of a selector."""
-        return self.driver.find_element("css selector", selector)
+    def on(self, selector: str, act: Callable[[Any], T]) -> T:
+        """Do something with the element of a selector; once more if the page replaces the element meanwhile."""
+        while True:
+            try:
+                return act(self.driver.find_element("css selector", selector))
+            except self.stale:
+                continue
 
     def type(self, selector: str, text: str) -> None:
         """Type into a field; into one for files, the path of a file."""
-        self.element(selector).send_keys(text)
+        self.on(selector, lambda element: element.send_keys(text))
 
     def click(self, selector: str) -> None:
         """Click, as a person can: raises the driver's error if the element is hidden or covered."""
-        self.element(selector).click()
+        self.on(selector, lambda element: element.click())
 
     def text(self, selector: str) -> str:
         """Return the visible text of an element, empty where it is hidden."""
-        return str(self.element(selector).text)
+        return str(self.on(selector, lambda element: element.text))
 
     def is_seen(self, selector: str) -> bool:
         """Whether an element is displayed."""
-        return bool(self.element(selector).is_displayed())
+        return bool(self.on(selector, lambda element: element.is_displayed()))
 
     def complaints(self) -> list[str]:
         """Return the console's errors since the last call, without those about WebGL in software and about reading the
@@ -192,7 +201,7 @@ class Chromium(Page):
         options.accept_insecure_certs = True  # those of tests
         options.timeouts = {"script": int(1000 * PATIENCE_S)}
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        self.driver = Chrome(options, ChromeService(CHROMEDRIVER))
+        self.driver, self.stale = Chrome(options, ChromeService(CHROMEDRIVER)), StaleElementReferenceException
 
     def open(self, url: str) -> None:
         self.driver.get(url)
@@ -221,9 +230,11 @@ class Firefox(Page):
         prefs = {"devtools.console.stdout.content": True}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the library's
+            from marionette_driver.errors import StaleElementException
             from marionette_driver.marionette import Marionette
 
             self.driver = Marionette(port=0, bin=FIREFOX, headless=True, gecko_log=str(self._log), prefs=prefs)
+        self.stale = StaleElementException
         self.driver.start_session()
         self.driver.timeout.script = PATIENCE_S
 

@@ -47,9 +47,6 @@ export function crc32(bytes) {
   return ~crc >>> 0;
 }
 
-/** The quantum of a code of 12 bits; the larger, the finer. */
-export const quantumOf = (code) => (1 + (code & 255) / 256) * 2 ** (3 - (code >> 8));
-
 /** The header, with the payloads of the picture and of its alpha, a grey picture. readTexture(bit, width, height) reads
  * the texture. Throws SgError. */
 export function readHeader(bytes, readTexture) {
@@ -77,6 +74,7 @@ export function readHeader(bytes, readTexture) {
     WHOLE: refuseUnless(filling === 0, "bits that fill it are not zero");
     return at / 8;
   };
+  const quantumOf = (code) => (1 + (code & 255) / 256) * 2 ** (3 - (code >> 8));
   const [flags, width, height, quantum, red] = HEADER.slice(0, 5).map(read);
   const grey = flags & GREY;
   const background = grey ? [red, red, red] : [red, ...HEADER.slice(5).map(read)];

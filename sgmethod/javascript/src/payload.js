@@ -24,13 +24,16 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
   const last = k - take(6);
   WHOLE: refuseUnless(isWhole() && last >= -4, "its classes are out of range");
   for (let total = 0; k >= last; k--) {
-    const [side, columns, rows] = cellsOf(k, width, height);
+    const side = 2 ** max(0, (k + 1) >> 1);
+    const [columns, rows] = [width, height].map((pixels) => min(floor(pixels / side) + 5, 65536));
     const count = number(COLOUR, COUNT);
     fetch(count[1]);
     const n = whole(count);
     total += n;
     refuseUnless(isWhole() && total <= most, "it has too many Gaussians");
-    const t = lowBits(columns, rows, n);
+    let t = 0;
+    for (let mean = floor((columns * rows) / max(n, 1)); mean >= 8; mean /= 2) t++;
+    t = min(t, 24);
     // A turn holds cell and colour of the next Gaussian, then shape and place of the one before it.
     let [cell, colour, square, h, uBits] = [0, [], 0, 0, 0]; // of the one before
     for (let i = 0; i <= n && n; i++) {
@@ -78,30 +81,12 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
         square = next[0] ** 2 + next[1] ** 2 + next[2] ** 2;
         WHOLE: refuseUnless(square, "a Gaussian has no colour");
         WHOLE: refuseUnless(max(...next) <= 2 ** 22, "a colour is out of range");
-        [h, uBits] = shapeBits(square);
+        h = min((log2(square) + 1) >> 1, 18);
+        uBits = min(max(h - 1, 0), 12);
       }
     }
   }
   refuseUnless(isEnded(), "its end is wrong");
-}
-
-/** A class's grid of cells: their side in pixels, its columns and rows. */
-export function cellsOf(k, width, height) {
-  const side = 2 ** max(0, (k + 1) >> 1);
-  return [side, ...[width, height].map((pixels) => min(floor(pixels / side) + 5, 65536))];
-}
-
-/** How many low bits of the distances of n Gaussians on a grid have no model. */
-export function lowBits(columns, rows, n) {
-  let t = 0;
-  for (let mean = floor((columns * rows) / max(n, 1)); mean >= 8; mean /= 2) t++;
-  return min(t, 24);
-}
-
-/** The bits of a shape's numbers and of its size, by the square of its colour's integers. */
-export function shapeBits(square) {
-  const h = min((log2(square) + 1) >> 1, 18);
-  return [h, min(max(h - 1, 0), 12)];
 }
 
 /** Which of a colour's models is next, by the symbol before. */

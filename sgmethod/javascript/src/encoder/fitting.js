@@ -4,7 +4,7 @@
 
 import { found } from "./growing.js";
 import { differentiate, errorOf, leave } from "./grid.js";
-import { FINEST, rounded, shortQuantumOf } from "./integers.js";
+import { FINEST, quantumOf, rounded } from "./integers.js";
 import { refined } from "./refining.js";
 import { payloadOf } from "./writing.js";
 
@@ -122,9 +122,9 @@ function steered(quantum, size, limit, at) {
 
 /** Code Gaussians with several quanta, refine each, and return the header of the best with its payload. */
 function searched(all, grid, header, limit, quantum) {
-  const at = (code) => coded(all, { ...header, code }, shortQuantumOf(code));
+  const at = (code) => coded(all, { ...header, code }, quantumOf(code));
   const finer = (code, least) => {
-    while (code < FINEST && shortQuantumOf(code) > least) code++;
+    while (code < FINEST && quantumOf(code) > least) code++;
     return code;
   };
   let code = finer(0, quantum);

@@ -1,7 +1,6 @@
 // Gaussians to a file's integers: docs/format.md, "Bits of a Gaussian" and "Integers to Gaussians", backwards.
 
-import { quantumOf } from "../header.js";
-import { cellsOf, partBits, shapeBits, valuesOf } from "../payload.js";
+import { log2, partBits, valuesOf } from "../payload.js";
 
 const { floor, log, max, min, round, sqrt } = Math;
 
@@ -9,17 +8,24 @@ export const MAX_CLASS = 28;
 export const FINEST = 208; // code of a quantum
 const MIN_CLASS = -4;
 const MAX_COLOUR = 2 ** 22;
-
-/** The quantum of a short file's code of 8 bits. */
-export const shortQuantumOf = (code) => quantumOf((code << 4) | (code >> 4));
+const FARTHEST = 65536; // cells along a side at most
 
 const clamp = (value, low, high) => min(max(value, low), high);
+
+/** The quantum of a short file's code, 0 to 255; the larger, the finer. */
+export const quantumOf = (code) => (1 + (((code & 15) << 4) | (code >> 4)) / 256) * 2 ** (3 - (code >> 4));
+
+/** A grid of cells: as wide as this, this many columns and rows. */
+export function cellsOf(k, { width, height }) {
+  const side = 2 ** max(0, (k + 1) >> 1);
+  return [side, ...[width, height].map((pixels) => min(floor(pixels / side) + 5, FARTHEST))];
+}
 
 /** Integers with the Gaussian that they stand for, as `g`. */
 export function withGaussian(s, header) {
   const { k, h, y, a, b, v, r } = s;
   const u = (s.u + 0.5) / 2 ** s.uBits;
-  const [side] = cellsOf(k, header.width, header.height);
+  const [side] = cellsOf(k, header);
   const place = [s.column - 2 + (s.px + 0.5) / 2 ** s.parts[0], s.row - 2 + (s.py + 0.5) / 2 ** s.parts[1]];
   const g = Float64Array.of(place[0] * side, place[1] * side, ...valuesOf(header.quantum, k, h, u, v, r, [y, a, b]));
   return { ...s, g };
@@ -34,7 +40,8 @@ export function rounded([x, y, l1, l2, l3, red, green, blue], header) {
   const colour = axes.map((axis, i) => (i && header.grey ? 0 : clamp(round(axis / c), -MAX_COLOUR, MAX_COLOUR)));
   const square = colour.reduce((sum, part) => sum + part * part, 0);
   if (!square) return null;
-  const [h, uBits] = shapeBits(square);
+  const h = min((log2(square) + 1) >> 1, 18);
+  const uBits = min(max(h - 1, 0), 12);
   const [levels, steps] = [2 ** uBits, 2 ** h];
   const u = clamp(floor((size - k + 0.5) * levels), 0, levels - 1);
   const v = clamp(round((log(l1 / l3) / 2) * steps), -8 * steps, 8 * steps);
@@ -42,7 +49,7 @@ export function rounded([x, y, l1, l2, l3, red, green, blue], header) {
   const [flat1, , flat3] = valuesOf(header.quantum, k, h, (u + 0.5) / levels, v, 0, colour);
   const r = clamp(round(((l2 / l1) * flat1 * steps) / (2 * flat3)), -2048 * steps, 2048 * steps);
   const parts = partBits(k, square, h, (u + 0.5) / levels, v, r);
-  const [side, columns, rows] = cellsOf(k, header.width, header.height);
+  const [side, columns, rows] = cellsOf(k, header);
   const nearest = (at, cells, bits) => {
     const cell = clamp(floor(at / side + 2), 0, cells - 1);
     return [cell, clamp(floor((at / side + 2 - cell) * 2 ** bits), 0, 2 ** bits - 1)];

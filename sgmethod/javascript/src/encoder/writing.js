@@ -3,10 +3,10 @@
 import { adapt, edge } from "../coder.js";
 import { ALPHA_HEADER, HEADER, crc32 } from "../header.js";
 import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V, newModels } from "../models.js";
-import { cellsOf, level, lowBits } from "../payload.js";
-import { MAX_CLASS } from "./integers.js";
+import { level } from "../payload.js";
+import { MAX_CLASS, cellsOf } from "./integers.js";
 
-const { abs, floor, log2, min } = Math;
+const { abs, floor, log2, max, min } = Math;
 
 const NOTHING = { y: 0, a: 0, b: 0, v: 0, r: 0, u: 0, uBits: 0, px: 0, py: 0, parts: [0, 0], h: 0 };
 const BITS_OF_PLACE = 6; // about those of a cell, beside the first distance
@@ -147,11 +147,12 @@ export function payloadOf(all, header) {
     const rest = begin(writer, COUNT, n);
     writer.fetch(rest);
     writer.raw(n, rest);
-    const [, columns, rows] = cellsOf(k, header.width, header.height);
-    const t = lowBits(columns, rows, n);
+    const [, columns, rows] = cellsOf(k, header);
+    let t = 0;
+    for (let mean = floor((columns * rows) / max(n, 1)); mean >= 8; mean /= 2) t++;
     for (let i = 0; i <= n && n; i++) {
       const by = i < n ? here[i].cell - (i ? here[i - 1].cell : 0) : 0;
-      writeTurn(writer, by, t, here[i] ?? NOTHING, here[i - 1] ?? NOTHING, header.grey);
+      writeTurn(writer, by, min(t, 24), here[i] ?? NOTHING, here[i - 1] ?? NOTHING, header.grey);
     }
   }
   return [writer.bytes(), writer.costs()];
