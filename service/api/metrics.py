@@ -14,7 +14,6 @@ from starlette.types import Scope
 from service.api.problems import REFUSAL
 from service.jobs import outcomes
 from service.jobs.job import Counts
-from service.process.loops import failures
 from service.sandbox.confinement import LAYERS
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
@@ -38,9 +37,6 @@ class _TableFigures(Collector):
     def collect(self) -> Iterator[Metric]:
         counts = self.counts
         yield GaugeMetricFamily("sgmethod_job_table_up", "Whether the job table answers.", counts is not None)
-        failed = "Unexpected failures of background work since the process started."
-        by_process = {"web": failures.total(), **(counts.failures if counts else {})}
-        yield _gauges("sgmethod_background_failures", failed, "process", by_process.items())
         if counts is None:
             return
         yield _gauges("sgmethod_jobs", "Jobs in the table.", "state", counts.jobs.items())

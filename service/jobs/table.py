@@ -46,7 +46,6 @@ NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted t
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
 FORGOTTEN_S = 900.0  # a worker that is silent for longer is removed
-AHEAD_S = 2.0  # a report from further ahead was made before the clock was set back
 
 
 class JobTable(ABC):
@@ -155,13 +154,12 @@ class JobTable(ABC):
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
             figures = db.execute(sql.COUNTS).fetchone()
-            seen = db.execute(sql.SEEN, (AHEAD_S,)).fetchall()
+            seen = db.execute(sql.SEEN).fetchall()
             so_far = outcomes.totals(db)
         counted = {row["state"]: row["jobs"] for row in rows}
         return Counts(
             jobs={state: counted.get(state, 0) for state in JOB_STATES},
             workers={row["name"]: row["seconds"] for row in seen},
-            failures={row["name"]: row["failures"] for row in seen},
             totals=so_far,
             **dict(figures),
         )
@@ -177,7 +175,7 @@ class JobTable(ABC):
         with self._connection() as db:
             return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
-    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+    def trace(self, job_id: str, first: int = 0) -> list[dict[str, Any]]:
         """Return the trace points of the job's latest attempt, oldest first, from index `first`."""
         query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
         with self._connection() as db:
@@ -241,11 +239,11 @@ class JobTable(ABC):
                 self._fail(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
                 return None
 
-    def register(self, worker: str, failures: int = 0) -> None:
-        """Note that the worker is alive, with or without a job. failures: number of failures of its background work."""
+    def register(self, worker: str) -> None:
+        """Note that the worker is alive, with or without a job."""
         with self._transaction() as db:
-            db.execute(sql.REGISTER, (worker, failures))
-            db.execute("DELETE FROM workers WHERE epoch() - seen_at NOT BETWEEN ? AND ?", (-AHEAD_S, FORGOTTEN_S))
+            db.execute(sql.REGISTER, (worker,))
+            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
             if given_up := outcomes.give_up_deliveries(db):
                 log.error("gave up on %d webhooks", given_up)
 
@@ -337,16 +335,6 @@ class JobTable(ABC):
         """Delete a webhook that was delivered."""
         with self._transaction() as db:
             outcomes.forget_delivery(db, delivery)
-
-    def forward_deliveries(self) -> int:
-        """Redirect webhooks from addresses that the operator no longer names to the current ones. Returns their number.
-
-        If no address is named, they stay until they are given up.
-        """
-        if not self._settings.webhook_addresses:
-            return 0
-        with self._transaction() as db:
-            return outcomes.forward_deliveries(db, self._settings.webhook_addresses)
 
     def needed_keys(self) -> set[str]:
         """Return the storage keys of all files that some job still needs."""

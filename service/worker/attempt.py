@@ -25,9 +25,10 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 PREVIEW_ENDS_S = 1.0  # enough for a folder; the sweep removes what a bucket stores later
-POINTS_APART = 1 / 200  # minimum distance as a share of the time since the start: at most 2,500 points a day
+# Minimum distance of trace points as a share of the time since the start, so that a trace has few points: 10 a second
+# at first, and some 500 after five minutes, which a page fetches repeatedly.
+POINTS_APART = 1 / 100
 HEARTBEAT_S = 0.5  # also how often clients see new progress
 PAUSE_AFTER_TROUBLE_S = 1.0  # after an error of the job table or the storage
 
@@ -64,7 +65,6 @@ class Attempt:
         self._points: list[JsonObject] = []  # since the last heartbeat
         self._sent = 0
         self._showing: threading.Thread | None = None
-        self._shown = 0.0
         self._late: JsonObject | None = None  # the last point, if it came too soon
         self._began = self._heard = time.monotonic()
         self._added = -math.inf
@@ -82,12 +82,10 @@ class Attempt:
     def show(self, bitstream: bytes) -> None:
         """Store a preview in the background: a slow storage must not hold up the encode.
 
-        Previews are dropped while one is being stored, and when they come too soon.
+        Previews are dropped while one is being stored.
         """
-        now = time.monotonic()
-        if now - self._shown < PREVIEW_EVERY_S or (self._showing is not None and self._showing.is_alive()):
+        if self._showing is not None and self._showing.is_alive():
             return
-        self._shown = now
         self._showing = threading.Thread(target=self._store_preview, args=(bitstream,), daemon=True)
         self._showing.start()
 

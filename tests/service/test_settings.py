@@ -61,7 +61,7 @@ def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -
     assert Settings().workers == min(max(1, cores // 4), 64)
 
 
-@pytest.mark.parametrize("command", ["serve", "web", "worker", "alive", "check", "sweep"])
+@pytest.mark.parametrize("command", ["serve", "web", "worker", "alive", "check"])
 def test_missing_kernels_are_one_clear_line(command: str) -> None:
     missing = "import sys; sys.modules['sgmethod.native._native'] = None"
     script = f"{missing}; from service.__main__ import main; sys.exit(main())"
@@ -123,7 +123,7 @@ def test_a_taken_port_is_one_clear_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("command", ["serve", "web", "worker", "sweep"])
+@pytest.mark.parametrize("command", ["serve", "web", "worker"])
 @pytest.mark.parametrize("file", ["data", "data/jobs.sqlite3", "data/sources"])
 def test_a_data_folder_that_cannot_be_is_one_clear_line(
     run_command: RunCommand, tmp_path: Path, file: str, command: str
@@ -133,17 +133,15 @@ def test_a_data_folder_that_cannot_be_is_one_clear_line(
     start = run_alone if command == "web" else run_command  # which leaves its socket to the end of the process
     result = start(command, SG_PORT=0, SG_DATA_DIR=tmp_path / "data")
     assert result.status == 1
-    verb = "sweep" if command == "sweep" else "start"
     (line,) = [line for line in result.stderr.splitlines() if "INFO" not in line]
-    assert re.fullmatch(rf"cannot {verb}: .+", line)
+    assert re.fullmatch("cannot start: .+", line)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        *(("AWS_ENDPOINT_URL", v, "must begin with http") for v in ("store.example", "http://a:99999", "http://a b")),
-        ("AWS_ACCESS_KEY_ID", "key\n", "contains a line end"),
-        ("AWS_SESSION_TOKEN", "to\nken", "contains a line end"),
+        ("AWS_ENDPOINT_URL", "store.example", "malformed AWS_ variable"),
+        ("AWS_SESSION_TOKEN", "to\nken", "malformed AWS_ variable"),
         ("SSL_CERT_FILE", "/nowhere", "no certificates"),
     ],
 )
@@ -155,8 +153,7 @@ def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
     settings = {"SG_STORAGE_URL": "s3://bucket", "SG_DATA_DIR": tmp_path, "SSL_CERT_DIR": "/nowhere", **keys}
     result = run_command("serve", **{**settings, name: value})
     assert result.status == 1
-    assert re.fullmatch(rf"cannot start: .*{name}.*\n", result.stderr)
-    assert words in result.stderr
+    assert re.fullmatch(f"cannot start: .*{words}.*\n", result.stderr)
 
 
 @pytest.mark.thorough

@@ -209,10 +209,9 @@ def test_queue_length_counts_waiting_jobs_only(open_job_table: OpenTable) -> Non
 
 
 def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
-    for failures, worker in enumerate(("one", "two", "one")):
-        table.register(worker, failures)
+    for worker in ("one", "two", "one"):
+        table.register(worker)
     workers = table.counts().workers
-    assert table.counts().failures == {"one": 2, "two": 1}
     assert sorted(workers) == ["one", "two"]
     assert all(-1 < seconds < 60 for seconds in workers.values())
     table.unregister("two")
@@ -220,30 +219,6 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
     table.register("three")  # and workers that were silent for too long are forgotten
     assert table.counts().workers == {}
-
-
-def test_a_clock_that_is_put_back(open_job_table: OpenTable) -> None:
-    """A webhook is due as soon as the clock shows that it was put off for too long, and then waits as any other; a
-    dead worker has not just been seen.
-    """
-    table = open_job_table(LONG_S, webhook_urls="http://a.example")
-    submitted(table)
-    assert table.finish(claimed(table), RESULT)
-    for tried in (False, True):  # at once at first, and after a pause
-        assert table.due_delivery("http://a.example") is not None
-        assert table.due_delivery("http://a.example") is None
-        change(table, "UPDATE deliveries SET ended_at = ended_at + ?, due_at = due_at + ?", 1000, 1000)
-        assert table.due_delivery("http://a.example") is not None, tried
-        assert table.due_delivery("http://a.example") is None
-        change(table, "UPDATE deliveries SET due_at = ended_at")
-    table.register("dead")
-    table.register("alive")
-    change(table, "UPDATE workers SET seen_at = seen_at + ?", 1000)
-    assert table.counts().silent_s is None
-    table.register("alive")
-    assert list(table.counts().workers) == ["alive"]
-    with table._connection() as db:
-        assert db.execute("SELECT count(*) AS number FROM workers").fetchone()["number"] == 1
 
 
 def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:

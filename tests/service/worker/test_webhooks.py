@@ -146,24 +146,6 @@ def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
     assert table.counts().deliveries == 6  # none counts as delivered
 
 
-def test_an_address_that_was_corrected(open_job_table: OpenTable) -> None:
-    """What waits for the old one goes to those that are named now. An operator who names none keeps it waiting."""
-    table = open_job_table(LONG_S, webhook_urls="http://old,http://same")
-    job_id = ended(table)
-    same = table.due_delivery("http://same")
-    assert same is not None
-    table.delivered(same)
-    assert open_job_table(LONG_S).forward_deliveries() == 0
-    corrected = open_job_table(LONG_S, webhook_urls="http://new")
-    assert (corrected.forward_deliveries(), corrected.forward_deliveries()) == (1, 0)
-    assert table.due_delivery("http://old") is None
-    new = corrected.due_delivery("http://new")
-    assert new is not None
-    assert (new.job_id, new.body) == (job_id, same.body)
-    corrected.delivered(new)
-    assert corrected.counts().deliveries == 0
-
-
 def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
     table = open_job_table(LONG_S, webhook_urls="http://a")
     ended(table)
