@@ -27,7 +27,7 @@ MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # small enough for the system and both databases
 LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MAX_WORKERS = 64  # processes of one machine
-UPLOADS_OF_ROOM = 4  # with less space than this many of the largest uploads, the disk counts as full
+MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
@@ -105,7 +105,7 @@ class Settings(BaseSettings):
         ge=1,
         le=LONGEST_S,
         description="seconds until the job of a lost worker goes to another; jobs that wait for four times as long "
-        "without a sign of life from any worker make /readyz fail",
+        "without a report from any worker make /readyz fail",
     )
     stop_grace_s: float = Field(
         default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for stopping before processes are killed"
@@ -251,7 +251,7 @@ class Settings(BaseSettings):
     @property
     def min_free_bytes(self) -> int:
         """Free disk space in bytes below which new jobs are refused."""
-        return UPLOADS_OF_ROOM * self.max_upload_bytes
+        return MIN_FREE_UPLOADS * self.max_upload_bytes
 
     @property
     def job_timeout_s(self) -> float:

@@ -40,7 +40,7 @@ class _TableFigures(Collector):
         if counts is None:
             return
         yield _gauges("sgmethod_jobs", "Jobs in the table.", "state", counts.jobs.items())
-        seen = "Since the last sign of life of a worker, which gives one every 2 s."
+        seen = "Since the last report of a worker, which reports every 2 s."
         since = {worker: max(0.0, seconds) for worker, seconds in counts.workers.items()}
         yield _gauges("sgmethod_worker_seen_seconds", seen, "worker", since.items())
         waited = "Since the job ended whose webhook has been waiting for longest."
@@ -97,7 +97,7 @@ class Metrics:
         )
         self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
         self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
-        self.free_bytes = Gauge("sgmethod_free_bytes", "Room that is left in the data folder.", registry=registry)
+        self.free_bytes = Gauge("sgmethod_free_bytes", "Free bytes of the storage.", registry=registry)
         layer = "Whether a layer of the sandbox holds."
         layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)
         for name in LAYERS:

@@ -194,24 +194,6 @@ def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str, set_thre
             assert torch.equal(found, bytes_expected)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_bytes_over_a_background(name: str, set_threads: Callable[[int], None]) -> None:
-    """The background is what the sum begins with, so that rounding may differ by a level from adding it last."""
-    c, background = case(name), (0.2, 0.7, 0.4)
-    shown = native_picture(c, 0).permute(1, 2, 0) + torch.tensor(background)
-    levels = torch.floor(shown.clamp(0, 1) * 255 + 0.5)
-    results = []
-    for threads in (1, 2, 5):
-        set_threads(threads)
-        for isa in ISAS:
-            results.append(torch.full(shown.shape, 77, dtype=torch.uint8))
-            native.Rasterization(c.means, c.factors, *c.size, isa=isa).render_bytes(c.colors, results[-1], background)
-    assert all(torch.equal(one, results[0]) for one in results)
-    difference = (results[0].float() - levels).abs()
-    assert difference.max() <= 1
-    assert (difference > 0).float().mean() < 1e-3  # none seen
-
-
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
 def test_gradients_do_not_depend_on_threads(name: str, isa: int, set_threads: Callable[[int], None]) -> None:

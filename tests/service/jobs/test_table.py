@@ -153,7 +153,7 @@ def test_a_clock_that_jumps(
     assert (job.state, job.crashes) == expected
 
 
-def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
+def test_a_request_of_another_version_holds_up_no_other(table: JobTable) -> None:
     """It is not encoded as if what is new in it were not there, and it fails when no worker has understood it."""
     strange = submitted(table)
     request = json.dumps({**asdict(REQUEST), "mood": 9, "tune": "sharper"})

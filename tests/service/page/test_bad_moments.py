@@ -268,7 +268,7 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     assert page.complaints() == []
 
 
-def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
+def test_downloads_are_confirmed(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.says("AVIF", "#verdict")  # buttons move until then
     page.run("HTMLAnchorElement.prototype.click = function () { window.saved = this.download; }")

@@ -19,7 +19,7 @@ from service.process.loops import PeriodicThread, StopSignal
 
 
 def test_rounds_go_on() -> None:
-    """As those that sweep, sign, notify, and fill the queue of the engine again."""
+    """As those that sweep, report, send webhooks, and refill the queue of the engine."""
     until, done = StopSignal(), threading.Event()
     thread = PeriodicThread("testing", failing(done.set, RuntimeError("unexpected")), 0.01, until)
     thread.start()

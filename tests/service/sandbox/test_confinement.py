@@ -209,7 +209,7 @@ def test_a_sandbox_that_is_required(
     assert f"ok      sandbox: uploads are read without {missing}, which this system does not offer" in result.stdout
 
 
-def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_layers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confinement, "_refuse_files", lambda: False)
     monkeypatch.setattr(confinement, "_become_nobody", lambda: False)
     monkeypatch.setattr(os, "geteuid", lambda: 0)

@@ -59,7 +59,7 @@ def header(width: int) -> bytes:
     return result({"format": "PNG", "width": width, "height": 8})
 
 
-def test_a_task_has_no_field_that_nobody_knows() -> None:
+def test_a_task_has_no_unknown_field() -> None:
     for field in ("more", "bytes_per_pixel"):
         with pytest.raises(ValidationError):
             TypeAdapter(frames.AnyTask).validate_python({**DRAW.model_dump(), field: 1})

@@ -34,7 +34,7 @@ from tests.service.s3_server import S3Server
 
 pytestmark = pytest.mark.thorough
 
-DISK_BYTES, ROOM_BYTES = 2**24, 2**21  # of the file system; of one upload, four times which must be free
+DISK_BYTES, UPLOAD_BYTES = 2**24, 2**21  # of the file system; of one upload, four times which must be free
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 
 
@@ -69,7 +69,7 @@ def fill(disk: Path) -> Path:
 
 def test_full_disk_while_accepting(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """Rule 1: what cannot be kept is not accepted, and nothing of it stays."""
-    web = start_service("web", database_url=database_url, max_upload_bytes=ROOM_BYTES)
+    web = start_service("web", database_url=database_url, max_upload_bytes=UPLOAD_BYTES)
     done = web.published(PICTURE)
     before = web.files()
     ballast = fill(small_disk)
@@ -84,7 +84,7 @@ def test_full_disk_while_accepting(small_disk: Path, start_service: StartService
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """A result waits for space; the encode is not done again."""
-    service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=ROOM_BYTES, extra=FAKE_CODEC)
+    service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=UPLOAD_BYTES, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     encoder = running_encoder(job_id)
     ballast = fill(small_disk)
@@ -99,7 +99,7 @@ def test_full_disk_while_finishing(small_disk: Path, start_service: StartService
 
 def test_full_disk_in_words(small_disk: Path, start_service: StartService) -> None:
     """The job table was unreachable, or had an I/O error."""
-    web = start_service("web", max_upload_bytes=ROOM_BYTES)
+    web = start_service("web", max_upload_bytes=UPLOAD_BYTES)
     done = web.published(PICTURE)
     fill(small_disk)
     assert_problem(web.client.delete(f"/jobs/{done}"), 503, "the disk is full")

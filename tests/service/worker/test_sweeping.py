@@ -100,7 +100,7 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
     assert stored(storage) == set()
 
 
-def test_files_go_even_if_a_full_disk_leaves_no_room_for_the_job_table(
+def test_files_are_removed_even_if_the_job_table_cannot_be_written(
     open_job_table: OpenTable, storage: Storage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = open_job_table(LONG_S, source_retention_s=60.0)

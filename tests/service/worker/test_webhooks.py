@@ -121,7 +121,7 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
     other.server.server_close()
 
 
-def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
+def test_every_end_is_delivered_once(open_job_table: OpenTable) -> None:
     """Done, refused, crashed too often; not what goes back into the queue. The delivery outlives its job."""
     table = open_job_table(LONG_S, webhook_urls="http://a,http://b")
     done = ended(table)

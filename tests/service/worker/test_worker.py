@@ -211,7 +211,7 @@ def test_a_trace_has_few_points_whatever_an_encode_sends(
     assert table.trace(claim.job_id)[-1] == {"step": 59_999}
 
 
-def test_a_heartbeat_that_nobody_hears_goes_on(
+def test_heartbeats_go_on_without_a_table(
     table: Unsteady, storage: Storage, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rule 2: that a job is lost is the table's word, which silence is not."""
@@ -258,7 +258,7 @@ def test_an_end_is_written_down_however_long_it_takes(
     assert (job.state, job.crashes) == ("done" if isinstance(outcome, Encoded) else "failed", 0)
 
 
-def test_what_nobody_foresaw_does_not_end_a_worker(
+def test_unexpected_errors_do_not_end_a_worker(
     worker: Worker, stop: StopSignal, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """On PostgreSQL the engine swallowed it without a word."""
@@ -268,7 +268,7 @@ def test_what_nobody_foresaw_does_not_end_a_worker(
     assert "running a job failed unexpectedly" in caplog.text
 
 
-def test_a_source_that_is_gone(table: Unsteady, storage: Storage, worker: Worker, claim: Claim) -> None:
+def test_a_missing_source(table: Unsteady, storage: Storage, worker: Worker, claim: Claim) -> None:
     assert table.release(claim)
     storage.delete(source_key(claim.job_id))
     for _ in range(4):
