@@ -87,8 +87,6 @@ class Metrics:
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
         self.streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
-        self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
-        self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
         self.decode_seconds = Histogram(
             "sgmethod_decode_seconds",
             "Drawing a picture, with the wait for its turn.",
@@ -115,14 +113,6 @@ class Metrics:
         state = scope["state"]
         if REFUSAL in state:
             self.refusals.labels(state[REFUSAL]).inc()
-        if "caller" in state and state["caller"].owner is not None:
-            self.key_requests.labels(state["caller"].owner).inc()
-
-    def accept(self, owner: str | None) -> None:
-        """Count an accepted job, in total and for its API key."""
-        self.accepted.inc()
-        if owner is not None:
-            self.key_jobs.labels(owner).inc()
 
     def text(self, counts: Counts | None) -> bytes:
         """Return all metrics in Prometheus' text format. counts: of the job table; None if it does not respond."""
