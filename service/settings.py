@@ -1,7 +1,7 @@
 """Every setting of the service with its default and range.
 
-Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md says what each means,
-and a test compares names and defaults.
+Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md says what each
+means, and a test compares names and defaults.
 """
 
 from __future__ import annotations

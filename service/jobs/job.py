@@ -108,8 +108,8 @@ class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
     number: order of acceptance; position: place in the queue from 1, ignoring that owners take turns, None unless
-    queued; crashes: attempts that crashed or lost their worker; stopped: whether the running attempt is to end early,
-    with what it has.
+    queued; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed or lost their
+    worker; stopped: whether the running attempt is to end early, with what it has.
     """
 
     number: int
@@ -141,16 +141,6 @@ def job_of(row: Any) -> Job:
 def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
     """Return a part of a job as its row stores it."""
     return json.dumps(asdict(value))
-
-
-@dataclass(frozen=True)
-class Claim:
-    """The right of one worker to run a job, until its lease ends. attempt: the fencing token."""
-
-    job_id: str
-    attempt: int
-    request: EncodeRequest
-    image: SourceImage
 
 
 @dataclass(frozen=True)

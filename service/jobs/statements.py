@@ -91,7 +91,7 @@ WHERE state = 'queued' AND number = (
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
     WHERE state = 'queued'
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
-) RETURNING number, id, attempt, request, image
+) RETURNING *, NULL AS position
 """
 REGISTER = "INSERT INTO workers VALUES (?, epoch()) ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at"
 SEEN = "SELECT name, epoch() - seen_at AS seconds FROM workers"

@@ -87,14 +87,14 @@ class Worker:
         claim = self._table.claim(self._name)
         if claim is None:
             return False
-        log.info("job %s: attempt %d of worker %s", claim.job_id, claim.attempt, self._name)
+        log.info("job %s: attempt %d of worker %s", claim.id, claim.attempt, self._name)
         attempt = Attempt(self._table, self._storage, claim, self._stop)
         try:
             attempt.conclude(self._encode(attempt))
         except ClaimLostError:
-            log.warning("job %s: attempt %d was deleted or taken over", claim.job_id, claim.attempt)
+            log.warning("job %s: attempt %d was deleted or taken over", claim.id, claim.attempt)
         except StoppedError:
-            log.info("job %s: handed back", claim.job_id)
+            log.info("job %s: handed back", claim.id)
             self._table.release(claim)
         except OSError:  # such as a storage out of reach: this must not count against the job
             self._table.release(claim)
@@ -108,7 +108,7 @@ class Worker:
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
-            source = attempt.beating(functools.partial(self._storage.open, source_key(attempt.claim.job_id)))
+            source = attempt.beating(functools.partial(self._storage.open, source_key(attempt.claim.id)))
         except FileNotFoundError:
             return JobError("crashed", "the source image is missing")
         with source, self._sandbox.start(self._task(attempt), source) as running:
@@ -120,7 +120,7 @@ class Worker:
     def _task(self, attempt: Attempt) -> frames.Encode:
         claim, threads = attempt.claim, self._settings.encode_threads
         return frames.Encode(
-            job_id=claim.job_id,
+            job_id=claim.id,
             request=claim.request,
             threads=threads,
             memory_bytes=self._settings.job_memory_bytes,

@@ -38,11 +38,11 @@ def submitted(table: JobTable, storage: Storage) -> str:
 def finished(table: JobTable, storage: Storage) -> str:
     submitted(table, storage)
     claim = claimed(table)
-    key = bitstream_key(claim.job_id, claim.attempt)
+    key = bitstream_key(claim.id, claim.attempt)
     storage.put(key, b"bitstream")
     assert table.finish(claim, EncodeResult(key, "", {}))
-    storage.delete(source_key(claim.job_id))
-    return claim.job_id
+    storage.delete(source_key(claim.id))
+    return claim.id
 
 
 def stored(storage: Storage) -> set[str]:
@@ -52,7 +52,7 @@ def stored(storage: Storage) -> set[str]:
 def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     done = finished(table, storage)
     running, waiting = submitted(table, storage), submitted(table, storage)
-    assert claimed(table).job_id == running
+    assert claimed(table).id == running
     for key in (bitstream_key(running, 1), preview_key(running, 1)):
         storage.put(key, b"not published yet")
     needed = stored(storage)
@@ -77,8 +77,8 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
     jobs = [submitted(table, storage) for _ in range(4)]
     for _ in jobs:
         claim = claimed(table)
-        storage.put(bitstream_key(claim.job_id, 1), b"bitstream")
-        assert table.finish(claim, EncodeResult(bitstream_key(claim.job_id, 1), "", {"bytes": 9}))
+        storage.put(bitstream_key(claim.id, 1), b"bitstream")
+        assert table.finish(claim, EncodeResult(bitstream_key(claim.id, 1), "", {"bytes": 9}))
     held = {orphans[0], source_key(jobs[0]), bitstream_key(jobs[1], 1)}
     remove = storage.delete
 
@@ -155,7 +155,7 @@ def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Stor
     submitted(table, storage)
     refused = claimed(table)
     assert table.fail(refused, REFUSED)
-    storage.delete(source_key(refused.job_id))
+    storage.delete(source_key(refused.id))
     waiting = submitted(table, storage)
     assert sweep(table, storage, retention_s=60) == Swept(0, 0)
     assert sweep(table, storage, retention_s=0) == Swept(0, 0)  # never
