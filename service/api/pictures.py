@@ -137,7 +137,8 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
     }
     if (answer := not_modified(request, headers)) is not None:
         return answer
-    data = await context.store(_bitstream, context, job, result)
+    with await context.store(_open_bitstream, context, job, result) as file:
+        data = await context.store(file.read)
     return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
 
 
@@ -235,11 +236,6 @@ def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryI
         if context.table.get(job.id) is None:  # removed meanwhile
             raise no_such_job() from None
         raise _damaged(job, error) from error
-
-
-def _bitstream(context: Context, job: Job, result: EncodeResult) -> bytes:
-    with _open_bitstream(context, job, result) as file:
-        return file.read()
 
 
 def _damaged(job: Job, error: Exception) -> ProblemError:

@@ -83,16 +83,6 @@ def take_delivery(db: Database, address: str) -> Delivery | None:
     return Delivery(row["job"], address, row["body"]) if first else None
 
 
-def forget_delivery(db: Database, delivery: Delivery) -> None:
-    """Delete a delivery that succeeded."""
-    db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
-
-
-def give_up_deliveries(db: Database) -> int:
-    """Delete deliveries that have been retried for KEPT_S seconds. Returns how many."""
-    return int(db.execute("DELETE FROM deliveries WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount)
-
-
 def _body(job: Job) -> str:
     """Return the body of a webhook: type, timestamp and data, as in Standard Webhooks."""
     ended = datetime.fromtimestamp(job.finished_at or 0.0, UTC)

@@ -235,7 +235,9 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute(sql.REGISTER, (worker,))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
-            if given_up := outcomes.give_up_deliveries(db):
+            if given_up := db.execute(
+                "DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.KEPT_S,)
+            ).rowcount:
                 log.error("gave up on %d webhooks", given_up)
 
     def unregister(self, worker: str) -> None:
@@ -325,7 +327,7 @@ class JobTable(ABC):
     def delivered(self, delivery: Delivery) -> None:
         """Delete a webhook that was delivered."""
         with self._transaction() as db:
-            outcomes.forget_delivery(db, delivery)
+            db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
     def needed_keys(self) -> set[str]:
         """Return the storage keys of all files that some job still needs."""

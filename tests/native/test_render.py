@@ -223,37 +223,6 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert row[50].item() == pytest.approx(1 - np.exp(-CUTOFF), abs=1e-6)  # worst seen 0
 
 
-NOT_DRAWN = {  # more, and in a pyramid: tests/torch/test_drawing.py
-    "mean x": ([np.nan, 5], [2, 0, 2]),
-    "mean y": ([5, np.inf], [2, 0, 2]),
-    "l1 not a number": ([5, 5], [np.nan, 0, 2]),
-    "l1 negative": ([5, 5], [-2, 0, 2]),
-    "l2 infinite": ([5, 5], [2, -np.inf, 2]),
-    "l3 infinite": ([5, 5], [2, 0, np.inf]),
-    "l3 zero": ([5, 5], [2, 0, 0]),
-    "l1 subnormal": ([5, 5], [1e-40, 0, 2]),
-    "l3 subnormal": ([5, 5], [2, 0, 1e-40]),
-}
-
-
-@pytest.mark.parametrize("isa", ISAS)
-@pytest.mark.parametrize("name", NOT_DRAWN)
-def test_what_is_no_ellipse_contributes_nothing(name: str, isa: int) -> None:
-    mean, factor = (torch.tensor([row], dtype=torch.float32) for row in NOT_DRAWN[name])
-    sound = case("specks")
-    mixed = Case(
-        torch.cat([mean, sound.means]),
-        torch.cat([factor, sound.factors]),
-        torch.cat([torch.ones(1, 3), sound.colors]),
-        sound.size,
-        sound.upstream,
-    )
-    assert torch.equal(native_picture(mixed, isa), native_picture(sound, isa))
-    for mine, others in zip(native_gradients(mixed, isa), native_gradients(sound, isa), strict=True):
-        assert not mine[0].any()
-        assert torch.equal(mine[1:], others)
-
-
 ABSURD = """
 import itertools, numpy as np
 from sgmethod.native import native

@@ -12,7 +12,6 @@ import pytest
 
 from benchmarks.harness.job_table import LONG_S, claimed, job_of, settings, submitted
 from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
-from service import logs
 from service.errors import JobTableError
 from service.jobs.job import EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
@@ -226,25 +225,6 @@ def test_heartbeats_go_on_without_a_table(
     table.lost_answers = 0
     attempt.beat(now=True)
     assert table.trace(claim.id) == [{"step": 0}]
-
-
-def test_a_long_silence_does_not_fill_the_log(
-    table: Unsteady,
-    storage: Storage,
-    stop: StopSignal,
-    claim: Job,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    clock = [1000.0]
-    monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(logs, "_last_logged", {})
-    table.lost_answers = 1000
-    attempt = Attempt(table, storage, claim, stop)
-    for _ in range(100):
-        clock[0] += 1
-        attempt.beat()
-    assert caplog.text.count("no heartbeat") == 2  # once a minute
 
 
 @pytest.mark.parametrize("outcome", [JobError("refused", "no"), Encoded({}, b"data")])
