@@ -73,7 +73,7 @@ def totals(db: Database) -> Mapping[str, float]:
 def take_delivery(db: Database, address: str) -> Delivery | None:
     """Take the delivery to the address that is due for longest; None if there is none, or another worker took it.
 
-    It is due again after a pause, unless it is forgotten.
+    It is due again after a pause, unless it is deleted.
     """
     row = db.execute(NEXT, (address,)).fetchone()
     if row is None or not row["is_due"]:
