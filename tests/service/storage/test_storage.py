@@ -84,10 +84,10 @@ def test_a_disk_that_has_become_read_only(disk: DiskStorage, monkeypatch: pytest
 
 
 def test_files_of_others_are_left_alone(storage: Storage, tmp_path: Path) -> None:
-    """A file manager's, or the marker of a folder in a bucket: one of them ended the sweeper for good."""
+    """Such as a file manager's: one of them ended the sweeper for good."""
     storage.put(source_key(JOB), b"data")
     if isinstance(storage, BucketStorage):
-        for key in ("sources", "backup/2026.tar"):
+        for key in ("sources/marker", "backup/2026.tar"):
             obstore.put(storage._store, key, b"theirs")
     else:
         (tmp_path / "data" / "bitstreams" / ".DS_Store").write_bytes(b"theirs")
