@@ -104,13 +104,6 @@ def test_other_keys_are_refused(storage: Storage, key: str) -> None:
             action(key)
 
 
-def test_a_failed_write_leaves_nothing(disk: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", failing(os.fsync, OSError(28, "No space left on device")))
-    with pytest.raises(OSError, match="No space"):
-        disk.put(source_key(JOB), b"data")
-    assert list(disk.old(A_MOMENT_S)) == []
-
-
 def test_everything_is_synced_before_put_returns(disk: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rule 1: the file's bytes before the rename, the folder after it."""
     steps: list[str] = []
