@@ -16,7 +16,6 @@ from sgmethod.native import native
 NEW_SUBFILE_TYPE, BITS_PER_SAMPLE, PLANAR, SAMPLE_FORMAT = 254, 258, 284, 339
 PREVIEW, SEPARATE, UNSIGNED, UNKNOWN = 1, 2, 1, 4
 MAX_PAGES = 100
-UNSUPPORTED_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
 
 
 @dataclass(frozen=True)
@@ -63,13 +62,12 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
     except RuntimeError as error:
         raise ValueError("rejected by its decoder") from error  # the decoder's own message would not help a user
     limits.check(*reader.size)
-    if kind == "TIFF":
-        _check_tiff(reader)
+    if kind == "TIFF" and _is_preview(reader):
+        raise ImageError("the first picture in the file is only a preview, as in camera raw files")
+    check_samples(reader)
     _check_tiles(reader, kind)
     if jpeg_xl is not None and jpeg_xl.depth > 8 and reader.mode == "LA":
         raise ImageError("grey JPEG XL files with more than 8 bits and alpha are not supported")
-    if not (reader.mode == "I" and kind == "PPM"):
-        check_mode(reader)
     exif = reader.info.get("exif") or (chunks.png_chunks(data).get(b"eXIf") if kind == "PNG" else None)
     # Pillow's TIFF reader and libheif turn the picture themselves, as does libjxl unless it reconstructs a JPEG.
     turned = kind in ("TIFF", "HEIC") or (jpeg_xl is not None and not getattr(reader, "jpeg", False))
@@ -89,21 +87,19 @@ def check_jpeg_xl(data: bytes, limits: ImageLimits) -> chunks.JpegXl:
     return header
 
 
-def check_mode(reader: Image.Image) -> None:
-    """Raise ImageError for samples of Pillow's 32-bit modes, which do not say which value is white."""
-    if reader.mode in ("I", "F"):
-        raise ImageError(UNSUPPORTED_SAMPLES)
-
-
-def _check_tiff(reader: Any) -> None:
-    """Raise ImageError on TIFF files that Pillow would read wrongly."""
-    tags = reader.tag_v2
-    if tags.get(NEW_SUBFILE_TYPE, 0) & PREVIEW:
-        raise ImageError("the first picture in the file is only a preview, as in camera raw files")
-    if not {*tags.get(SAMPLE_FORMAT, ())} <= {UNSIGNED, UNKNOWN}:
-        raise ImageError(UNSUPPORTED_SAMPLES)
+def check_samples(reader: Any) -> None:
+    """Raise ImageError for samples that Pillow would read wrongly, or of which it does not know what is white."""
+    tags = getattr(reader, "tag_v2", {})  # of a TIFF
+    is_wide = reader.mode == "F" or (reader.mode == "I" and reader.format != "PPM")
+    if is_wide or not {*tags.get(SAMPLE_FORMAT, ())} <= {UNSIGNED, UNKNOWN}:
+        raise ImageError("samples of more than 16 bits, signed samples and floats are not supported")
     if tags.get(PLANAR) == SEPARATE and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
         raise ImageError("TIFF files with planar 16-bit channels are not supported")
+
+
+def _is_preview(tiff: Any) -> bool:
+    """Whether the page that a reader is at is a preview of another."""
+    return bool(tiff.tag_v2.get(NEW_SUBFILE_TYPE, 0) & PREVIEW)
 
 
 def _check_tiles(reader: Any, kind: str) -> None:
@@ -129,7 +125,7 @@ def is_still(reader: Image.Image, data: bytes) -> bool:
     try:
         for page in range(1, MAX_PAGES):
             pages.seek(page)
-            if not pages.tag_v2.get(NEW_SUBFILE_TYPE, 0) & PREVIEW:
+            if not _is_preview(pages):
                 return False
     except Exception:  # there are no more pages, or they are damaged
         return True

@@ -47,7 +47,7 @@ from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.decoding import Picture, decode
 from sgmethod.io.files import checked_path
-from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_mode, is_still, open_file, stated_colour
+from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, is_still, open_file, stated_colour
 from sgmethod.scene import Pixels
 
 __all__ = ["ImageHeader", "ImageLimits", "Input", "check_range", "read_header", "read_image_8_bit", "read_input"]
@@ -198,7 +198,7 @@ def _rounded(levels: npt.NDArray[Any], white: int) -> Pixels:
 def _open_pillow(image: Image.Image) -> Opened:
     """Check a Pillow image as a file is checked, and copy it."""
     ImageLimits().check(*image.size)
-    check_mode(image)
+    check_samples(image)
     tags, image = getattr(image, "tag_v2", None), image.copy()
     if tags is not None:  # a copy has lost those of TIFF, which say what white is
         image.tag_v2 = tags  # type: ignore[attr-defined]
