@@ -44,7 +44,7 @@ class Opened:
     """A picture whose header is parsed.
 
     reader: not yet loaded; data: the file, None for a Pillow image; orientation: of EXIF, still to be undone; colour:
-    as stated, None for sRGB; notes: warnings about dropped parts.
+    as stated, None for sRGB; notes: warnings about dropped parts; still: whether it is the only picture in the file.
     """
 
     reader: Image.Image
@@ -52,6 +52,7 @@ class Opened:
     orientation: int
     colour: Colour
     notes: tuple[str, ...] = ()
+    still: bool = True
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
@@ -72,9 +73,11 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
     # Pillow's TIFF reader and libheif turn the picture themselves, as does libjxl unless it reconstructs a JPEG.
     turned = kind in ("TIFF", "HEIC") or (jpeg_xl is not None and not getattr(reader, "jpeg", False))
     orientation = 1 if turned else chunks.exif_orientation(exif)
-    further = () if is_still(reader, data) else ("only the first of several pictures is used",)
     stated, notes = stated_colour(reader, data)
-    return Opened(reader, data, orientation, stated, (*further, *notes))
+    still = _is_still(reader, data)
+    if not still:
+        notes = ("only the first of several pictures is used", *notes)
+    return Opened(reader, data, orientation, stated, notes, still)
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits) -> chunks.JpegXl:
@@ -115,7 +118,7 @@ def _check_tiles(reader: Any, kind: str) -> None:
         raise ImageError("the file is missing pixel data")
 
 
-def is_still(reader: Image.Image, data: bytes) -> bool:
+def _is_still(reader: Image.Image, data: bytes) -> bool:
     """Whether a file contains only one picture. Previews in a TIFF do not count, nor pages that Pillow cannot read."""
     if not getattr(reader, "is_animated", False):
         return True

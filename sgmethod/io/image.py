@@ -47,7 +47,7 @@ from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.decoding import Picture, decode
 from sgmethod.io.files import checked_path
-from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, is_still, open_file, stated_colour
+from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, open_file, stated_colour
 from sgmethod.scene import Pixels
 
 __all__ = ["ImageHeader", "ImageLimits", "Input", "check_range", "read_header", "read_image_8_bit", "read_input"]
@@ -85,7 +85,7 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
         opened = open_file(data, kind, limits)
         # Pillow's TIFF reader already reports the size after orientation.
         width, height = reversed(opened.reader.size) if opened.orientation >= 5 else opened.reader.size
-        return ImageHeader(kind, width, height, is_still(opened.reader, data))
+        return ImageHeader(kind, width, height, opened.still)
 
 
 def read_input(image: Input, *, keep_alpha: bool = False) -> Pixels:
