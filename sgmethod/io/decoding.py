@@ -12,7 +12,7 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io import chunks, formats
-from sgmethod.io.colour import Colour, Levels, Transform
+from sgmethod.io.colour import Colour, Levels
 from sgmethod.io.header import BITS_PER_SAMPLE, Opened
 
 # A TIFF tag, and a value
@@ -49,7 +49,7 @@ def decode(opened: Opened, smaller: int = 1) -> Picture:
     if data is not None and reader.format == "PNG":
         formats.open_reader(data, "PNG").verify()  # checks all checksums; decoding skips those of the pixels
     alpha = None
-    if levels.shape[2] == 2 or (levels.shape[2] == 4 and not _is_cmyk(opened)):
+    if levels.shape[2] == 2 or (levels.shape[2] == 4 and reader.mode != "CMYK"):
         levels, alpha = levels[..., :-1], levels[..., -1:]
     elif key is not None:
         if data is not None and reader.format == "PNG":
@@ -58,11 +58,6 @@ def decode(opened: Opened, smaller: int = 1) -> Picture:
     if alpha is not None and alpha.min() == white:
         alpha = None
     return Picture(levels, white, alpha, white, opened.orientation, opened.colour, opened.notes)
-
-
-def _is_cmyk(opened: Opened) -> bool:
-    """Whether the samples are kept in CMYK, for the profile; Pillow's plain formula converts them otherwise."""
-    return opened.reader.mode == "CMYK" and isinstance(opened.colour, Transform)
 
 
 def _transparent_in_png(data: bytes, channels: int, white: int) -> npt.NDArray[Any]:
@@ -90,7 +85,7 @@ def _stored(opened: Opened) -> tuple[Levels, int]:
             white = (1 << tags[BITS_PER_SAMPLE][0]) - 1  # 12 bits are stored as they are
             levels = white - levels if tags.get(PHOTOMETRIC, 0) == WHITE_IS_ZERO else levels
         return levels, white
-    if _is_cmyk(opened):
+    if reader.mode == "CMYK" and opened.colour is not None:  # else Pillow's plain formula converts it
         return _load(reader), 255
     if reader.has_transparency_data:
         return _load(reader, "RGBA"), 255

@@ -136,30 +136,30 @@ def _is_still(reader: Image.Image, data: bytes) -> bool:
 
 
 def stated_colour(reader: Image.Image, data: bytes | None) -> tuple[Colour, tuple[str, ...]]:
-    """Colours of the decoded samples, and a note if their statement is ignored. Raises ImageError for PQ and HLG."""
+    """Colours of the decoded samples, and a note if their statement is ignored. Raises ImageError for PQ and HLG.
+
+    The most exact statement counts (PNG, third edition, 4.3).
+    """
     if reader.mode == "LAB":  # defines its colours itself
         return None, ()
-    try:
-        return _stated_colour(reader, data), ()
-    except ProfileError as error:
-        return None, (f"its colour profile is ignored: {error}",)
-
-
-def _stated_colour(reader: Image.Image, data: bytes | None) -> Colour:
-    """Colours by the most exact statement (PNG, third edition, 4.3); None for sRGB. Raises ProfileError."""
     is_grey = reader.mode in ("1", "L", "LA", "I") or reader.mode.startswith("I;16")
     mode = "L" if is_grey else "CMYK" if reader.mode == "CMYK" else "RGB"
     info, kind = reader.info, reader.format if data is not None else None
     png = chunks.png_chunks(data) if data is not None and kind == "PNG" else {}
-    if len(cicp := png.get(b"cICP", b"")) == 4:
-        return colour.from_code_points(cicp[0], cicp[1])
-    if b"iCCP" in png:
-        return colour.from_profile(colour.inflate(png[b"iCCP"]), mode)
-    if "icc_profile" in info:
-        return colour.from_profile(info["icc_profile"] or b"", mode)
-    if data is not None and kind == "AVIF" and (points := chunks.code_points(data)) is not None:
-        return colour.from_code_points(*points)
-    if nclx := info.get("nclx_profile"):  # of pillow_heif
-        return colour.from_code_points(nclx["color_primaries"], nclx["transfer_characteristics"])
-    # A Pillow image opened from a PNG still has its sRGB, gAMA and cHRM.
-    return None if info.get("srgb") is not None else colour.from_gamma(info)
+    found: Colour = None
+    try:
+        if len(cicp := png.get(b"cICP", b"")) == 4:
+            found = colour.from_code_points(cicp[0], cicp[1])
+        elif b"iCCP" in png:
+            found = colour.from_profile(colour.inflate(png[b"iCCP"]), mode)
+        elif "icc_profile" in info:
+            found = colour.from_profile(info["icc_profile"] or b"", mode)
+        elif data is not None and kind == "AVIF" and (points := chunks.code_points(data)) is not None:
+            found = colour.from_code_points(*points)
+        elif nclx := info.get("nclx_profile"):  # of pillow_heif
+            found = colour.from_code_points(nclx["color_primaries"], nclx["transfer_characteristics"])
+        elif info.get("srgb") is None:  # a Pillow image opened from a PNG still has its sRGB, gAMA and cHRM
+            found = colour.from_gamma(info)
+    except ProfileError as error:
+        return None, (f"its colour profile is ignored: {error}",)
+    return found, ()

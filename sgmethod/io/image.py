@@ -137,18 +137,12 @@ def _finished(picture: Picture, keep_alpha: bool) -> Pixels:
 
 
 def orient(picture: Picture) -> Picture:
-    """Undo the EXIF orientation (EXIF 2.32, table 6)."""
-    alpha = None if picture.alpha is None else _turned(picture.alpha, picture.orientation)
-    return replace(picture, levels=_turned(picture.levels, picture.orientation), alpha=alpha)
-
-
-def _turned(levels: npt.NDArray[Any], orientation: int) -> npt.NDArray[Any]:
-    """Flip rows, flip columns, swap the two."""
-    if orientation in (3, 4, 6, 7):
-        levels = levels[::-1]
-    if orientation in (2, 3, 7, 8):
-        levels = levels[:, ::-1]
-    return levels.swapaxes(0, 1) if orientation >= 5 else levels
+    """Undo the EXIF orientation (EXIF 2.32, table 6): flip rows, flip columns, swap the two."""
+    rows = slice(None, None, -1 if picture.orientation in (3, 4, 6, 7) else 1)
+    columns = slice(None, None, -1 if picture.orientation in (2, 3, 7, 8) else 1)
+    axes = (1, 0, 2) if picture.orientation >= 5 else (0, 1, 2)
+    alpha = None if picture.alpha is None else picture.alpha[rows, columns].transpose(axes)
+    return replace(picture, levels=picture.levels[rows, columns].transpose(axes), alpha=alpha)
 
 
 def to_srgb(picture: Picture) -> Picture:
