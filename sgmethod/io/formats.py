@@ -47,7 +47,14 @@ SUFFIXES |= {".tif", ".tiff", ".bmp", ".dib", ".gif", ".jxl", ".ppm", ".pgm", ".
 REFUSED = {
     "an .sg file already": tuple(bytes([0xD3, 0xC0 + version]) for version in range(1, 16)),
     "a big-endian BigTIFF": (b"MM\0+",),
+    "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
+    "a PDF": (b"%PDF",),
+    "a Photoshop file": (b"8BPS",),
+    "an SVG": (b"<svg", b"<?xml"),
+    "a web page": (b"<!DOCTYPE", b"<html"),
+    "an icon": (b"\0\0\1\0",),
 }
+VIDEO_BRANDS = {b"isom", b"mp41", b"mp42", b"qt  "}
 PLUGINS = {
     "HEIC": "pip install 'sgmethod[heif]'",
     "JPEG XL": "pip install 'sgmethod[jxl]'",
@@ -80,6 +87,7 @@ def name_of(data: bytes) -> str:
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
+    kind = "a video, " if VIDEO_BRANDS & brands else kind
     raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
 
 
