@@ -27,7 +27,7 @@ def fail_to_sleep(seconds: float) -> None:
     raise AssertionError(f"waits for {seconds} s")
 
 
-def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_permanent_errors_are_raised_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "sleep", fail_to_sleep)
     for wrong in ("", "nonsense", "127.0.0.1:8000", "localhost:8000", "ftp://127.0.0.1", "http://"):
         with pytest.raises(ServerError, match="must begin with http:// or https://"):
@@ -141,7 +141,7 @@ def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.M
             client.submit(SMALL)
 
 
-def test_what_is_tried_again_is_said(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_retries_are_logged(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     """By default in the log, which Python shows on stderr."""
     monkeypatch.setattr(time, "sleep", lambda _: None)
     messages: list[str] = []
@@ -175,7 +175,7 @@ class Busy(Other):
         self.wfile.write(detail)
 
 
-def test_the_command_line_says_what_it_tries_again(
+def test_the_command_line_reports_retries(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(time, "sleep", lambda _: None)
