@@ -107,10 +107,10 @@ const levelOf = (code) => (8 * code + (code >> 2)) / 255;
 /** Grids with what Gaussians are to add to a background. value(at, c, means): that wanted of a channel. */
 function gridsOf(pictures, { width, height, background }, value) {
   return pictures.map(({ means, columns, rows }) => {
-    const target = Float32Array.from({ length: 3 * columns * rows }, (_, i) => {
-      const c = i % 3;
-      return value((4 * (i - c)) / 3, c, means) - levelOf(background[c]);
-    });
+    const target = new Float32Array(3 * columns * rows);
+    for (let at = 0, i = 0; i < target.length; at += 4) {
+      for (let c = 0; c < 3; c++, i++) target[i] = value(at, c, means) - levelOf(background[c]);
+    }
     return newGrid(target, columns, rows, width, height);
   });
 }
