@@ -9,10 +9,11 @@
 // refining.js   their integers
 // integers.js   Gaussians and integers
 // writing.js    integers and bytes
+// uri.js        beside these: a placeholder that needs no script
 
 import { COARSE, FINE, expectedIn, fitted } from "./fitting.js";
 import { newGrid } from "./grid.js";
-import { averaged, reducedSize } from "./reducing.js";
+import { averaged, pictureOf, reducedSize } from "./reducing.js";
 import { fileOf } from "./writing.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
@@ -37,13 +38,11 @@ export function encodePreview(rgba, width, height, options = {}) {
   if (!(Number.isInteger(bytes) && bytes >= MIN_BYTES && bytes <= MAX_BYTES)) {
     throw new RangeError(`bytes must be a whole number from ${MIN_BYTES} to ${MAX_BYTES}`);
   }
-  if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
-    throw new TypeError("rgba must have 4 numbers for each of width x height pixels");
-  }
+  const picture = pictureOf(rgba, width, height);
   const size = reducedSize(width, height, PIXELS_PER_BYTE * bytes);
   const small = sqrt((size[0] * size[1]) / (PIXELS_PER_BYTE * bytes)); // below 1 for a picture that was small already
   const least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), NARROWEST_PX);
-  const [coarse, fine] = picturesOf({ rgba, columns: width, rows: height }, size, expectedIn(bytes), least);
+  const [coarse, fine] = picturesOf(picture, size, expectedIn(bytes), least);
   const [red, green, blue, alpha] = averaged(fine, 1, 1).means;
   const average = [red, green, blue].map((sum) => sum / (alpha || 1));
   const file = encoded([coarse, fine], size, average, alpha, least, bytes);
