@@ -39,17 +39,20 @@ export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN),
 const priceOf = (quantum) => (quantum * quantum * Math.LN2) / 6;
 
 /** Add the derivative of an estimate of a Gaussian's bits, times `weight`, to what differentiate() finds. */
-function addRate([, , l1, l2, l3, red, green, blue], quantum, weight, out) {
+function addRate(g, quantum, weight, out) {
+  const [l1, l2, l3, red, green, blue] = [g[2], g[3], g[4], g[5], g[6], g[7]];
   const perStep = (1.5 * sqrt(l1 * l3)) / quantum;
   const [i, j, k] = [perStep / sqrt(3), perStep / sqrt(2), perStep / sqrt(6)];
-  const axes = [(red + green + blue) * i, (red - blue) * j, (red - 2 * green + blue) * k];
-  const m = sqrt(axes[0] ** 2 + axes[1] ** 2 + axes[2] ** 2 + 1e-12);
+  const [p, q, s] = [(red + green + blue) * i, (red - blue) * j, (red - 2 * green + blue) * k];
+  const m = sqrt(p * p + q * q + s * s + 1e-12);
   const [v, r] = [log(l1 / l3) / 2, l2 / l3];
   const byV = 1 / (1 + abs(v) * m);
   const byR = 0.5 / (1 + (abs(r) * m) / 2);
   const byM = abs(v) * byV + abs(r) * byR + 3 / (1 + m);
-  const [y, a, b] = axes.map((axis) => sign(axis) / (1 + abs(axis)) + (byM * axis) / m);
-  const bySize = (y * axes[0] + a * axes[1] + b * axes[2]) / 2;
+  const y = sign(p) / (1 + abs(p)) + (byM * p) / m;
+  const a = sign(q) / (1 + abs(q)) + (byM * q) / m;
+  const b = sign(s) / (1 + abs(s)) + (byM * s) / m;
+  const bySize = (y * p + a * q + b * s) / 2;
   const [dv, dr] = [(sign(v) * m * byV) / 2, sign(r) * m * byR];
   out[2] += weight * (bySize + dv + dr * r);
   out[3] += weight * dr;
@@ -86,17 +89,17 @@ function descend(all, grid, { width, height }, quantum, rate, least) {
   const area = grid.sx * grid.sy;
   const weight = (RATE_WEIGHT * priceOf(quantum) * area) / (2 * Math.LN2);
   const d = new Float64Array(8);
-  leave(grid, all);
-  for (const one of all) {
+  const covered = leave(grid, all);
+  all.forEach((one, i) => {
     const { g } = one;
-    differentiate(grid, g, d);
+    differentiate(grid, g, covered[i], d);
     addRate(g, quantum, weight, d);
     one.age++;
     move(one, d, rate, area, least);
     const margin = REACH * sqrt(g[2] * g[4]);
     g[0] = min(max(g[0], -margin), width + margin);
     g[1] = min(max(g[1], -margin), height + margin);
-  }
+  });
 }
 
 /** Drop the Gaussians whose energy is not worth this many bits. */
