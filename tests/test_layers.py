@@ -85,7 +85,7 @@ def test_imports_come_from_above_and_in_no_circle() -> None:
     assert wrong == []
 
 
-def test_native_packages_include_from_above() -> None:
+def test_native_folders_include_from_above() -> None:
     """In the order in which the native package's text names them."""
     native = ROOT / "sgmethod" / "native"
     order = re.findall(r"(\w+)/", (ast.get_docstring(ast.parse((native / "__init__.py").read_text())) or ""))
