@@ -15,11 +15,12 @@ ImageWarning:
                    checksums
     orientation    EXIF orientation is applied, as are rotation, mirroring and clean aperture of AVIF and HEIC. Invalid
                    EXIF data is ignored.
-    colour         the result is sRGB. Stated colours are converted, relative colorimetric: the first present of PNG's
-                   cICP, ICC profile, sRGB, gAMA and cHRM; ICC profiles of other formats; the code points of AVIF and
-                   HEIC. An unusable profile is ignored, with a warning. PQ and HLG are refused. Grey becomes
-                   three equal channels, palettes are expanded; CMYK without a profile, YCbCr and LAB are converted by
-                   Pillow's plain formulas. QOI's flag for linear light is ignored, because Pillow always sets it.
+    colour         the result is sRGB. Stated colours are converted, relative colorimetric (with black-point
+                   compensation only if the profile uses tables): the first present of PNG's cICP, ICC profile, sRGB,
+                   gAMA and cHRM; ICC profiles of other formats; the code points of AVIF and HEIC. An unusable profile
+                   is ignored, with a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are
+                   expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. QOI's flag
+                   for linear light is ignored, because Pillow always sets it.
     depth          the result has 8 bits. 16-bit grey and RGB(A) are rounded last, after conversion of colours (before
                    it, if the profile uses tables) and transparency; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's
                    grey with alpha, TIFF's premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond
