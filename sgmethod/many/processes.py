@@ -39,7 +39,7 @@ def in_processes(
     """Yield the result of each item, as they finish.
 
     Function, items and results are pickled. Few items are taken ahead, so there may be any number. Raises SgError if a
-    process is killed or cannot begin, and OSError if the system allows no more.
+    process is killed or none can begin, and OSError if the system allows no more.
     """
     waiting = iter(items)
     running: set[Future[Result]] = set()
@@ -62,7 +62,10 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
     threads = max(native.thread_count() // processes, 1)
     watched, held = CONTEXT.Pipe(duplex=False)  # the system closes it too, if this process is killed
-    pool = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, watched))
+    try:
+        pool = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, watched))
+    except (OSError, ImportError) as error:  # there are no semaphores, as in AWS Lambda
+        raise SgError(f"no further process can begin: {error}; a single job needs none") from error
     try:
         yield pool
     except BrokenProcessPool as error:
