@@ -26,8 +26,7 @@ from benchmarks.harness.data import ROOT, golden_path
 from benchmarks.harness.pictures import photo
 from sgmethod import codec, decode, info
 from sgmethod.budget import Budget
-from sgmethod.cli import arguments, decoding, files, terminal
-from sgmethod.cli import main as cli
+from sgmethod.cli import arguments, decoding, files, main as cli, terminal
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
