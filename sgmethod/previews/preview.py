@@ -19,8 +19,7 @@ from sgmethod.budget import Budget
 from sgmethod.codec import encode
 from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
-from sgmethod.io.header import ImageLimits
-from sgmethod.io.inputs import Input
+from sgmethod.io.image import ImageLimits, Input
 from sgmethod.numerics import quiet
 from sgmethod.previews.reducing import reduced
 from sgmethod.previews.still import webp_uri

@@ -18,7 +18,7 @@ import sgmethod
 from benchmarks.harness.data import ROOT
 from benchmarks.harness.pictures import photo, saved
 from sgmethod.errors import BitstreamError, BudgetError, ImageError
-from sgmethod.io.header import ImageLimits
+from sgmethod.io.image import ImageLimits
 from sgmethod.metrics import psnr
 from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted

@@ -17,7 +17,7 @@ export const COARSE = [100, 2.5];
 export const FINE = [400, 5];
 const FINE_FROM = 0.75; // parts of the steps, as all times are
 const RATE_WEIGHT = 1.3;
-const MOST = 3; // Gaussians while they grow, in multiples of those expected
+const MAX_SURPLUS = 3; // Gaussians while they grow, in multiples of those expected
 const BITS_OF_DROPPED = 14;
 const BITS_PER_GAUSSIAN = 30;
 const GROWTH_AT = [0, 0.06, 0.12, 0.18, 0.24, 0.3, 0.37, 0.45, 0.55, 0.65];
@@ -25,12 +25,12 @@ const TRIM_AT = [0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97];
 const STEERING_FROM = 0.12;
 const [STEERING_LIMIT, STEERING_EXPONENT] = [1.35, 0.9];
 const [EXCESS, EXCESS_FROM, EXCESS_UNTIL] = [0.5, 0.45, 0.88];
-const [BITS_OF_NEW, BITS_OF_NOTHING, FEWEST] = [20, 4.3, 4];
+const [BITS_OF_NEW, BITS_OF_NOTHING, MIN_GROWN] = [20, 4.3, 4];
 const [RATE, LAST_RATE, BETA1, BETA2, NEWTON_STEPS, FAINT] = [0.14, 0.5, 0.9, 0.99, 2, 0.03];
 const CURVATURE = [1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1];
 const REACH = 1.6; // of a centre beyond the picture, in scales
 const REFINE_WEIGHT = 0.35;
-const [TRIES, LEAST_USED, QUANTUM_PER_SIZE] = [4, 0.985, 1.4];
+const [TRIES, MIN_USED, QUANTUM_PER_SIZE] = [4, 0.985, 1.4];
 
 /** About how many Gaussians a payload holds. */
 export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN), 1);
@@ -141,7 +141,7 @@ function searched(all, grid, header, limit, quantum) {
     const error = errorOf(grid);
     if (error < least) [best, least] = [{ ...own, payload }, error];
     const used = payload.length / limit;
-    if (!used || used >= LEAST_USED || n === FINEST) break;
+    if (!used || used >= MIN_USED || n === FINEST) break;
     n = finer(n + 1, own.quantum * used ** QUANTUM_PER_SIZE);
   }
   return best;
@@ -165,7 +165,7 @@ export function fitted([coarse, fine], header, limit, least) {
     }
     if (grows) {
       leave(grid, all);
-      const most = min(max(all.length, floor(expected / GROWTH_AT.length), FEWEST), MOST * expected - all.length);
+      const most = min(max(all.length, floor(expected / GROWTH_AT.length), MIN_GROWN), MAX_SURPLUS * expected - all.length);
       const worth = RATE_WEIGHT * BITS_OF_NEW * priceOf(quantum) * grid.sx * grid.sy;
       for (const g of found(grid, most, worth, least)) {
         all.push({ g, first: new Float64Array(8), second: new Float64Array(8), age: 0 });
