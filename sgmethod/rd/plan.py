@@ -106,7 +106,7 @@ class Plan:
     def times(self, run: int) -> Times:
         """Times of a run: 0 is the first, others are rounds."""
         times = self.settings.effort.times if run == 0 else self.settings.schedule.round_times
-        return times if run >= self.settings.effort.rounds[-1] else replace(times, many_from=1.0)
+        return times if run >= self.settings.effort.rounds[-1] else replace(times, many_from=1.0, settling_from=1.0)
 
 
 def _in_time(

@@ -36,6 +36,9 @@ class Times:
     # The end of the time with few pixels, and the start of the time with many (PyramidSettings).
     few_until: float = 0.6
     many_from: float = 0.85
+    # In the last run, the price of a bit falls from this stage on: it has decided which Gaussians stay, and would only
+    # keep their colours too faint.
+    settling_from: float = 0.97
 
 
 # Effort 1: few growths, no surplus, and smaller pictures for longer.
@@ -136,6 +139,7 @@ class FitSettings:
 
     optimiser: OptimiserSettings = NEWTON_ADAM
     rate_weight: float = 1.7  # price of a bit, in multiples of its theoretical price
+    settling_weight: float = 0.5  # the same from Times.settling_from on
 
 
 @dataclass(frozen=True)
