@@ -25,10 +25,11 @@ quick: $(VENV)/.quick ## for a first change, within three minutes and without Py
 	$(BIN)/python -m mypy --package sgmethod.bitstream --package sgmethod.rd --package sgmethod.io
 	$(PYTEST) -m "not thorough" $(QUICK)
 
-test: $(VENV)/.test ## set up, then check lint, format and types, and run the tests
+test: $(VENV)/.test ## set up, then check lint, format and types, build for npm if it is there, and run the tests
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
+	if command -v npm >/dev/null; then $(MAKE) npm; fi
 	$(PYTEST) -m "not thorough"
 
 thorough: $(VENV)/.test sanitize versions ## what a release needs beside `make test`: the slow tests, sanitizers, the newest Python at hand
@@ -46,8 +47,7 @@ versions: ## check what needs no PyTorch on VERSIONS="3.12 3.13", or the newest 
 	.ci/versions $(VERSIONS)
 
 MINUTES ?= 5
-fuzz: $(VENV)/.test ## look for bytes that break the decoder, MINUTES=n for each of three targets; needs Clang
-	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install 'atheris>=3'
+fuzz: $(VENV)/.test ## look for bytes that break the decoder, for MINUTES=n; needs Clang
 	$(BIN)/python -m tests.native.fuzz --minutes $(MINUTES)
 
 wheel: $(VENV)/.test ## build the source archive and a wheel in dist, check both, and decode with the wheel installed alone

@@ -1,4 +1,4 @@
-"""The command line: python -m service serve | web | worker | alive | check | sweep."""
+"""The command line: python -m service serve | web | worker | alive | check."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ from service.process.loops import StopSignal
 from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
-from service.settings import LONGEST_KEPT_S, Settings, unknown_settings
+from service.settings import Settings, unknown_settings
 from service.storage.files import UNFINISHED
-from service.worker.sweeping import ORPHAN_AGE_S, sweep
 from sgmethod.errors import SgError
 
 BAD_SETTING = 2
@@ -58,12 +57,8 @@ def main() -> int:
     try:
         run: Callable[[Settings, argparse.Namespace], int | None] = arguments.run
         return run(settings, arguments) or 0
-    except BrokenPipeError:  # as in `check | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return TROUBLE
     except (OSError, JobTableError, MissingPackagesError, SandboxError, SgError) as error:
-        verb = "sweep" if arguments.command == "sweep" else "start"
-        print(f"cannot {verb}: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)
         return TROUBLE
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -73,7 +68,7 @@ def _fault_in_words(fault: ErrorDetails) -> str:
     field = str(fault["loc"][0]) if fault["loc"] else ""
     what = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "string_pattern_mismatch":  # whose message is a regular expression
-        what = f"not a value of this setting ({Settings.model_fields[field].description})"
+        what = "not a value of this setting: docs/deploy.md says what it may be"
     return f"SG_{field.upper()}: {what}" if field else what
 
 
@@ -85,28 +80,14 @@ def _parser() -> argparse.ArgumentParser:
     worker = commands.add_parser("worker", help="run a single worker")
     alive = commands.add_parser("alive", help="exit with status 0 if a worker of this host, or container, is alive")
     check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
-    sweep = commands.add_parser("sweep", help="delete orphaned files, and jobs older than SG_RETENTION_S")
-    runs = (serve, _serve), (web, _web), (worker, _worker), (alive, _alive), (check, _check), (sweep, _sweep)
+    runs = (serve, _serve), (web, _web), (worker, _worker), (alive, _alive), (check, _check)
     for command, run in runs:
         command.set_defaults(run=run)
-    sweep.add_argument("--dry-run", action="store_true", help="report how many would be deleted, and delete nothing")
-    sweep.add_argument(
-        "--orphan-age-s",
-        type=_age_s,
-        default=ORPHAN_AGE_S,
-        help="minimum age in seconds of an orphaned file (default: %(default)g); use 0 only while nothing else runs",
-    )
     web.add_argument("--socket", type=int, help=argparse.SUPPRESS)
     for command in (web, worker):  # both are how "serve" starts its processes
         command.add_argument("--supervisor", type=int, help=argparse.SUPPRESS)
         command.add_argument("--sandbox", type=int, help=argparse.SUPPRESS)
     return parser
-
-
-def _age_s(text: str) -> float:
-    if not 0 <= (seconds := float(text)) <= LONGEST_KEPT_S:
-        raise argparse.ArgumentTypeError(f"must be 0 to {LONGEST_KEPT_S:g}")
-    return seconds
 
 
 def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
@@ -176,23 +157,6 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
         print(f"{'ok    ' if passed else 'FAILED'}  {name}: {detail}", flush=True)
         failures += not passed
     return TROUBLE if failures else 0
-
-
-def _sweep(settings: Settings, arguments: argparse.Namespace) -> int:
-    table = open_job_table(settings)
-    swept = sweep(
-        table,
-        open_storage(settings),
-        retention_s=settings.retention_s,
-        source_retention_s=settings.source_retention_s,
-        orphan_age_s=arguments.orphan_age_s,
-        dry_run=arguments.dry_run,
-    )
-    table.close()
-    verb = "would remove" if arguments.dry_run else "removed"
-    print(f"{verb} finished jobs: {swept.jobs}, files that no job needs: {swept.files}")
-    _warn([f"could not remove {swept.stuck} files; the lines above say why"] if swept.stuck else [])
-    return TROUBLE if swept.stuck else 0
 
 
 def _announce(settings: Settings) -> socket.socket:

@@ -14,7 +14,7 @@ from service.errors import JobTableError, MissingPackagesError
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, check_layers
-from service.settings import UPLOADS_OF_ROOM, Settings
+from service.settings import MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 
@@ -76,7 +76,7 @@ def _free_disk(settings: Settings) -> str:
     folder = settings.data_dir if uses_data_dir else Path(tempfile.gettempdir())
     free = shutil.disk_usage(folder).free
     if free < settings.min_free_bytes:
-        raise CheckError(f"{folder}: only {free:,} bytes free, less than {UPLOADS_OF_ROOM} of the largest uploads")
+        raise CheckError(f"{folder}: only {free:,} bytes free, less than {MIN_FREE_UPLOADS} of the largest uploads")
     return f"{folder}: {free:,} bytes"
 
 

@@ -1,7 +1,7 @@
-"""Every setting of the service with its unit, default and range.
+"""Every setting of the service with its default and range.
 
-Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md has the same table;
-a test compares the two.
+Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md says what each
+means, and a test compares names and defaults.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # small enough for the system and both databases
 LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MAX_WORKERS = 64  # processes of one machine
-UPLOADS_OF_ROOM = 4  # with less space than this many of the largest uploads, the disk counts as full
+MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
+WEBHOOK, ORIGIN = r"https?://[^/,\s][^,\s]*", r"https?://[^/,\s*]+"
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
@@ -57,124 +58,44 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
 
     # The ten that most services need.
-    host: str = Field(default="127.0.0.1", description="address to listen on")
-    port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
-    data_dir: Path = Field(default=Path("data"), description="folder for the job table, sources and bitstreams")
-    workers: int = Field(
-        default_factory=default_workers, ge=1, le=MAX_WORKERS, description="number of concurrent encodes"
-    )
-    api_keys_file: Path | None = Field(
-        default=None, description="file of API keys, one name:SHA-256 per line; without keys the service is open to all"
-    )
-    trusted_proxies: str = Field(
-        default="", description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted"
-    )
-    retention_s: float = Field(
-        default=30 * 86_400, ge=0, le=LONGEST_KEPT_S, description="seconds until finished jobs are removed; 0 for never"
-    )
-    quota_bytes: int = Field(
-        default=0, ge=0, description="bytes of all images and bitstreams before new jobs get 429; 0 for no limit"
-    )
-    database_url: str = Field(
-        default="",
-        pattern=r"^(|sqlite|postgres(ql)?://.*)$",
-        repr=False,  # it may hold a password
-        description="job table: empty or `sqlite` for a file in the data folder, or postgresql://...",
-    )
-    storage_url: str = Field(
-        default="",
-        pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$",
-        description="sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
-    )
+    host: str = "127.0.0.1"
+    port: int = Field(default=8000, ge=0, le=65535)  # 0 takes a free one
+    data_dir: Path = Path("data")
+    workers: int = Field(default_factory=default_workers, ge=1, le=MAX_WORKERS)
+    api_keys_file: Path | None = None
+    trusted_proxies: str = ""  # addresses and networks, separated by commas
+    retention_s: float = Field(default=30 * 86_400, ge=0, le=LONGEST_KEPT_S)  # of finished jobs; 0 for ever
+    quota_bytes: int = Field(default=0, ge=0)  # of all images and bitstreams; 0 for no limit
+    database_url: str = Field(default="", pattern=r"^(|sqlite|postgres(ql)?://.*)$", repr=False)  # may hold a password
+    storage_url: str = Field(default="", pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$")
 
     # Jobs and encodes.
-    queue_length: int = Field(
-        default=1000, ge=1, description="queued jobs before new ones get 429; one API key may have half of them"
-    )
-    max_time_limit_s: float = Field(
-        default=300.0,
-        gt=0,
-        le=LONGEST_S,
-        description="seconds, the longest and default time limit of an encode; one that takes twice as long is killed",
-    )
-    job_memory_bytes: int = Field(
-        default=8 * 2**30, ge=2**28, le=2**62, description="maximum bytes of memory per encode; a decode has a quarter"
-    )
-    lease_s: float = Field(
-        default=15.0,
-        ge=1,
-        le=LONGEST_S,
-        description="seconds until the job of a lost worker goes to another; jobs that wait for four times as long "
-        "without a sign of life from any worker make /readyz fail",
-    )
-    stop_grace_s: float = Field(
-        default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for stopping before processes are killed"
-    )
-
-    require_sandbox: bool = Field(
-        default=False, description="refuse to start where the system cannot confine processes that read uploads"
-    )
+    queue_length: int = Field(default=1000, ge=1)
+    max_time_limit_s: float = Field(default=300.0, gt=0, le=LONGEST_S)
+    job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, le=2**62)
+    lease_s: float = Field(default=15.0, ge=1, le=LONGEST_S)
+    stop_grace_s: float = Field(default=10.0, gt=0, le=LONGEST_S)
+    require_sandbox: bool = False
 
     # Retention and quotas.
-    source_retention_s: float = Field(
-        default=3600.0,
-        ge=0,
-        le=LONGEST_KEPT_S,
-        description="seconds to keep the image of a finished job for re-encoding; 0 to delete it at once",
-    )
-    quota_bytes_per_key: int = Field(
-        default=0,
-        ge=0,
-        description="bytes of the images and bitstreams of one API key before its new jobs get 429; 0 for no limit",
-    )
+    source_retention_s: float = Field(default=3600.0, ge=0, le=LONGEST_KEPT_S)
+    quota_bytes_per_key: int = Field(default=0, ge=0)  # 0 for no limit
 
     # Links and webhooks.
-    link_secret: SecretStr = Field(
-        default=SecretStr(""), description="at least 32 characters that sign links; empty disables links"
-    )
-    webhook_urls: str = Field(
-        default="",
-        pattern=r"^(|https?://[^/,\s][^,\s]*(,\s*https?://[^/,\s][^,\s]*)*)$",
-        repr=False,
-        description="addresses, separated by commas, that receive a webhook when a job ends",
-    )
-    webhook_secret: SecretStr = Field(
-        default=SecretStr(""), description="what signs webhooks: whsec_ and at least 24 bytes in base64"
-    )
+    link_secret: SecretStr = SecretStr("")
+    webhook_urls: str = Field(default="", pattern=rf"^(|{WEBHOOK}(,\s*{WEBHOOK})*)$", repr=False)
+    webhook_secret: SecretStr = SecretStr("")
 
     # Proxies and browsers.
-    host_names: str = Field(
-        default="",
-        pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$",
-        description="without API keys: names, separated by commas, that the service answers to beside localhost and "
-        "addresses, and without which it listens on this machine only; `*` for all",
-    )
-    root_path: str = Field(
-        default="",
-        pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$",
-        description="path under which a proxy serves this, and which it strips, such as /sg",
-    )
-    cors_origins: str = Field(
-        default="",
-        pattern=r"^(|\*|https?://[^/,\s*]+(,\s*https?://[^/,\s*]+)*)$",
-        description="origins, separated by commas, whose pages may call the API from a browser; `*` for all",
-    )
+    host_names: str = Field(default="", pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$")
+    root_path: str = Field(default="", pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$")
+    cors_origins: str = Field(default="", pattern=rf"^(|\*|{ORIGIN}(,\s*{ORIGIN})*)$")
 
     # Requests.
-    max_upload_bytes: int = Field(
-        default=64 * 2**20,
-        ge=1,
-        description="maximum bytes of a request's body: an image, a form with one, or a bitstream; with less free disk "
-        "than four of them, new jobs get 503 and /readyz fails",
-    )
-    max_pixels: int = Field(
-        default=50_000_000,
-        ge=1,
-        description="maximum pixels (width x height) of an image, and of a decoded picture or view",
-    )
-
-    max_decodes: int = Field(default=3, ge=1, description="concurrent decodes; one client may use all but one")
-    decode_time_s: float = Field(default=10.0, gt=0, le=LONGEST_S, description="maximum CPU seconds per decode")
+    max_upload_bytes: int = Field(default=64 * 2**20, ge=1)
+    max_pixels: int = Field(default=50_000_000, ge=1)  # of an image, and of a picture or view to draw
+    max_decodes: int = Field(default=3, ge=1)
+    decode_time_s: float = Field(default=10.0, gt=0, le=LONGEST_S)  # of a core
 
     @field_validator("*", mode="before")
     @classmethod
@@ -251,7 +172,7 @@ class Settings(BaseSettings):
     @property
     def min_free_bytes(self) -> int:
         """Free disk space in bytes below which new jobs are refused."""
-        return UPLOADS_OF_ROOM * self.max_upload_bytes
+        return MIN_FREE_UPLOADS * self.max_upload_bytes
 
     @property
     def job_timeout_s(self) -> float:

@@ -3,7 +3,7 @@
         sgmethod.encode("photo.jpg", bpp=0.3).save("photo.sg")
         pixels = sgmethod.decode("photo.sg")  # uint8 [H, W, 3]
 
-The rooms and modules, in the order of the pipeline; each imports only from those above it:
+The packages and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors
     opencv      OpenCV, or how to install it

@@ -31,7 +31,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.formats import SUFFIXES
-from sgmethod.io.inputs import Input, read_input
+from sgmethod.io.image import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_PROFILE, Profile, checked_effort, checked_profile, profile_of, settings_of, tuning

@@ -21,7 +21,6 @@ from sgmethod.decoder import draw, draw_whole
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
-from tests.backend.cases import scattered
 from tests.native.harness.golden import GOLDEN, is_golden
 
 VERSION_1 = sorted(golden(1))
@@ -78,25 +77,6 @@ def defined(scene: Scene) -> NDArray[np.int64]:
     shown = picture[scene.origin[1] :, scene.origin[0] :] + np.array(scene.background) / 255
     levels = np.floor(255 * shown.clip(0, 1) + 0.5).astype(int)
     return levels if scene.alpha is None else np.dstack([levels, defined(scene.alpha)[..., :1]])
-
-
-@pytest.mark.parametrize("name", [*VERSION_1, "scattered"])
-def test_pixels_are_the_same_everywhere(name: str, set_threads: Callable[[int], None]) -> None:
-    if name == "scattered":
-        scene = Scene(scattered(700, 0, (301, 203)), 301, 203, (0, 0, 0), native.CUTOFF_V1)
-    else:
-        scene = parse(GOLDEN[name]).scene()
-    gaussians, width, height = scene.gaussians, scene.width, scene.height
-    expected = draw(scene)
-    assert expected.shape == (height, width, 3)
-    for threads in (1, 2, 3, 8):
-        set_threads(threads)
-        for isa in ISAS:
-            pixels = np.full((height, width, 3), 77, np.uint8)
-            raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, isa=isa)
-            raster.render_bytes(gaussians.colors, pixels)
-            assert np.array_equal(pixels, expected), (threads, isa)
-        assert np.array_equal(draw(scene), expected)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

@@ -64,7 +64,7 @@ IMPORTS = {name: imports_of(path, {*MODULES, "sgmethod.native._native"}) for nam
 
 
 @pytest.mark.parametrize("package", FACES)
-def test_every_room_is_listed_and_exists(package: str) -> None:
+def test_every_package_is_listed_and_exists(package: str) -> None:
     found = {entry_of(name) for name in MODULES if name.startswith(package + ".")}
     assert "" not in found
     assert set(listed(package)) == found
@@ -85,7 +85,7 @@ def test_imports_come_from_above_and_in_no_circle() -> None:
     assert wrong == []
 
 
-def test_native_rooms_include_from_above() -> None:
+def test_native_folders_include_from_above() -> None:
     """In the order in which the native package's text names them."""
     native = ROOT / "sgmethod" / "native"
     order = re.findall(r"(\w+)/", (ast.get_docstring(ast.parse((native / "__init__.py").read_text())) or ""))

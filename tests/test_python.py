@@ -246,7 +246,7 @@ def test_pillow_draws_small_pictures_small(monkeypatch: pytest.MonkeyPatch) -> N
     assert again.size == (48, 40)
 
 
-def test_pillow_is_told_what_is_wrong() -> None:
+def test_pillow_raises_its_own_errors() -> None:
     for data in (GOLDEN[:-9], GOLDEN[:-1] + b"x", b"\xd3\xc9" + GOLDEN[2:]):
         with pytest.raises(UnidentifiedImageError, match=r"checksum|version 9 "):
             Image.open(io.BytesIO(data))
@@ -272,7 +272,7 @@ def test_examples_in_docstrings(module: str) -> None:
 
 
 @pytest.mark.usefixtures("set_threads")
-def test_results_are_in_order_and_made_by_as_many_threads_as_told() -> None:
+def test_results_are_in_order_and_made_by_as_many_threads_as_set() -> None:
     sgmethod.set_threads(2)
     both = threading.Barrier(2)
     names = in_parallel(lambda _: (both.wait(60), threading.current_thread().name)[1], range(2))

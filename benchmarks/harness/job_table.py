@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from service.jobs.job import (
-    Claim,
     EncodeRequest,
     EncodeResult,
     Job,
@@ -46,7 +45,7 @@ def submitted(table: JobTable, **more: Any) -> str:
     return table.submit(new(**more))[0].id
 
 
-def claimed(table: JobTable) -> Claim:
+def claimed(table: JobTable) -> Job:
     """The next claim; there must be one."""
     claim = table.claim("w")
     assert claim is not None

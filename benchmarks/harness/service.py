@@ -21,7 +21,7 @@ from benchmarks.harness.data import ROOT
 from benchmarks.harness.job_table import IMAGE, LONG_S, submitted
 from benchmarks.harness.pictures import SLOW, SMALL
 from benchmarks.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
-from service.jobs.job import Claim, EncodeResult, JobError, SourceImage
+from service.jobs.job import EncodeResult, Job, JobError, SourceImage
 from service.jobs.table import JobTable
 from service.keys import digest
 from service.opening import open_job_table, open_storage
@@ -213,8 +213,8 @@ class Service(ServiceProcess):
         )
 
     @staticmethod
-    def _claimed(table: JobTable, job_id: str) -> Claim:
-        while (claim := table.claim("test")) is not None and claim.job_id != job_id:
+    def _claimed(table: JobTable, job_id: str) -> Job:
+        while (claim := table.claim("test")) is not None and claim.id != job_id:
             pass  # what other tests left waiting runs forever now
         assert claim is not None
         return claim

@@ -13,7 +13,7 @@ struct Coding {
   float quantum, place_step, shape_step, amplitude_step, price, color_step;
   int amplitudes, sweeps;
 };
-constexpr int kSymbols = 20, kContexts = 80, kFirstClass = -4, kClasses = 33, kMostFine = 10;
+constexpr int kSymbols = 20, kContexts = 80, kFirstClass = -4, kClasses = 33, kMaxFine = 10;
 constexpr int kOfFine = 0, kOfY = 10, kOfA = 11, kOfB = 15, kOfSigns = 19, kOfV = 27, kOfR = 38, kOfShapeSigns = 49,
               kOfAmplitude = 53;
 constexpr float kPrior = 12;
@@ -50,7 +50,7 @@ inline bool decode(const Coding& q, const Ints& n, float* p, Places& at) {
   p[0] = (n.X + 0.5f) * std::ldexp(1.0f, at.g - at.px) - 2 * cell;
   p[1] = (n.Y + 0.5f) * std::ldexp(1.0f, at.g - at.py) - 2 * cell;
   p[5] = n.A * q.amplitude_step;
-  return n.k >= kFirstClass && n.k < kFirstClass + kClasses && n.h >= 0 && n.h < kMostFine && std::abs(n.A) <= 9 &&
+  return n.k >= kFirstClass && n.k < kFirstClass + kClasses && n.h >= 0 && n.h < kMaxFine && std::abs(n.A) <= 9 &&
          p[2] > 0.3f && p[4] > 0.3f && std::abs(rho) < 40 && n.X >= 0 && n.Y >= 0;
 }
 // Sets X and Y to those next to a place.

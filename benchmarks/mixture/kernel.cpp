@@ -358,7 +358,7 @@ double refine(const Scene* s, float* p, const float* bend, const float* target, 
   for (int i = 0; i < s->count; ++i, p += kValues, bend += 7) {
     Ints n{};
     const float size = 2 * std::log2(std::sqrt(p[2] * p[4])), fine = std::sqrt((bend[0] + bend[1]) / 2 / 3.14159f) * q->place_step / q->quantum;
-    n.h = std::clamp(static_cast<int>(std::lround(std::log2(fine + 1e-6f))), 0, kMostFine - 1);
+    n.h = std::clamp(static_cast<int>(std::lround(std::log2(fine + 1e-6f))), 0, kMaxFine - 1);
     n.k = std::clamp(static_cast<int>(std::floor(size)), kFirstClass, kFirstClass + kClasses - 1);
     n.u = std::clamp(static_cast<int>((size - n.k) * (1 << bits_of_size(n.h))), 0, (1 << bits_of_size(n.h)) - 1);
     const float step = q->shape_step * std::ldexp(1.0f, -n.h);

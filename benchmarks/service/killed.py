@@ -7,8 +7,6 @@ import os
 import random
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -16,9 +14,11 @@ from typing import Any
 
 import httpx
 
-from benchmarks.harness.data import ROOT
 from benchmarks.harness.processes import PATIENCE_S, Kind, Process, processes
 from benchmarks.harness.service import ServiceProcess
+from service.opening import open_job_table, open_storage
+from service.settings import Settings
+from service.worker.sweeping import sweep
 
 SETTINGS: dict[str, Any] = {
     **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
@@ -87,11 +87,9 @@ class ChaosService(ServiceProcess):
 
     def sweep(self) -> int:
         """Remove what no job needs, the service being stopped; how many files."""
-        command = [sys.executable, "-m", "service", "sweep", "--orphan-age-s", "0"]
-        done = subprocess.run(command, cwd=ROOT, env=self.environment, capture_output=True, text=True, check=True)
-        match = re.search(r"files that no job needs: (\d+)", done.stdout)
-        assert match is not None, done.stdout
-        return int(match.group(1))
+        settings = Settings(data_dir=self.data_dir, database_url=self.environment["SG_DATABASE_URL"])
+        with contextlib.closing(open_job_table(settings)) as table:
+            return sweep(table, open_storage(settings), retention_s=0, orphan_age_s=0).files
 
     def published_twice(self) -> set[str]:
         """Jobs that were published twice, by the log."""

@@ -145,7 +145,7 @@ def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) 
         context.discard(source_key(new.id))
         raise
     if is_new:
-        context.metrics.accept(asked.owner)
+        context.metrics.accepted.inc()
     else:
         context.discard(source_key(new.id))
     return job

@@ -120,8 +120,7 @@ async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
         if points:
             sent += len(points)
             progress = max(progress, models.progress(points))
-            trace = models.TraceView(progress=progress, trace=models.thinned(points))
-            yield ServerSentEvent(event="trace", data=trace)
+            yield ServerSentEvent(event="trace", data=models.TraceView(progress=progress, trace=points))
         if job.state in FINAL_STATES:
             yield ServerSentEvent(event=job.state, data=summary)
             return

@@ -14,7 +14,6 @@ from starlette.types import Scope
 from service.api.problems import REFUSAL
 from service.jobs import outcomes
 from service.jobs.job import Counts
-from service.process.loops import failures
 from service.sandbox.confinement import LAYERS
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
@@ -38,13 +37,10 @@ class _TableFigures(Collector):
     def collect(self) -> Iterator[Metric]:
         counts = self.counts
         yield GaugeMetricFamily("sgmethod_job_table_up", "Whether the job table answers.", counts is not None)
-        failed = "Unexpected failures of background work since the process started."
-        by_process = {"web": failures.total(), **(counts.failures if counts else {})}
-        yield _gauges("sgmethod_background_failures", failed, "process", by_process.items())
         if counts is None:
             return
         yield _gauges("sgmethod_jobs", "Jobs in the table.", "state", counts.jobs.items())
-        seen = "Since the last sign of life of a worker, which gives one every 2 s."
+        seen = "Since the last report of a worker, which reports every 2 s."
         since = {worker: max(0.0, seconds) for worker, seconds in counts.workers.items()}
         yield _gauges("sgmethod_worker_seen_seconds", seen, "worker", since.items())
         waited = "Since the job ended whose webhook has been waiting for longest."
@@ -91,8 +87,6 @@ class Metrics:
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
         self.streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
-        self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
-        self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
         self.decode_seconds = Histogram(
             "sgmethod_decode_seconds",
             "Drawing a picture, with the wait for its turn.",
@@ -101,7 +95,7 @@ class Metrics:
         )
         self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
         self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
-        self.free_bytes = Gauge("sgmethod_free_bytes", "Room that is left in the data folder.", registry=registry)
+        self.free_bytes = Gauge("sgmethod_free_bytes", "Free bytes of the storage.", registry=registry)
         layer = "Whether a layer of the sandbox holds."
         layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)
         for name in LAYERS:
@@ -119,14 +113,6 @@ class Metrics:
         state = scope["state"]
         if REFUSAL in state:
             self.refusals.labels(state[REFUSAL]).inc()
-        if "caller" in state and state["caller"].owner is not None:
-            self.key_requests.labels(state["caller"].owner).inc()
-
-    def accept(self, owner: str | None) -> None:
-        """Count an accepted job, in total and for its API key."""
-        self.accepted.inc()
-        if owner is not None:
-            self.key_jobs.labels(owner).inc()
 
     def text(self, counts: Counts | None) -> bytes:
         """Return all metrics in Prometheus' text format. counts: of the job table; None if it does not respond."""

@@ -19,7 +19,6 @@ PHASES = {
     "joint": (0.0, 1.0),  # profile rd does both at once
     "done": (1.0, 1.0),
 }
-MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches repeatedly
 
 Figure = float | int | str | None
 
@@ -110,8 +109,7 @@ class TraceView(BaseModel):
 
     progress: float = Field(description="estimated progress, 0 to 1; never decreases")
     trace: list[dict[str, Figure]] = Field(
-        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; "
-        f"at most {MAX_TRACE_POINTS} points, evenly spaced"
+        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; fewer as time goes on"
     )
 
 
@@ -167,7 +165,7 @@ def summary(job: Job, settings: Settings) -> JobSummary:
 def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
     """Return the job with its trace and progress."""
     done = 1.0 if job.state == "done" else progress(trace)
-    return JobView.model_validate({**_members(job, settings), "progress": done, "trace": thinned(trace)})
+    return JobView.model_validate({**_members(job, settings), "progress": done, "trace": trace})
 
 
 def _members(job: Job, settings: Settings) -> JsonObject:
@@ -197,12 +195,3 @@ def _progress(point: JsonObject) -> float:
     begin, end = PHASES.get(point["phase"], (0.0, 0.0))
     share = float(point["step"] / max(1, point["steps"]))
     return begin + (end - begin) * min(1.0, share)
-
-
-def thinned(trace: Sequence[JsonObject]) -> list[dict[str, Figure]]:
-    """Return at most MAX_TRACE_POINTS of the points, evenly spaced, including the first and the last."""
-    last = len(trace) - 1
-    chosen = trace
-    if last >= MAX_TRACE_POINTS:
-        chosen = [trace[last * place // (MAX_TRACE_POINTS - 1)] for place in range(MAX_TRACE_POINTS)]
-    return [dict(point) for point in chosen]

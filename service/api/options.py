@@ -7,7 +7,6 @@ refuses them too, but it loads libraries that a web process does without.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from functools import partial
 from importlib.util import find_spec
@@ -20,7 +19,6 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
-    ValidationInfo,
     WithJsonSchema,
     model_validator,
 )
@@ -37,31 +35,12 @@ from sgmethod.profiles import (
     EFFORTS,
     PROFILE_NAMES,
     TUNES,
-    checked_effort,
     checked_profile,
     settings_of,
     tuning,
 )
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
-
-# Stricter than float(), which also takes "1_0", "nan" and spaces around.
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
-
-
-def _number(text: str, info: ValidationInfo) -> float:
-    if _NUMBER.fullmatch(text) is None:
-        raise ProblemError(422, f"{info.field_name} must be a number, got {text!r}")
-    return float(text)
-
-
-def _quality(text: str, info: ValidationInfo) -> float:
-    return QUALITIES[text] if text in QUALITIES else _number(text, info)
-
-
-def _effort(text: str, info: ValidationInfo) -> int:
-    number = _number(text, info)
-    return checked_effort(int(number) if number.is_integer() else number)
 
 
 def _given(description: str, example: float, **extra: Any) -> Any:
@@ -75,7 +54,7 @@ QUALITY_SCHEMA = {
 BYTES_SCHEMA = {
     "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)?[kM]B?$"}]
 }
-Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
+Number = float | SkipJsonSchema[None]
 
 
 class EncodeOptions(BaseModel):
@@ -90,9 +69,11 @@ class EncodeOptions(BaseModel):
     bytes: Annotated[float | SkipJsonSchema[None], BeforeValidator(bytes_value), WithJsonSchema(BYTES_SCHEMA)] = _given(
         "budget: maximum bytes, such as 20000, 20k or 1.5MB", 20_000
     )
-    quality: Annotated[float | SkipJsonSchema[None], BeforeValidator(_quality), WithJsonSchema(QUALITY_SCHEMA)] = (
-        _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
-    )
+    quality: Annotated[
+        float | SkipJsonSchema[None],
+        BeforeValidator(lambda text: QUALITIES.get(text, text)),
+        WithJsonSchema(QUALITY_SCHEMA),
+    ] = _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
     profile: Annotated[str, AfterValidator(checked_profile)] = Field(
@@ -101,7 +82,7 @@ class EncodeOptions(BaseModel):
     tune: str | SkipJsonSchema[None] = Field(
         default=None, description="optimise for PSNR or for the eye", json_schema_extra={"enum": list(TUNES)}
     )
-    effort: Annotated[int, BeforeValidator(_effort)] = Field(
+    effort: int = Field(
         default=DEFAULT_EFFORT,
         ge=min(EFFORTS),
         le=max(EFFORTS),

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
-from service.api.problems import RETRY_AFTER, ProblemError
+from service.api.problems import ProblemError
 from service.api.requests import (
     BITSTREAM_TYPE,
     FORM_TYPE,
@@ -45,7 +45,6 @@ from sgmethod.errors import BitstreamError
 
 log = logging.getLogger(__name__)
 
-LATE_S = 60.0
 MAX_GAUSSIANS = 1_000_000  # of a posted bitstream, where equal ones take an eighth of a byte each
 MIN_PREVIEW_BYTES, MAX_PREVIEW_BYTES = 12, 4096
 
@@ -98,12 +97,15 @@ async def _remembered(
 ) -> Response:
     """Answer with the picture file that the ETag among the headers names.
 
-    304 if the client has it; else from the cache, or from `make`, which concurrent requests share.
+    304 if the client has it; else from the cache, or from `make`.
     """
     if (answer := not_modified(request, headers)) is not None:
         return answer
-    context.metrics.cache.labels("yes" if headers["ETag"] in context.pictures else "no").inc()
-    file = await while_client_waits(request, context.pictures.get_or_make(headers["ETag"], make))
+    file = context.pictures.get(headers["ETag"])
+    context.metrics.cache.labels("no" if file is None else "yes").inc()
+    if file is None:
+        file = await while_client_waits(request, make())
+        context.pictures.put(headers["ETag"], file)
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
@@ -135,7 +137,8 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
     }
     if (answer := not_modified(request, headers)) is not None:
         return answer
-    data = await context.store(_bitstream, context, job, result)
+    with await context.store(_open_bitstream, context, job, result) as file:
+        data = await context.store(file.read)
     return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
 
 
@@ -198,7 +201,7 @@ def open_image(context: Context, job: Job) -> BinaryIO:
     try:
         return context.storage.open(source_key(job.id))
     except FileNotFoundError:
-        raise _late(job.created_at) or _image_deleted() from None
+        raise _image_deleted() from None
 
 
 def check_image_kept(job: Job, context: Context) -> None:
@@ -232,23 +235,7 @@ def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryI
     except FileNotFoundError as error:
         if context.table.get(job.id) is None:  # removed meanwhile
             raise no_such_job() from None
-        raise _late(job.finished_at) or _damaged(job, error) from error
-
-
-def _bitstream(context: Context, job: Job, result: EncodeResult) -> bytes:
-    with _open_bitstream(context, job, result) as file:
-        return file.read()
-
-
-def _late(stored_at: float | None) -> ProblemError | None:
-    """Return a refusal for a missing file that was stored just now, else None.
-
-    A store that replicates may have the file in a moment.
-    """
-    if stored_at is None or abs(time.time() - stored_at) > LATE_S:  # far ahead: the clock was set back
-        return None
-    detail = "the storage does not have this file yet"
-    return ProblemError(503, detail, reason="storage", headers=RETRY_AFTER)
+        raise _damaged(job, error) from error
 
 
 def _damaged(job: Job, error: Exception) -> ProblemError:

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from fastapi import Depends, FastAPI, Query, Request, Response
+from fastapi import Depends, FastAPI, Query, Response
 from fastapi.sse import EventSourceResponse
 
 from service.api import encode, health, jobs, pictures
 from service.api.callers import OPEN_PATHS
 from service.api.models import EXAMPLE_ID, AcceptedView
-from service.api.problems import ProblemError, problems
+from service.api.problems import problems
 from service.api.requests import BITSTREAM_TYPE, Parameters, no_body
 from service.pictures import COMPARISONS, MEDIA_TYPES
 
@@ -24,13 +24,6 @@ NOT_MODIFIED: dict[Any, Any] = {304: {"description": "the client has it already"
 
 async def _no_query(_query: Annotated[Parameters, Query()]) -> None:
     """Raise RequestValidationError if there are parameters."""
-
-
-async def _given_once(request: Request) -> None:
-    """Raise ProblemError 422 for a repeated query parameter."""
-    for name in request.query_params:
-        if len(request.query_params.getlist(name)) > 1:
-            raise ProblemError(422, f"the query parameter {name} is given twice")
 
 
 def _body(media_type: str) -> dict[str, Any]:
@@ -195,7 +188,8 @@ def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:
     """Add all routes to the application. key_check: dependency that documents the API key."""
     for route in ROUTES:
         method, path = route.name.split()
-        checks, refusals = [Depends(_given_once)], {*route.refusals, 422, 503}
+        checks: list[Any] = []
+        refusals = {*route.refusals, 422, 503}
         if not route.own_query:
             checks.append(Depends(_no_query))
         if method != "GET" and "requestBody" not in route.document:

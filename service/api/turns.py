@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any, BinaryIO
@@ -42,23 +42,18 @@ KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # results of a trial are cached, since any
 class Turns:
     """Limits concurrent tasks, shared fairly between clients. Use it in the event loop only.
 
-    The next task belongs to the client with the fewest running tasks; ties go to the client served longest ago. places:
-    concurrent tasks, of which one client gets all but one; max_waiting: waiting tasks, of which one client may have
-    half.
+    places: concurrent tasks; max_waiting: waiting tasks, of which one client may have half. A client has at most
+    places - 1 tasks that run or are in line for a place, and its others wait behind these. So no client ever waits for
+    many tasks of another.
     """
 
     def __init__(self, places: int, max_waiting: int) -> None:
-        self._places = places
         self._own_places = max(1, places - 1)
-        self._max_waiting = max_waiting
-        self._own_waiting = -(-max_waiting // 2)
-        self._running: Counter[str] = Counter()
-        self._lines: dict[str, deque[asyncio.Future[None]]] = {}  # the client served longest ago first
-
-    @property
-    def waiting(self) -> int:
-        """Number of waiting tasks."""
-        return sum(map(len, self._lines.values()))
+        self._max_present = places + max_waiting
+        self._max_own = self._own_places + -(-max_waiting // 2)
+        self._places = asyncio.Semaphore(places)
+        self._clients: dict[str, asyncio.Semaphore] = {}
+        self._present: Counter[str] = Counter()  # running or waiting
 
     @asynccontextmanager
     async def turn(self, client: str) -> AsyncIterator[None]:
@@ -66,59 +61,20 @@ class Turns:
 
         Raises ProblemError 503 at once if the queue is full, or 429 if the client's part of it is.
         """
-        await self._enter(client)
+        if self._present.total() >= self._max_present:
+            detail = "too many pictures are being processed"
+            raise ProblemError(503, detail, reason="turns", headers=RETRY_SOON)
+        if self._present[client] >= self._max_own:
+            detail = "too many of your pictures are already waiting"
+            raise ProblemError(429, detail, reason="own_turns", headers=RETRY_SOON)
+        self._present[client] += 1
         try:
-            yield
+            async with self._clients.setdefault(client, asyncio.Semaphore(self._own_places)), self._places:
+                yield
         finally:
-            self._leave(client)
-
-    async def _enter(self, client: str) -> None:
-        place = asyncio.get_running_loop().create_future()
-        self._lines.setdefault(client, deque()).append(place)
-        self._admit()
-        if not place.done():
-            if self.waiting > self._max_waiting:
-                self._forget(client, place)
-                detail = "too many pictures are being processed"
-                raise ProblemError(503, detail, reason="turns", headers=RETRY_SOON)
-            if len(self._lines[client]) > self._own_waiting:
-                self._forget(client, place)
-                detail = "too many of your pictures are already waiting"
-                raise ProblemError(429, detail, reason="own_turns", headers=RETRY_SOON)
-        try:
-            await place
-        except asyncio.CancelledError:
-            if place.cancelled():
-                self._forget(client, place)
-            else:  # admitted at the same moment
-                self._leave(client)
-            raise
-
-    def _forget(self, client: str, place: asyncio.Future[None]) -> None:
-        line = self._lines.get(client)
-        if line and place in line:  # else _admit() has removed it
-            line.remove(place)
-            if not line:
-                del self._lines[client]
-
-    def _leave(self, client: str) -> None:
-        self._running[client] -= 1
-        if not self._running[client]:
-            del self._running[client]
-        self._admit()
-
-    def _admit(self) -> None:
-        while self._running.total() < self._places:
-            client = min(self._lines, key=lambda client: self._running[client], default=None)
-            if client is None or self._running[client] >= self._own_places:
-                return
-            line = self._lines.pop(client)
-            place = line.popleft()
-            if line:
-                self._lines[client] = line
-            if not place.cancelled():  # its client may be about to leave
-                place.set_result(None)
-                self._running[client] += 1
+            self._present[client] -= 1
+            if not self._present[client]:
+                del self._present[client], self._clients[client]
 
 
 class Streams:

@@ -108,8 +108,8 @@ class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
     number: order of acceptance; position: place in the queue from 1, ignoring that owners take turns, None unless
-    queued; crashes: attempts that crashed or lost their worker; stopped: whether the running attempt is to end early,
-    with what it has.
+    queued; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed or lost their
+    worker; stopped: whether the running attempt is to end early, with what it has.
     """
 
     number: int
@@ -144,29 +144,18 @@ def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str
 
 
 @dataclass(frozen=True)
-class Claim:
-    """The right of one worker to run a job, until its lease ends. attempt: the fencing token."""
-
-    job_id: str
-    attempt: int
-    request: EncodeRequest
-    image: SourceImage
-
-
-@dataclass(frozen=True)
 class Counts:
     """Counts over the table. Times are in seconds, by the table's own clock.
 
     jobs: by state; waiting_s: age of the oldest queued job, None if none waits; stored_bytes: of images and bitstreams;
-    workers: seconds since each last reported, by name; failures: of the background work of each; deliveries: webhooks
-    to be delivered; delivery_waits_s: age of the oldest of them; totals: see outcomes.py.
+    workers: seconds since each last reported, by name; deliveries: webhooks to be delivered; delivery_waits_s: age of
+    the oldest of them; totals: see outcomes.py.
     """
 
     jobs: Mapping[JobState, int]
     waiting_s: float | None
     stored_bytes: int
     workers: Mapping[str, float]
-    failures: Mapping[str, int]
     deliveries: int
     delivery_waits_s: float
     totals: Mapping[str, float]

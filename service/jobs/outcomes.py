@@ -27,23 +27,12 @@ ADD = """
 INSERT INTO totals VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET amount = totals.amount + excluded.amount
 """
 ADD_DELIVERY = "INSERT INTO deliveries VALUES (?, ?, ?, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING"
-# Also due if its pause is longer than any: the clock was set back.
-DUE = """
-WITH clock AS MATERIALIZED (SELECT epoch() AS now)
-SELECT job, body, due_at, now - ended_at AS age_s FROM deliveries, clock
-WHERE address = ? AND (due_at <= now OR due_at - now > ? OR due_at - now > ? + now - ended_at) ORDER BY due_at LIMIT 1
+# The first delivery by time. Whether it is due is not a condition, since epoch() would then be called for every row.
+NEXT = """
+SELECT job, body, due_at, epoch() - ended_at AS age_s, due_at <= epoch() AS is_due FROM deliveries WHERE address = ?
+ORDER BY due_at LIMIT 1
 """
-PUT_OFF = """
-UPDATE deliveries SET due_at = epoch() + ?, ended_at = CASE WHEN ended_at > epoch() THEN epoch() ELSE ended_at END
-WHERE job = ? AND address = ? AND due_at = ?
-"""
-
-
-FORWARD = """
-INSERT INTO deliveries SELECT job, ?, body, ended_at, epoch() FROM deliveries WHERE address NOT IN ({known})
-ON CONFLICT (job, address) DO NOTHING
-"""
-ASTRAY = "DELETE FROM deliveries WHERE address NOT IN ({known})"
+PUT_OFF = "UPDATE deliveries SET due_at = epoch() + ? WHERE job = ? AND address = ? AND due_at = ?"
 
 
 @dataclass(frozen=True)
@@ -86,30 +75,12 @@ def take_delivery(db: Database, address: str) -> Delivery | None:
 
     It is due again after a pause, unless it is forgotten.
     """
-    row = db.execute(DUE, (address, LONGEST_PAUSE_S, FIRST_PAUSE_S)).fetchone()
-    if row is None:
+    row = db.execute(NEXT, (address,)).fetchone()
+    if row is None or not row["is_due"]:
         return None
     pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), LONGEST_PAUSE_S)
     first = db.execute(PUT_OFF, (pause_s, row["job"], address, row["due_at"])).rowcount == 1
     return Delivery(row["job"], address, row["body"]) if first else None
-
-
-def forget_delivery(db: Database, delivery: Delivery) -> None:
-    """Delete a delivery that succeeded."""
-    db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
-
-
-def forward_deliveries(db: Database, addresses: Sequence[str]) -> int:
-    """Redirect deliveries to unknown addresses to the known ones, due at once. Returns how many there were."""
-    known = ", ".join("?" * len(addresses))
-    for address in addresses:
-        db.execute(FORWARD.format(known=known), (address, *addresses))
-    return int(db.execute(ASTRAY.format(known=known), addresses).rowcount)
-
-
-def give_up_deliveries(db: Database) -> int:
-    """Delete deliveries that have been retried for KEPT_S seconds. Returns how many."""
-    return int(db.execute("DELETE FROM deliveries WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount)
 
 
 def _body(job: Job) -> str:

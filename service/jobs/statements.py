@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 # {number}: the type of an automatic row number, which depends on the database.
 SCHEMA = """
 CREATE TABLE workers (
-    name     TEXT PRIMARY KEY,
-    seen_at  DOUBLE PRECISION NOT NULL,
-    failures INTEGER NOT NULL
+    name    TEXT PRIMARY KEY,
+    seen_at DOUBLE PRECISION NOT NULL
 );
 CREATE TABLE deliveries (
     job      TEXT NOT NULL,
@@ -92,13 +91,10 @@ WHERE state = 'queued' AND number = (
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
     WHERE state = 'queued'
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
-) RETURNING number, id, attempt, request, image
+) RETURNING *, NULL AS position
 """
-REGISTER = """
-INSERT INTO workers VALUES (?, epoch(), ?)
-ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at, failures = excluded.failures
-"""
-SEEN = "SELECT name, epoch() - seen_at AS seconds, failures FROM workers WHERE seen_at <= epoch() + ?"
+REGISTER = "INSERT INTO workers VALUES (?, epoch()) ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at"
+SEEN = "SELECT name, epoch() - seen_at AS seconds FROM workers"
 SERVED = """
 INSERT INTO served SELECT owner, started_at FROM jobs WHERE number = ?
 ON CONFLICT (owner) DO UPDATE SET at = excluded.at

@@ -19,16 +19,13 @@ from service.jobs import statements as sql
 from service.jobs.job import (
     FINAL_STATES,
     JOB_STATES,
-    Claim,
     Counts,
-    EncodeRequest,
     EncodeResult,
     Job,
     JobError,
     JobState,
     JsonObject,
     NewJob,
-    SourceImage,
     as_json,
     job_of,
 )
@@ -41,12 +38,10 @@ from service.storage.files import bitstream_key, preview_key, source_key
 log = logging.getLogger(__name__)
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
-NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
 # A worker that was silent for half of its lease is watched for the other half before it counts as lost.
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
 FORGOTTEN_S = 900.0  # a worker that is silent for longer is removed
-AHEAD_S = 2.0  # a report from further ahead was made before the clock was set back
 
 
 class JobTable(ABC):
@@ -155,13 +150,12 @@ class JobTable(ABC):
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
             figures = db.execute(sql.COUNTS).fetchone()
-            seen = db.execute(sql.SEEN, (AHEAD_S,)).fetchall()
+            seen = db.execute(sql.SEEN).fetchall()
             so_far = outcomes.totals(db)
         counted = {row["state"]: row["jobs"] for row in rows}
         return Counts(
             jobs={state: counted.get(state, 0) for state in JOB_STATES},
             workers={row["name"]: row["seconds"] for row in seen},
-            failures={row["name"]: row["failures"] for row in seen},
             totals=so_far,
             **dict(figures),
         )
@@ -177,7 +171,7 @@ class JobTable(ABC):
         with self._connection() as db:
             return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
-    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+    def trace(self, job_id: str, first: int = 0) -> list[dict[str, Any]]:
         """Return the trace points of the job's latest attempt, oldest first, from index `first`."""
         query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
         with self._connection() as db:
@@ -219,7 +213,7 @@ class JobTable(ABC):
         self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
         return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
 
-    def claim(self, worker: str) -> Claim | None:
+    def claim(self, worker: str) -> Job | None:
         """Claim the next queued job for a worker (a name for operators); None if there is none.
 
         Interactive jobs come before bulk jobs; among equals the owner with the fewest running jobs, then the owner
@@ -234,19 +228,16 @@ class JobTable(ABC):
                 return None
             db.execute(sql.SERVED, (row["number"],))
             db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
-            try:
-                request, image = json.loads(row["request"]), json.loads(row["image"])
-                return Claim(row["id"], row["attempt"], EncodeRequest(**request), SourceImage(**image))
-            except TypeError:  # an unknown field, which must not be ignored
-                self._fail(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
-                return None
+        return job_of(row)
 
-    def register(self, worker: str, failures: int = 0) -> None:
-        """Note that the worker is alive, with or without a job. failures: number of failures of its background work."""
+    def register(self, worker: str) -> None:
+        """Note that the worker is alive, with or without a job."""
         with self._transaction() as db:
-            db.execute(sql.REGISTER, (worker, failures))
-            db.execute("DELETE FROM workers WHERE epoch() - seen_at NOT BETWEEN ? AND ?", (-AHEAD_S, FORGOTTEN_S))
-            if given_up := outcomes.give_up_deliveries(db):
+            db.execute(sql.REGISTER, (worker,))
+            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
+            if given_up := db.execute(
+                "DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.KEPT_S,)
+            ).rowcount:
                 log.error("gave up on %d webhooks", given_up)
 
     def unregister(self, worker: str) -> None:
@@ -254,12 +245,12 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
-    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> Job | None:
+    def heartbeat(self, claim: Job, points: Sequence[JsonObject], first: int) -> Job | None:
         """Renew the lease and append trace points from index `first`. None: the job is no longer this worker's."""
         with self._transaction() as db:
             job = self._change(db, claim, "lease_until = epoch() + ?", self._settings.lease_s)
             for place, point in enumerate(points if job else (), first):
-                db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.job_id))
+                db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.id))
             return job
 
     def stop(self, job_id: str) -> bool:
@@ -270,7 +261,7 @@ class JobTable(ABC):
         with self._transaction() as db:
             return _update(db, "stopped = 1", "WHERE id = ? AND state = 'running'", job_id) is not None
 
-    def finish(self, claim: Claim, result: EncodeResult) -> bool:
+    def finish(self, claim: Job, result: EncodeResult) -> bool:
         """Publish the result. The call may be repeated. False: the job is no longer this worker's."""
         text = as_json(result)
         with self._transaction() as db:
@@ -279,16 +270,16 @@ class JobTable(ABC):
                 self._conclude(db, job)
                 return True
             # A commit that succeeded may be reported as failed; then the repeated call must succeed.
-            row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
+            row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.id,)).fetchone()
             return row is not None and row["result"] == text
 
-    def fail(self, claim: Claim, error: JobError) -> bool:
+    def fail(self, claim: Job, error: JobError) -> bool:
         """End an attempt in failure, for good unless it crashed fewer than MAX_ATTEMPTS times.
 
         False: the job is no longer this worker's.
         """
         with self._transaction() as db:
-            return self._fail(db, error, sql.MINE, (claim.job_id, claim.attempt)) is not None
+            return self._fail(db, error, sql.MINE, (claim.id, claim.attempt)) is not None
 
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
         """Return the job after an attempt that failed; None if the attempt is not its latest."""
@@ -311,7 +302,7 @@ class JobTable(ABC):
         """Whether the images of finished jobs are kept, and so count as stored."""
         return self._settings.source_retention_s > 0
 
-    def release(self, claim: Claim) -> bool:
+    def release(self, claim: Job) -> bool:
         """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's."""
         with self._transaction() as db:
             mine = self._change(db, claim, "state = 'queued', started_at = NULL") is not None
@@ -320,9 +311,9 @@ class JobTable(ABC):
             return mine
 
     @staticmethod
-    def _change(db: Database, claim: Claim, assignments: str, *values: Any) -> Job | None:
+    def _change(db: Database, claim: Job, assignments: str, *values: Any) -> Job | None:
         """Update the claimed job under its fencing token; None if the token is stale."""
-        return _update(db, assignments, sql.MINE, *values, claim.job_id, claim.attempt)
+        return _update(db, assignments, sql.MINE, *values, claim.id, claim.attempt)
 
     def due_delivery(self, address: str) -> Delivery | None:
         """Take a webhook that the caller has to send now, if one is due.
@@ -336,17 +327,7 @@ class JobTable(ABC):
     def delivered(self, delivery: Delivery) -> None:
         """Delete a webhook that was delivered."""
         with self._transaction() as db:
-            outcomes.forget_delivery(db, delivery)
-
-    def forward_deliveries(self) -> int:
-        """Redirect webhooks from addresses that the operator no longer names to the current ones. Returns their number.
-
-        If no address is named, they stay until they are given up.
-        """
-        if not self._settings.webhook_addresses:
-            return 0
-        with self._transaction() as db:
-            return outcomes.forward_deliveries(db, self._settings.webhook_addresses)
+            db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
     def needed_keys(self) -> set[str]:
         """Return the storage keys of all files that some job still needs."""

@@ -1,9 +1,12 @@
 // State that survives a reload: originals and opened files in the browser's database, the budget and the key.
 
+import { sleep } from "./parts.js";
+
 const MAX_KEPT = 12;
+const PATIENCE_MS = 2000; // a browser's database may never answer
 const NAME = "sgmethod";
 
-function opened() {
+async function opened() {
   const request = indexedDB.open(NAME, 1);
   request.onupgradeneeded = () => request.result.createObjectStore("originals", { keyPath: "id" });
   return finished(request);
@@ -31,11 +34,8 @@ export async function keep(id, file, name) {
 
 /** Load what was stored under an id: { file, name }, or undefined. */
 export async function kept(id) {
-  try {
-    return await finished((await opened()).transaction("originals").objectStore("originals").get(id));
-  } catch {
-    return undefined;
-  }
+  const found = opened().then((db) => finished(db.transaction("originals").objectStore("originals").get(id)));
+  return Promise.race([found, sleep(PATIENCE_MS)]).catch(() => undefined);
 }
 
 /** The browser's storages, or plain objects where site data is blocked. */

@@ -7,7 +7,6 @@ import os
 import select
 import signal
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -15,8 +14,6 @@ from service.errors import JobTableError
 from service.logs import log_seldom
 
 log = logging.getLogger(__name__)
-
-failures: Counter[str] = Counter()  # of this process, by what has failed; /metrics shows their sum
 
 
 class StopSignal:
@@ -52,7 +49,7 @@ class StopSignal:
 
 @contextmanager
 def log_errors(what: str) -> Iterator[None]:
-    """Log any exception so that the loop continues. Unexpected exceptions also increment a metric.
+    """Log any exception so that the loop continues.
 
     Wrap each round of a loop in it: a thread or task that an exception ends would otherwise end in silence.
     """
@@ -61,7 +58,6 @@ def log_errors(what: str) -> Iterator[None]:
     except (JobTableError, OSError) as error:
         log_seldom(log, f"{what} has to wait: %s", error)
     except Exception:
-        failures[what] += 1
         log.exception("%s failed unexpectedly and will be tried again", what)
 
 

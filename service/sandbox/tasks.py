@@ -24,8 +24,7 @@ from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
-from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
-from sgmethod.io.inputs import read_input
+from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, BinaryIO
-from urllib.parse import urlsplit
 
 import obstore
 from obstore.exceptions import BaseError
@@ -45,7 +43,8 @@ def _as_os_errors() -> Iterator[None]:
         raise OSError(errno.EIO, f"the object store failed: {_in_words(str(error))}") from error
     except BaseException as error:
         if type(error).__name__ == "PanicException":  # of the library, and not a subclass of Exception
-            raise OSError(errno.EIO, f"the object store's library panicked: {error}") from error
+            words = "the object store's library panicked, as it does for a malformed AWS_ variable"
+            raise OSError(errno.EIO, f"{words}: {error}") from error
         raise
 
 
@@ -58,25 +57,6 @@ def _in_words(text: str) -> str:
     return ", ".join([text.strip().partition("\n")[0], *causes])
 
 
-def _check_environment() -> None:
-    """Raise OSError for an AWS_ variable that would make the library panic, or that it would misread."""
-    for name, value in os.environ.items():
-        if not name.startswith("AWS_"):
-            continue
-        if value != value.strip() or not value.isprintable():
-            raise OSError(errno.EINVAL, f"{name} contains a line end, or a space at an end")
-        if value and name.startswith("AWS_ENDPOINT") and not _is_address(value):
-            raise OSError(errno.EINVAL, f"{name} must begin with http:// or https:// and name a host, got {value!r}")
-
-
-def _is_address(text: str) -> bool:
-    try:
-        parts = urlsplit(text)
-        return parts.port != 0 and bool(parts.hostname and re.fullmatch(r"https?://[!-~]+", text))
-    except ValueError:  # an invalid port or IPv6 address
-        return False
-
-
 class BucketStorage:
     """Storage in a bucket, beneath a prefix if the URL has one.
 
@@ -84,7 +64,6 @@ class BucketStorage:
     """
 
     def __init__(self, url: str) -> None:
-        _check_environment()
         # Plain HTTP is used only if the endpoint says so.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}

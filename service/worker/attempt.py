@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from service.errors import JobTableError
-from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JsonObject
+from service.jobs.job import FINAL_STATES, EncodeResult, Job, JobError, JsonObject
 from service.jobs.table import JobTable
 from service.logs import log_seldom
 from service.process.loops import StopSignal
@@ -25,9 +25,10 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 PREVIEW_ENDS_S = 1.0  # enough for a folder; the sweep removes what a bucket stores later
-POINTS_APART = 1 / 200  # minimum distance as a share of the time since the start: at most 2,500 points a day
+# Minimum distance of trace points as a share of the time since the start, so that a trace has few points: 10 a second
+# at first, and some 500 after five minutes, which a page fetches repeatedly.
+POINTS_APART = 1 / 100
 HEARTBEAT_S = 0.5  # also how often clients see new progress
 PAUSE_AFTER_TROUBLE_S = 1.0  # after an error of the job table or the storage
 
@@ -54,17 +55,16 @@ class Attempt:
     If the job table or the storage is unavailable at its end, it waits until stopping is requested.
     """
 
-    def __init__(self, table: JobTable, storage: Storage, claim: Claim, stop: StopSignal) -> None:
+    def __init__(self, table: JobTable, storage: Storage, claim: Job, stop: StopSignal) -> None:
         self._table = table
         self._storage = storage
         self._stop = stop
         self.claim = claim
-        self.key = bitstream_key(claim.job_id, claim.attempt)
+        self.key = bitstream_key(claim.id, claim.attempt)
         self.early_end_wanted = False  # requested by a client
         self._points: list[JsonObject] = []  # since the last heartbeat
         self._sent = 0
         self._showing: threading.Thread | None = None
-        self._shown = 0.0
         self._late: JsonObject | None = None  # the last point, if it came too soon
         self._began = self._heard = time.monotonic()
         self._added = -math.inf
@@ -82,18 +82,16 @@ class Attempt:
     def show(self, bitstream: bytes) -> None:
         """Store a preview in the background: a slow storage must not hold up the encode.
 
-        Previews are dropped while one is being stored, and when they come too soon.
+        Previews are dropped while one is being stored.
         """
-        now = time.monotonic()
-        if now - self._shown < PREVIEW_EVERY_S or (self._showing is not None and self._showing.is_alive()):
+        if self._showing is not None and self._showing.is_alive():
             return
-        self._shown = now
         self._showing = threading.Thread(target=self._store_preview, args=(bitstream,), daemon=True)
         self._showing.start()
 
     def _store_preview(self, bitstream: bytes) -> None:
         with contextlib.suppress(OSError):  # a preview is optional
-            self._storage.put(preview_key(self.claim.job_id, self.claim.attempt), bitstream)
+            self._storage.put(preview_key(self.claim.id, self.claim.attempt), bitstream)
 
     def beat(self, *, now: bool = False) -> None:
         """Renew the lease and send the trace, if it is time to or `now`. Raises ClaimLostError.
@@ -110,7 +108,7 @@ class Attempt:
             job = self._table.heartbeat(self.claim, self._points, self._sent)
         except JobTableError as error:
             silence = time.monotonic() - self._heard
-            log_seldom(log, "job %s: no heartbeat for %.1f s: %s", self.claim.job_id, silence, error)
+            log_seldom(log, "job %s: no heartbeat for %.1f s: %s", self.claim.id, silence, error)
             self._next = time.monotonic() + PAUSE_AFTER_TROUBLE_S
             return
         if job is None:
@@ -130,7 +128,7 @@ class Attempt:
             self._publish(outcome)
             return
         claim = self.claim
-        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, outcome.code, outcome.detail)
+        log.warning("job %s: attempt %d %s: %s", claim.id, claim.attempt, outcome.code, outcome.detail)
         if not self._insist(lambda: self._table.fail(claim, outcome)):
             raise ClaimLostError
 
@@ -140,7 +138,7 @@ class Attempt:
         result = EncodeResult(self.key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
         if not self._insist(lambda: self._table.finish(self.claim, result)):
             raise ClaimLostError
-        log.info("job %s: done, %d bytes", self.claim.job_id, len(encoded.bitstream))
+        log.info("job %s: done, %d bytes", self.claim.id, len(encoded.bitstream))
 
     def _store(self, data: bytes) -> None:
         """Store the bitstream, which took long to compute, and retry for as long as the disk is full.
@@ -178,7 +176,7 @@ class Attempt:
             try:
                 return last_word()
             except JobTableError as error:
-                log.warning("job %s: its result cannot be recorded yet: %s", self.claim.job_id, error)
+                log.warning("job %s: its result cannot be recorded yet: %s", self.claim.id, error)
                 if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
                     raise
 
@@ -186,9 +184,9 @@ class Attempt:
         """Remove the image of a job that will not run again, and files of an unsuccessful attempt."""
         if self._showing is not None:
             self._showing.join(PREVIEW_ENDS_S)
-            self._storage.delete(preview_key(self.claim.job_id, self.claim.attempt))
-        job = self._table.get(self.claim.job_id)
+            self._storage.delete(preview_key(self.claim.id, self.claim.attempt))
+        job = self._table.get(self.claim.id)
         if job is None or job.result is None or job.result.bitstream_key != self.key:
             self._storage.delete(self.key)
         if job is None or (job.state in FINAL_STATES and not self._table.keeps_sources):
-            self._storage.delete(source_key(self.claim.job_id))
+            self._storage.delete(source_key(self.claim.id))

@@ -10,11 +10,10 @@ import os
 import signal
 import socket
 import time
-from typing import BinaryIO
 
 from service.jobs.job import JobError
 from service.jobs.table import JobTable
-from service.process.loops import PeriodicThread, StopSignal, failures, log_errors
+from service.process.loops import PeriodicThread, StopSignal, log_errors
 from service.sandbox import frames
 from service.sandbox.client import RunningTask, Sandbox, SandboxUnavailableError
 from service.settings import Settings
@@ -26,8 +25,6 @@ from service.worker.webhooks import POLL_S, send_next
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
-# A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
-MISSING_S = 15.0
 REGISTER_S = 2.0
 THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and unregistering may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
@@ -50,10 +47,11 @@ class Worker:
         """Claim and work until stopping is requested; sweep meanwhile."""
         log.info("worker %s: ready, threads: %d", self._name, self._settings.encode_threads)
         settings, stop = self._settings, self._stop
+        register = functools.partial(self._table.register, self._name)
         unregister = functools.partial(self._table.unregister, self._name)
         threads = [
             PeriodicThread("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
-            PeriodicThread("reporting", self._register, REGISTER_S, stop, unregister),
+            PeriodicThread("reporting", register, REGISTER_S, stop, unregister),
         ]
         for address in settings.webhook_addresses:
             send = functools.partial(send_next, self._table, address, settings.webhook_key)
@@ -64,13 +62,8 @@ class Worker:
         for thread in threads[:2]:
             thread.join(THREADS_END_S)
 
-    def _register(self) -> None:
-        self._table.register(self._name, failures.total())
-
     def _sweep(self) -> None:
         settings = self._settings
-        if forwarded := self._table.forward_deliveries():
-            log.info("%d webhooks to addresses that are no longer named go to those that are", forwarded)
         swept = sweep(
             self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
         )
@@ -94,14 +87,14 @@ class Worker:
         claim = self._table.claim(self._name)
         if claim is None:
             return False
-        log.info("job %s: attempt %d of worker %s", claim.job_id, claim.attempt, self._name)
+        log.info("job %s: attempt %d of worker %s", claim.id, claim.attempt, self._name)
         attempt = Attempt(self._table, self._storage, claim, self._stop)
         try:
             attempt.conclude(self._encode(attempt))
         except ClaimLostError:
-            log.warning("job %s: attempt %d was deleted or taken over", claim.job_id, claim.attempt)
+            log.warning("job %s: attempt %d was deleted or taken over", claim.id, claim.attempt)
         except StoppedError:
-            log.info("job %s: handed back", claim.job_id)
+            log.info("job %s: handed back", claim.id)
             self._table.release(claim)
         except OSError:  # such as a storage out of reach: this must not count against the job
             self._table.release(claim)
@@ -115,7 +108,7 @@ class Worker:
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
-            source = self._source(attempt)
+            source = attempt.beating(functools.partial(self._storage.open, source_key(attempt.claim.id)))
         except FileNotFoundError:
             return JobError("crashed", "the source image is missing")
         with source, self._sandbox.start(self._task(attempt), source) as running:
@@ -124,25 +117,10 @@ class Worker:
             except frames.FrameError as error:
                 return JobError("crashed", f"the encoder sent an invalid message: {error}")
 
-    def _source(self, attempt: Attempt) -> BinaryIO:
-        """Open the image, and wait up to MISSING_S for it to appear in the storage.
-
-        Raises FileNotFoundError, ClaimLostError, StoppedError, OSError.
-        """
-        job_id, deadline = attempt.claim.job_id, time.monotonic() + MISSING_S
-        while True:
-            try:
-                return attempt.beating(functools.partial(self._storage.open, source_key(job_id)))
-            except FileNotFoundError:
-                if time.monotonic() >= deadline:
-                    raise
-            log.warning("job %s: the storage does not have its image yet", job_id)
-            attempt.wait()
-
     def _task(self, attempt: Attempt) -> frames.Encode:
         claim, threads = attempt.claim, self._settings.encode_threads
         return frames.Encode(
-            job_id=claim.job_id,
+            job_id=claim.id,
             request=claim.request,
             threads=threads,
             memory_bytes=self._settings.job_memory_bytes,

@@ -19,7 +19,7 @@ OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part o
 
 @dataclass(frozen=True)
 class Swept:
-    """Numbers of removed jobs and files, or of those that would be removed, and of files that could not be."""
+    """Numbers of removed jobs and files, and of files that could not be removed."""
 
     jobs: int
     files: int
@@ -33,21 +33,18 @@ def sweep(
     retention_s: float,
     source_retention_s: float = 0,
     orphan_age_s: float = ORPHAN_AGE_S,
-    dry_run: bool = False,
 ) -> Swept:
     """Remove expired jobs and images, and files that no job needs.
 
     retention_s: age of finished jobs in seconds (0: keep them); source_retention_s: age of images of finished jobs.
-    With dry_run nothing is removed. A file that cannot be removed, such as one under legal hold, is logged and left to
-    the next sweep. Raises JobTableError, OSError.
+    A file that cannot be removed, such as one under legal hold, is logged and left to the next sweep. Raises
+    JobTableError, OSError.
     """
     expired = table.finished(retention_s) if retention_s else []
     # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
     ended = table.finished(source_retention_s, with_image=True)
     keep = table.needed_keys()
     files = {*map(source_key, ended), *(key for key in storage.old(orphan_age_s) if key not in keep)}
-    if dry_run:
-        return Swept(len(expired), len(files))
     # First: on a full disk, the job table cannot be written before.
     stuck = {key for key in files if not _removed(storage, key)}
     for job_id in ended:

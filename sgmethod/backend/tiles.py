@@ -108,12 +108,37 @@ class Tiles:
     def _step(
         self, planes: Tensor, moments: Sequence[Tensor], bits: Sequence[Tensor], descent: Descent, rate: float
     ) -> None:
-        d, s = descent, descent.settings
-        rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
-        newton = s.newton_steps * d.values / (2 * math.pi)
-        numbers = *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(d.width), float(d.height)
-        arguments = *self._values, self._sums(planes), *moments, *bits, self._total, self._each, self._scale, *numbers
-        self._launch(tile_kernels.step, self._blocks(), *arguments, self._frame.pyramid, BLOCK)
+        s = descent.settings
+        means, factors, colors = self._values
+        first, second, bias = moments
+        quanta, prices = bits
+        self._launch(
+            tile_kernels.step,
+            self._blocks(),
+            means=means,
+            factors=factors,
+            colors=colors,
+            sums=self._sums(planes),
+            first=first,
+            second=second,
+            bias=bias,
+            quanta=quanta,
+            prices=prices,
+            total=self._total,
+            each=self._each,
+            scale=self._scale,
+            mean_rate=rate * s.mean_rate,
+            factor_rate=rate * s.factor_rate,
+            color_rate=rate * s.color_rate,
+            beta1=s.beta1,
+            beta2=s.beta2,
+            least=s.min_scale_px,
+            newton=s.newton_steps * descent.values / (2 * math.pi),
+            width=float(descent.width),
+            height=float(descent.height),
+            pyramid=self._frame.pyramid,
+            block=BLOCK,
+        )
 
     def _drawn(self, target: Tensor | None) -> tuple[Tensor, Tensor]:
         """Planes of the pictures, or all planes with the gradient of the error in place of the pictures."""
@@ -173,7 +198,7 @@ class Tiles:
     def _new(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         return torch.empty(shape, dtype=dtype, device=self._device)
 
-    def _launch(self, kernel: Any, grid: tuple[int, ...], *arguments: object, **options: int) -> None:
+    def _launch(self, kernel: Any, grid: tuple[int, ...], *arguments: object, **options: object) -> None:
         if math.prod(grid) == 0:
             return
         with torch.cuda.device(self._device) if self._device.type == "cuda" else nullcontext():

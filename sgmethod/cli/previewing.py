@@ -25,20 +25,12 @@ if TYPE_CHECKING:
 
 def run_preview(arguments: argparse.Namespace) -> int:
     """Run sgmethod preview."""
-    from sgmethod.previews.preview import checked_bytes
-
-    checked_bytes(int(Budget("bytes", arguments.bytes).value))  # fail once, not for each picture
-    if (arguments.html or arguments.element) and (STREAM in arguments.names or arguments.output_dir is not None):
-        raise CommandError("--html and --element cannot be combined with - or --output-dir")
-    if arguments.alt is not None and not (arguments.html or arguments.element):
-        raise CommandError("--alt needs --html or --element")
+    _check(arguments)
     if arguments.output_dir is not None:
         conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside)
         files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
         with Manifest(arguments.output_dir, {"preview": True, "bytes": arguments.bytes}) as manifest:
             return convert_all(conversions, _preview, "made", arguments, manifest)
-    if arguments.resume:
-        raise CommandError("--resume needs --output-dir")
     listed = ([name] if name == STREAM else naming.files_of(name, PICTURES) for name in arguments.names)
     wanted = [Conversion(source, STREAM) for names in listed for source in names]
     if len(wanted) > 1:
@@ -51,6 +43,20 @@ def run_preview(arguments: argparse.Namespace) -> int:
     say_notes(outcome, arguments)
     print(json.dumps(outcome.figures) if arguments.json else outcome.summary)
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise CommandError for options that do not go together, and BudgetError for a wrong size."""
+    from sgmethod.previews.preview import checked_bytes
+
+    checked_bytes(int(Budget("bytes", arguments.bytes).value))  # fail once, not for each picture
+    into_page = arguments.html or arguments.element
+    if into_page and (STREAM in arguments.names or arguments.output_dir is not None):
+        raise CommandError("--html and --element cannot be combined with - or --output-dir")
+    if arguments.alt is not None and not into_page:
+        raise CommandError("--alt needs --html or --element")
+    if arguments.resume and arguments.output_dir is None:
+        raise CommandError("--resume needs --output-dir")
 
 
 def _print_in_turn(

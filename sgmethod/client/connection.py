@@ -11,7 +11,6 @@ from typing import Any
 import httpx
 from httpx_sse import EventSource
 
-from sgmethod.client.environment import check_host, http_client
 from sgmethod.errors import ServerError
 
 Json = dict[str, Any]
@@ -20,6 +19,10 @@ AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting beh
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 SILENCE_S = 60.0  # the server sends a sign of life every 15 s
 WHERE_THE_KEY_IS = "set SG_API_KEY for the command line, or api_key of a Client"
+UNUSABLE = (
+    "an environment variable names a proxy or a file that cannot be used: HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, "
+    "SSL_CERT_FILE or SSLKEYLOGFILE (SOCKS needs: pip install 'httpx[socks]')"
+)
 PASSING = (httpx.TimeoutException, httpx.NetworkError, httpx.RemoteProtocolError)
 
 log = logging.getLogger("sgmethod.client")
@@ -70,10 +73,14 @@ class Connection:
             url = httpx.URL(server)
             if url.scheme not in ("http", "https") or not url.host:
                 raise ServerError(f"the server's address must begin with http:// or https://, got {server!r}")
-            check_host(url)
+            url.host.encode("idna")
         except (httpx.InvalidURL, ValueError) as error:
             raise ServerError(f"{server!r} is not a valid address: {error}") from error
-        self._http = http_client(url, headers, SILENCE_S)
+        limits = httpx.Limits(max_connections=None)  # as many as the caller has threads
+        try:
+            self._http = httpx.Client(base_url=url, headers=headers, timeout=SILENCE_S, limits=limits)
+        except (OSError, ValueError, ImportError, httpx.InvalidURL):  # whose texts may repeat a proxy's password
+            raise ServerError(UNUSABLE) from None
 
     def close(self) -> None:
         """Close the connections."""

@@ -54,7 +54,7 @@ def encode_many(
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
         # Files are written here: a thread that outlives the run must not replace those of the next one.
         for task, made in _in_threads(partial(make, folder), tasks, threads):
-            yield task, caught(partial(write, folder, made), task)
+            yield caught(partial(write, folder, made), task)
 
     return into_folder(items, output_dir, options, finish, resume, on_row)
 

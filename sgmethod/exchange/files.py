@@ -22,7 +22,8 @@ import io
 import os
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from itertools import takewhile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,84 +108,27 @@ def read_ply(path: PathLike) -> Gaussians:
     return recut(checked_gaussians(flat), NO_CUTOFF)
 
 
-class _Element(NamedTuple):
-    """An element of a PLY file: how many rows, and the properties of each by name.
-
-    A property has one type, or two if it is a list: that of its length, and that of its items.
-    """
-
-    name: str
-    rows: int
-    properties: list[tuple[str, list[str]]]
-
-
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
-    """Read the vertices of a PLY file, with a field for each property."""
+    """Read the vertices of a PLY file, with a field for each property. They must come first in the file."""
+    header = re.match(rb"ply\s.*?\nend_header[ \t]*\r?\n", data, re.DOTALL)
     try:
-        order, elements, start = _header(data)
-        place = [element.name for element in elements].index("vertex")
+        if header is None:
+            raise ValueError("another file")
+        lines = [line.split() for line in header[0].decode("latin1").splitlines()]
+        (order,) = (BYTE_ORDERS[words[1]] for words in lines if words[:1] == ["format"])
+        (_, element, rows), *rest = (words for words in lines if words[:1] in (["element"], ["property"]))
+        if element != "vertex" or not rows.isdecimal():
+            raise ValueError("no vertices")
+        properties = takewhile(lambda words: words[0] == "property", rest)
+        kind = np.dtype([(field, order + TYPES[number]) for _, number, field in properties])
     except (ValueError, LookupError) as error:
-        raise GaussiansError(f"{name} is not a PLY file of Gaussians") from error
-    before, vertex = elements[:place], elements[place]
-    if missing := sorted(set(NEEDED) - {field for field, _ in vertex.properties}):
+        raise GaussiansError(f"{name} is not a PLY file that begins with Gaussians") from error
+    if missing := sorted(set(NEEDED) - set(kind.names or ())):
         raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
     try:
-        kind = np.dtype([(field, order + TYPES[" ".join(types)]) for field, types in vertex.properties])
         if order != "=":
-            return np.frombuffer(data, kind, vertex.rows, _end(data, start, before, order))
-        first = sum(element.rows for element in before)
-        rows = [tuple(line.split()) for line in data[start:].decode().splitlines()[first : first + vertex.rows]]
-        return np.array(rows, kind) if len(rows) == vertex.rows else np.frombuffer(b"", kind, vertex.rows)
-    except (ValueError, OverflowError, LookupError) as error:
-        raise GaussiansError(f"{name} is truncated, or not a PLY file") from error
-
-
-def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Read the header of a PLY file, to its byte order, its elements and where these begin.
-
-    Raises ValueError or LookupError for one that breaks the rules (G. Turk, The PLY Polygon File Format, 1994).
-    """
-    first = re.match(rb"ply[ \t]*(\r?\n|\r)", data)
-    if first is None:
-        raise ValueError("another file")
-    end = rb"\r" if first[1] == b"\r" else rb"\r?\n"  # what follows a lone \r may be \n by chance
-    last = re.search(rb"[\r\n]end_header[ \t]*" + end, data)
-    if last is None:
-        raise ValueError("no end")
-    order, elements = "", list[_Element]()
-    for line in re.split(rb"[\r\n]+", data[3 : last.start()]):
-        match line.decode("latin1").split():
-            case [] | ["comment" | "obj_info", *_]:
-                pass
-            case ["format", kind, "1.0"]:
-                order = BYTE_ORDERS[kind]
-            case ["element", kind, rows] if rows.isdecimal():
-                elements.append(_Element(kind, int(rows), []))
-            case ["property", "list", length, kind, field]:
-                elements[-1].properties.append((field, [length, kind]))
-            case ["property", kind, field]:
-                elements[-1].properties.append((field, [kind]))
-            case _:
-                raise ValueError("another line")
-    if not order:
-        raise ValueError("no format")
-    return order, elements, last.end()
-
-
-def _end(data: bytes, start: int, elements: list[_Element], order: str) -> int:
-    """Find where elements end that begin at `start`, in binary."""
-    for element in elements:
-        types = [[np.dtype(order + TYPES[kind]) for kind in kinds] for _, kinds in element.properties]
-        if all(len(kinds) == 1 for kinds in types):
-            start += element.rows * sum(kind.itemsize for (kind,) in types)
-            continue
-        for _ in range(element.rows):
-            for *lengths, kind in types:
-                items = 1
-                for length in lengths:
-                    items = int(np.frombuffer(data, length, 1, start)[0])
-                    start += length.itemsize
-                if items < 0:
-                    raise ValueError("a list of negative length")
-                start += items * kind.itemsize
-    return start
+            return np.frombuffer(data, kind, int(rows), header.end())
+        text = data[header.end() :].decode().splitlines()
+        return np.array([tuple(text[row].split()) for row in range(int(rows))], kind)
+    except (ValueError, OverflowError, IndexError) as error:
+        raise GaussiansError(f"{name} is truncated, or damaged") from error

@@ -18,7 +18,7 @@ from sgmethod.budget import MAX_GAUSSIANS, Budget
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import checked_array, checked_gaussians
 from sgmethod.fitting.level import target_of
-from sgmethod.io.inputs import Input, read_input
+from sgmethod.io.image import Input, read_input
 from sgmethod.native import native
 from sgmethod.numerics import quiet
 from sgmethod.rd.rate_control import error_per_bit

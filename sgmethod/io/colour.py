@@ -1,9 +1,9 @@
 """Colour conversion: from the colour spaces that files state to sRGB.
 
 A file states its colours by the code points of H.273 (PNG's cICP, AVIF's and HEIC's nclx), by an ICC profile, or, only
-in PNG, by sRGB, gAMA and cHRM. Colours defined by curves and primaries are converted here, at 8 or 16 bits; Pillow's
-Little CMS, which is limited to 8 bits, does the rest (CMYK, tables). Both are relative colorimetric: white becomes
-white.
+in PNG, by sRGB, gAMA and cHRM. Colours defined by curves and primaries are converted here, because Pillow's Little CMS
+takes only 8 bits, of which the dark ones of linear light are too few: it does the rest (CMYK, tables). Both are
+relative colorimetric: white becomes white.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import struct
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,6 @@ Curve = Callable[[Values], Values]  # values in a file -> linear light, both in 
 Matrix = NDArray[np.float64]
 
 BAND = 1 << 18  # pixels converted at a time: a whole picture in floats would take more memory than an encode
-MAX_BLACK = 0.18  # limit of black-point compensation, as in Little CMS: an L* of 50
 MAX_PROFILE_BYTES = 16 << 20  # inflated; profiles of printing presses have one or two MiB
 UNSEEN = 0.75 / 255  # a conversion that moves no colour further is skipped
 
@@ -86,28 +84,17 @@ def _to_d50(primaries: tuple[tuple[float, float], ...]) -> Matrix:
     return np.asarray(np.linalg.inv(bradford) @ cones @ bradford @ plain)
 
 
-@cache
-def _d50_to_srgb() -> Matrix:
-    return np.asarray(np.linalg.inv(_to_d50(BT709)))
-
-
 @dataclass(frozen=True)
 class Space:
-    """An RGB or grey colour space: curves to linear light, and the matrix from there to sRGB's light.
-
-    black: light of the space's black, subtracted by black-point compensation.
-    """
+    """An RGB or grey colour space: curves to linear light, and the matrix from there to sRGB's light."""
 
     curves: tuple[Curve, ...]
     matrix: Matrix | None
-    black: float = 0
 
     @classmethod
     def from_curves(cls, curves: tuple[Curve, ...], to_d50: Matrix | None) -> Space | None:
         """Build a space; None if it is sRGB. Raises ProfileError if it does not describe colours."""
-        darkest = np.array([float(curve(np.zeros(1))[0]) for curve in curves])
-        black = min(max(float(darkest[0] if to_d50 is None else to_d50[1] @ darkest), 0.0), MAX_BLACK)
-        space = cls(curves, None if to_d50 is None else _d50_to_srgb() @ to_d50, black)
+        space = cls(curves, None if to_d50 is None else np.linalg.inv(_to_d50(BT709)) @ to_d50)
         side = np.linspace(0, 1, 9)
         probe = np.stack(np.meshgrid(*[side] * len(curves), indexing="ij"), -1).reshape(-1, len(curves))
         with np.errstate(all="ignore"):
@@ -120,8 +107,6 @@ class Space:
         stacked = np.stack(light, -1)
         if self.matrix is not None:
             stacked = stacked @ self.matrix.T.astype(stacked.dtype)
-        if self.black > 0:
-            stacked = (stacked - self.black) / (1 - self.black)
         return to_srgb(np.clip(stacked, 0, 1))
 
     def convert(self, levels: Levels, peak: int) -> tuple[Levels, int]:
@@ -180,7 +165,7 @@ class Transform:
 Colour = Space | Transform | None  # None: sRGB already
 
 
-def of_code_points(primaries: int, transfer: int) -> Colour:
+def from_code_points(primaries: int, transfer: int) -> Colour:
     """Colours stated by code points (H.273). Raises ImageError for PQ and HLG, ProfileError for unknown ones."""
     if transfer in (PQ, HLG):
         name = "PQ" if transfer == PQ else "HLG"
@@ -191,7 +176,7 @@ def of_code_points(primaries: int, transfer: int) -> Colour:
     return Space.from_curves((curve,) * 3, _to_d50(PRIMARIES[primaries]))
 
 
-def of_png(info: Mapping[Any, Any]) -> Colour:
+def from_gamma(info: Mapping[Any, Any]) -> Colour:
     """Colours stated by a PNG's gAMA and cHRM, in Pillow's `info`. Raises ProfileError."""
     gamma, points = info.get("gamma"), info.get("chromaticity")
     if gamma is None and points is None:
@@ -210,7 +195,7 @@ def of_png(info: Mapping[Any, Any]) -> Colour:
     return Space.from_curves((curve,) * 3, to_d50)
 
 
-def inflated(iccp: bytes) -> bytes:
+def inflate(iccp: bytes) -> bytes:
     """Inflate the profile in PNG's iCCP: name, zero byte, compression method, zlib stream. Raises ProfileError."""
     inflater = zlib.decompressobj()
     try:
@@ -222,14 +207,14 @@ def inflated(iccp: bytes) -> bytes:
     return profile
 
 
-def of_profile(profile: bytes, mode: str) -> Colour:
+def from_profile(profile: bytes, mode: str) -> Colour:
     """Colours stated by an ICC profile, for samples of Pillow's mode "L", "RGB" or "CMYK".
 
     Raises ProfileError for a profile that is damaged or has other channels, ImageError for PQ and HLG.
     """
     tags = _tags(profile)
     if (cicp := tags.get(b"cicp")) and len(cicp) >= 10 and cicp[9] in (PQ, HLG):
-        return of_code_points(cicp[8], cicp[9])
+        return from_code_points(cicp[8], cicp[9])
     channels = {b"GRAY": "L", b"RGB ": "RGB", b"CMYK": "CMYK"}.get(profile[16:20])
     if channels != mode and (channels, mode) != ("RGB", "L"):  # grey samples may have an RGB profile
         raise ProfileError("its channels do not match the picture's")

@@ -79,15 +79,15 @@ def name_of(data: bytes) -> str:
             return name
     if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
         return "WebP"
-    brands = chunks.brands(data)
-    if {b"avif", b"avis"} & set(brands):
+    brands = set(chunks.brands(data))
+    if {b"avif", b"avis"} & brands:
         return "AVIF"
-    if HEIC_BRANDS & set(brands):
+    if HEIC_BRANDS & brands:
         return "HEIC"
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
-    kind = "a video, " if VIDEO_BRANDS & set(brands) else kind
+    kind = "a video, " if VIDEO_BRANDS & brands else kind
     raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
 
 

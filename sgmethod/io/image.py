@@ -1,24 +1,24 @@
-"""Reading image files into arrays.
+"""Reading any picture as 8-bit sRGB: image files, Pillow images and arrays.
 
-read_header reads a header without decoding pixels; read_image_8_bit decodes the picture. Both follow the same rules. A
-refused file raises an ImageError with one clear sentence, anything dropped an ImageWarning:
+A file goes through the steps open_file, decode, orient, to_srgb, composite and to_8_bit; a Pillow image is open, and an
+array is decoded already. A refused picture raises an ImageError with one clear sentence, anything dropped an
+ImageWarning:
 
     formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
                    `heif`, JPEG XL with the extra `jxl`; recognised by their first bytes, never by file name
     size           checked against ImageLimits from the header, before pixels are decoded
     frames         the first, with a warning if there are others. Further pictures inside a JPEG (previews, gain maps)
-                   and previews and masks in a TIFF do not count. Animated JPEG XL is refused. Outside the first
-                   frame of a GIF, the picture is transparent.
-    whole          truncated files, files with missing pixels and damaged PNGs are refused; damage in other formats can
-                   go unnoticed, because they have no checksums. A JPEG may lack its end marker.
-    orientation    EXIF orientation is applied, as are rotation, mirroring and clean aperture of AVIF and HEIC. Invalid
-                   EXIF data is ignored.
-    colour         the result is sRGB. Stated colours are converted, relative colorimetric with black-point
-                   compensation: the first present of PNG's cICP, ICC profile, sRGB, gAMA and cHRM; ICC profiles of
-                   other formats, including BMP; the code points of AVIF and HEIC. An unusable profile is ignored, with
-                   a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are expanded; CMYK
-                   without a profile, YCbCr and LAB are converted by Pillow's plain formulas. QOI's flag for linear
-                   light is ignored, because Pillow always sets it.
+                   and previews in a TIFF do not count. Animated JPEG XL is refused.
+    whole          truncated files, files with missing pixels and damaged PNGs are refused, unless the program has set
+                   Pillow's LOAD_TRUNCATED_IMAGES; damage in other formats can go unnoticed, because they have no
+                   checksums
+    orientation    EXIF orientation is applied, as are rotation and mirroring of AVIF and HEIC, and the clean aperture
+                   of HEIC. Invalid EXIF data is ignored.
+    colour         the result is sRGB. Stated colours are converted, relative colorimetric: the first present of PNG's
+                   cICP, ICC profile, sRGB, gAMA and cHRM; ICC profiles of other formats except BMP; the code points of
+                   AVIF and HEIC. An unusable profile is ignored, with a warning. PQ and HLG are refused. Grey becomes
+                   three equal channels, palettes are expanded; CMYK without a profile, YCbCr and LAB are converted by
+                   Pillow's plain formulas. QOI's flag for linear light is ignored, because Pillow always sets it.
     depth          the result has 8 bits. 16-bit grey and RGB(A) are rounded last, after conversion of colours (before
                    it, if the profile uses tables) and transparency; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's
                    grey with alpha, TIFF's premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond
@@ -30,35 +30,45 @@ refused file raises an ImageError with one clear sentence, anything dropped an I
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
-from typing import Any, TypeVar
+import os
+import sys
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import ImageFile
+from PIL import Image
 
-from sgmethod.errors import ImageError
+from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
-from sgmethod.io.header import (
-    ImageHeader,
-    ImageLimits,
-    Opened,
-    check_jpeg_xl,
-    is_still,
-    only_image_errors,
-    open_file,
-    warn,
-)
-from sgmethod.io.levels import Samples, samples_of
+from sgmethod.io.decoding import Picture, decode
+from sgmethod.io.files import checked_path
+from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, open_file, stated_colour
 from sgmethod.scene import Pixels
 
-__all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image_8_bit"]
+__all__ = ["ImageHeader", "ImageLimits", "Input", "check_range", "read_header", "read_image_8_bit", "read_input"]
 
-# Random bytes, none of them 0xFF, to append to a JPEG without end marker: pixels that depend on them are missing.
-RANDOM_TAILS = [bits.tobytes() for bits in np.random.default_rng(0).integers(0, 255, (4, 64), np.uint8)]
+Input = str | os.PathLike[str] | bytes | bytearray | memoryview | Image.Image | npt.NDArray[Any]
 
-Values = TypeVar("Values", bound=npt.NDArray[Any])
+PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parents[1], Path(Image.__file__).parent))
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """The header of an image file.
+
+    format: one of formats.READERS; width, height: pixels, after EXIF orientation; still: whether it is the only picture
+    in the file.
+    """
+
+    format: str
+    width: int
+    height: int
+    still: bool = True
 
 
 def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
@@ -67,15 +77,39 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     Raises ImageError for an unknown format, a damaged header, samples of an unknown range, high dynamic range, or a
     size of zero or beyond limits. A file that passes can still have damaged pixels.
     """
-    kind = formats.name_of(data)
+    kind, limits = formats.name_of(data), limits or ImageLimits()
     with only_image_errors(kind):
         if kind == "JPEG XL":
             header = check_jpeg_xl(data, limits)
             return ImageHeader(kind, header.width, header.height)
         opened = open_file(data, kind, limits)
         # Pillow's TIFF reader already reports the size after orientation.
-        width, height = reversed(opened.size) if opened.orientation >= 5 else opened.size
-        return ImageHeader(kind, width, height, is_still(opened.reader, data))
+        width, height = reversed(opened.reader.size) if opened.orientation >= 5 else opened.reader.size
+        return ImageHeader(kind, width, height, opened.still)
+
+
+def read_input(image: Input, *, keep_alpha: bool = False) -> Pixels:
+    """Read an input as uint8 [H, W, 3], sRGB, C-contiguous.
+
+    image: the path or bytes of an image file, a Pillow image, or an array: grey [H, W] or [H, W, 1], RGB [H, W, 3] or
+    RGBA [H, W, 4], of levels in uint8 or uint16, or floating-point values in [0, 1]; keep_alpha: return [H, W, 4] for a
+    transparent picture instead of compositing it over white.
+    Warns with ImageWarning of anything dropped. Raises ImageError, and OSError for a path that cannot be read.
+    """
+    if isinstance(image, np.ndarray):
+        return _finished(_from_array(image), keep_alpha)
+    if isinstance(image, Image.Image):
+        with only_image_errors():
+            picture = to_srgb(orient(decode(_open_pillow(image))))
+        return _finished(picture, keep_alpha)
+    if isinstance(image, bytes | bytearray | memoryview):
+        return read_image_8_bit(bytes(image), keep_alpha=keep_alpha)
+    if isinstance(image, str | os.PathLike):
+        return read_image_8_bit(checked_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
+    raise ImageError(
+        "an image must be a path, the bytes of an image file, a Pillow image or a numpy array, "
+        f"not {type(image).__name__}"
+    )
 
 
 def read_image_8_bit(
@@ -88,75 +122,140 @@ def read_image_8_bit(
     Warns with ImageWarning of anything dropped. Raises ImageError where read_header does, and if pixel data are damaged
     or missing.
     """
-    samples, notes = _read(data, limits, keep_alpha, smaller)
-    warn(notes)
-    return samples.in_8_bits()
-
-
-def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool, smaller: int = 1) -> tuple[Samples, list[str]]:
-    """Decode the picture as displayed; also return notes on anything dropped."""
     kind = formats.name_of(data)
     with only_image_errors(kind):
-        opened = open_file(data, kind, limits)
-        if kind == "JPEG" and chunks.lacks_end(data):
-            data = _with_end(data)
-            opened = open_file(data, kind, limits)
-        if kind == "JPEG" and smaller > 1:
-            width, height = opened.reader.size
-            opened.reader.draft(None, (max(width // smaller, 1), max(height // smaller, 1)))
-        samples = upright_samples(opened, data, keep_alpha)
-        if kind == "PNG":
-            verified: ImageFile.ImageFile = formats.open_reader(data, kind)
-            verified.verify()  # checks all checksums; decoding skips those of the pixels
-    return samples, opened.notes
+        picture = to_srgb(orient(decode(open_file(data, kind, limits or ImageLimits()), smaller)))
+    return _finished(picture, keep_alpha)
 
 
-def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Samples:
-    """Decode, crop and turn a picture as displayed, composited over white, with a note, unless alpha is kept."""
-    width, height = opened.reader.size
-    samples = samples_of(opened.reader, data, opened.colour, opened.frame)
-    if samples.levels.shape[:2] != (height, width):  # libheif crops as it decodes
-        raise ImageError("the decoded image does not have the size stated in its header")
+def _finished(picture: Picture, keep_alpha: bool) -> Pixels:
+    """Take the last steps, for which a picture is in sRGB, and issue its warnings."""
     if not keep_alpha:
-        samples = without_alpha(samples, opened.notes)
-    x0, y0, x1, y1 = opened.crop or (0, 0, width, height)
-    alpha = samples.alpha
-    return replace(
-        samples,
-        levels=_turn(samples.levels[y0:y1, x0:x1], opened.orientation),
-        alpha=None if alpha is None else _turn(alpha[y0:y1, x0:x1], opened.orientation),
-    )
+        picture = composite(picture)
+    warn(picture.notes)
+    return to_8_bit(picture)
 
 
-def _with_end(jpeg: bytes) -> bytes:
-    """Complete a JPEG that lacks its end marker. Raises ImageError if pixels are missing too."""
-    jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
-    number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
-    restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # missing pixels may continue with the next restart marker
-    completed = jpeg + chunks.JPEG_END  # missing pixels become grey
-    tails = [bits + restart + bits + chunks.JPEG_END for bits in RANDOM_TAILS]
-    ended, *others = (
-        np.asarray(formats.open_reader(data, "JPEG")) for data in (completed, *(jpeg + tail for tail in tails))
-    )
-    if not all(np.array_equal(ended, other) for other in others):
-        raise ImageError("the JPEG is truncated")
-    return completed
+def orient(picture: Picture) -> Picture:
+    """Undo the EXIF orientation (EXIF 2.32, table 6): flip rows, flip columns, swap the two."""
+    rows = slice(None, None, -1 if picture.orientation in (3, 4, 6, 7) else 1)
+    columns = slice(None, None, -1 if picture.orientation in (2, 3, 7, 8) else 1)
+    axes = (1, 0, 2) if picture.orientation >= 5 else (0, 1, 2)
+    alpha = None if picture.alpha is None else picture.alpha[rows, columns].transpose(axes)
+    return replace(picture, levels=picture.levels[rows, columns].transpose(axes), alpha=alpha)
 
 
-def without_alpha(samples: Samples, notes: list[str]) -> Samples:
-    """Composite over white, with a note if the picture is transparent."""
-    if samples.alpha is not None:
-        notes.append("transparency is composited over white")
-    return samples.over_white()
+def to_srgb(picture: Picture) -> Picture:
+    """Convert the colours that the picture states."""
+    if picture.colour is None:
+        return picture
+    levels, white = picture.colour.convert(picture.levels, picture.white)
+    return replace(picture, levels=levels, white=white)
 
 
-def _turn(pixels: Values, orientation: int) -> Values:
-    """Undo an EXIF orientation (EXIF 2.32, table 6): flip rows, flip columns, swap the two."""
-    turned: npt.NDArray[Any] = pixels
-    if orientation in (3, 4, 6, 7):
-        turned = turned[::-1]
-    if orientation in (2, 3, 7, 8):
-        turned = turned[:, ::-1]
-    if orientation >= 5:
-        turned = turned.swapaxes(0, 1)
-    return np.ascontiguousarray(turned)  # type: ignore[return-value]
+def composite(picture: Picture) -> Picture:
+    """Composite a transparent picture over white, value * alpha + (1 - alpha), and note it."""
+    if picture.alpha is None:
+        return picture
+    part = _values(picture.alpha, picture.opaque)
+    values = _values(picture.levels, picture.white)
+    values *= part
+    values += 1 - part
+    return Picture(values, 1, notes=(*picture.notes, "transparency is composited over white"))
+
+
+def to_8_bit(picture: Picture) -> Pixels:
+    """Round to levels 0 to 255, C-contiguous: [H, W, 3], or [H, W, 4] with alpha."""
+    height, width = picture.levels.shape[:2]
+    pixels = _rounded(np.broadcast_to(picture.levels, (height, width, 3)), picture.white)
+    return pixels if picture.alpha is None else np.dstack([pixels, _rounded(picture.alpha, picture.opaque)])
+
+
+def _values(levels: npt.NDArray[Any], white: int) -> npt.NDArray[np.float32]:
+    """Convert levels in [0, white] to float32 in [0, 1]; always a copy."""
+    values = levels.astype(np.float32)
+    if white != 1:
+        values /= white
+    return values
+
+
+def _rounded(levels: npt.NDArray[Any], white: int) -> Pixels:
+    """Convert levels in [0, white] to uint8, C-contiguous, row by row to save memory; uint8 is left as it is."""
+    if levels.dtype == np.uint8:
+        return np.ascontiguousarray(levels, np.uint8)
+    pixels = np.empty(levels.shape, np.uint8)
+    for row, one in zip(pixels, levels, strict=True):
+        row[...] = np.round(_values(one, white) * 255)
+    return pixels
+
+
+def _open_pillow(image: Image.Image) -> Opened:
+    """Check a Pillow image as a file is checked, and copy it."""
+    ImageLimits().check(*image.size)
+    check_samples(image)
+    tags, image = getattr(image, "tag_v2", None), image.copy()
+    if tags is not None:  # a copy has lost those of TIFF, which say what white is
+        image.tag_v2 = tags  # type: ignore[attr-defined]
+    return Opened(image, None, chunks.exif_orientation(image.info.get("exif")), *stated_colour(image, None))
+
+
+def _from_array(pixels: npt.NDArray[Any]) -> Picture:
+    """Check an array. Raises ImageError for a wrong type or shape, other values, or a size beyond ImageLimits."""
+    pixels = np.asarray(pixels)  # np.matrix would not become three-dimensional
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
+        raise ImageError(f"an image must be [H, W], or [H, W, C] with 1, 3 or 4 channels, got {list(pixels.shape)}")
+    ImageLimits().check(pixels.shape[1], pixels.shape[0])
+    if pixels.dtype not in (np.uint8, np.uint16):
+        if not np.issubdtype(pixels.dtype, np.floating):
+            raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
+        check_range(float(pixels.min()), float(pixels.max()))
+    white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
+    if pixels.shape[2] < 4:
+        return Picture(pixels, white)
+    alpha = pixels[..., 3:]
+    return Picture(pixels[..., :3], white, None if alpha.min() == white else alpha, white)
+
+
+def check_range(least: float, most: float) -> None:
+    """Raise ImageError unless the least and the greatest value of an image lie in [0, 1]."""
+    if not least <= most:  # a minimum is NaN if any value is
+        raise ImageError("image values must lie in [0, 1], got NaN")
+    if least < 0 or most > 1:
+        raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
+
+
+@contextmanager
+def only_image_errors(kind: str = "image") -> Iterator[None]:
+    """Turn everything that Pillow raises on a bad file into ImageError.
+
+    Pillow's warnings take their way: Python's filters, which could silence them, belong to all threads of a program.
+    """
+    try:
+        yield
+    except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for MAX_SIDE
+        raise
+    except Image.DecompressionBombError as error:  # Pillow's own limit, where the caller's is higher
+        raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
+    except MemoryError as error:
+        raise ImageError("not enough memory to decode the image") from error
+    except Exception as error:
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise ImageError(f"the {kind} is damaged, truncated or unsupported ({reason})") from error
+
+
+def warn(notes: Iterable[str]) -> None:
+    """Issue an ImageWarning for each note, attributed to the program that has called this package or Pillow.
+
+    Within errors.noted(), they are added to its list instead.
+    """
+    if (collected := NOTES.get()) is not None:
+        collected += notes
+        return
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGES):
+        level, frame = level + 1, frame.f_back
+    for note in notes:
+        warnings.warn(note, ImageWarning, stacklevel=level)  # skip_file_prefixes needs Python 3.12

@@ -11,7 +11,7 @@ from typing import Any
 from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.codec import encode
 from sgmethod.errors import noted
-from sgmethod.io.inputs import Input
+from sgmethod.io.image import Input
 from sgmethod.many.folder import Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
 from sgmethod.many.processes import MAX_JOBS

@@ -10,7 +10,7 @@ from typing import Any
 
 from sgmethod.errors import SgError
 from sgmethod.io.files import checked_path, write_atomically
-from sgmethod.io.inputs import Input
+from sgmethod.io.image import Input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import Finished, OnRow, Run, Tally, Task
 

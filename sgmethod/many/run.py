@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from sgmethod.errors import SgError
 from sgmethod.many.manifest import Manifest, Row
-from sgmethod.many.processes import KILLED, in_processes
+from sgmethod.many.processes import in_processes
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Task(Generic[AnyRow]):
 
 
 Make = Callable[[Task[AnyRow]], AnyRow]
-Finished = Generator[tuple[Task[AnyRow], AnyRow | None], None, None]  # a row is None where its process was killed
+Finished = Generator[AnyRow, None, None]
 
 
 class Run(Generic[AnyRow]):
@@ -81,8 +81,7 @@ class Run(Generic[AnyRow]):
     def finish(self, finished: Finished[AnyRow], on_row: OnRow[AnyRow] | None = None) -> Tally:
         """Note each row as it comes, and return the totals. Raises SgError if the manifest cannot be written."""
         with closing(finished):
-            for task, made in finished:
-                row = replace(task.row, error=KILLED) if made is None else made
+            for row in finished:
                 if self._manifest is not None:
                     self._manifest.add(row)
                 self._tally = self._tally.with_row(row, time.perf_counter() - self._began)
@@ -93,11 +92,7 @@ class Run(Generic[AnyRow]):
 
 def finish_locally(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finished[AnyRow]:
     """Finish tasks on this machine: one after the other, or several at a time in processes of their own."""
-    if jobs > 1:
-        yield from in_processes(make, tasks, jobs)
-        return
-    for task in tasks:
-        yield task, make(task)
+    yield from in_processes(make, tasks, jobs) if jobs > 1 else map(make, tasks)
 
 
 def caught(make: Make[AnyRow], task: Task[AnyRow]) -> AnyRow:

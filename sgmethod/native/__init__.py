@@ -1,10 +1,10 @@
 """The compiled kernels: superpixels, drawing, gradients, the optimiser's step, the entropy coder, refining.
 
 Arguments are NumPy arrays, and results are written to arrays provided by the caller. The C++ sources lie beside this
-file, in rooms that include and link only those before them: core/ (constants, threads, vectors), start/ (superpixels),
-texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd: integers, entropy
-coder) and refine/ (search over the integers, one Gaussian at a time) know nothing of Python. bindings/ is the interface
-to Python.
+file, in folders that include and link only those before them: core/ (constants, threads, vectors), start/
+(superpixels), texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd:
+integers, entropy coder) and refine/ (search over the integers, one Gaussian at a time) know nothing of Python.
+bindings/ is the interface to Python.
 """
 
 from __future__ import annotations

@@ -19,8 +19,7 @@ from sgmethod.budget import Budget
 from sgmethod.codec import encode
 from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
-from sgmethod.io.header import ImageLimits
-from sgmethod.io.inputs import Input
+from sgmethod.io.image import ImageLimits, Input
 from sgmethod.numerics import quiet
 from sgmethod.previews.reducing import reduced
 from sgmethod.previews.still import webp_uri
@@ -69,24 +68,27 @@ class Preview:
         transparent picture has none, since it would show through.
         src: the picture's URL, already quoted; alt: its alternative text.
         """
-        style = "width:100%;height:auto"
-        if self._pixels.shape[2] == 4:
-            return self._img(src, alt, style)
-        style += f";background:{self.color}"
-        drawn = " url({}) center/cover"
-        uri = webp_uri(self._pixels, characters - len(self._img(src, alt, style + drawn.format(""))))
-        return self._img(src, alt, style + (drawn.format(uri) if uri else ""))
+        return self._img(src, alt, "width:100%;height:auto", characters)
 
-    def element(self, src: str, alt: str = "") -> str:
+    def element(self, src: str, alt: str = "", characters: int = HTML_CHARACTERS) -> str:
         """Return an <sg-img>, as wide as its container, that draws the preview over the <img> inside it.
 
-        Without JavaScript, only the <img> is shown. The styles reserve space before the script has run; where a content
-        security policy forbids them, the two rules in docs/previews.md do the same. Arguments as in html().
+        The <img> is like html()'s, so its WebP is shown before the script has run, and without JavaScript. The styles
+        also reserve the space; where a content security policy forbids them, the two rules in docs/previews.md do that.
+        Arguments as in html(); characters are those of the <img>.
         """
-        image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover")
+        image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover", characters)
         return f'<sg-img preview="{self.text}" style="display:block">{image}</sg-img>'
 
-    def _img(self, src: str, alt: str, style: str) -> str:
+    def _img(self, src: str, alt: str, style: str, characters: int) -> str:
+        if self._pixels.shape[2] == 4:
+            return self._tag(src, alt, style)
+        style += f";background:{self.color}"
+        drawn = " url({}) center/cover"
+        uri = webp_uri(self._pixels, characters - len(self._tag(src, alt, style + drawn.format(""))))
+        return self._tag(src, alt, style + (drawn.format(uri) if uri else ""))
+
+    def _tag(self, src: str, alt: str, style: str) -> str:
         known = f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'
         return f'<img {known} loading="lazy" decoding="async" style="{style}">'
 

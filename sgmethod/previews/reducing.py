@@ -9,9 +9,7 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io.files import checked_path
-from sgmethod.io.header import ImageLimits
-from sgmethod.io.image import read_header, read_image_8_bit
-from sgmethod.io.inputs import Input, read_input
+from sgmethod.io.image import ImageLimits, Input, read_header, read_image_8_bit, read_input
 from sgmethod.scene import Pixels
 
 Size = tuple[int, int]  # width, height

@@ -11,7 +11,7 @@ from PIL import Image
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 
-SIDES = (8, 12, 16, 20, 24, 28, 32, 40, 48)  # pixels of the longer one: a browser enlarges them smoothly
+SIDES = (8, 12, 16, 24, 32, 48, 64)  # pixels of the longer one: a browser enlarges them smoothly
 JUDGED_SIDE = 192  # pixels of the longer side at which files are compared
 PREFIX = "data:image/webp;base64,"
 

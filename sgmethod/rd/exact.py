@@ -14,22 +14,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sgmethod.backend.protocol import Backend, Frame
-from sgmethod.fitting.deadline import Clock, Deadline, cosine
+from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.numerics import quiet
 from sgmethod.rd.densify import densify, prune, settle
+from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
+from sgmethod.rd.plan import Plan, State, stages, within_pixels
 from sgmethod.rd.rate_control import GaussianCount, surplus
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.exact import EXACT, exact_schedule
 from sgmethod.settings.rd import RD, Times
 
-STEPS_TOGETHER = 16  # between two reports
-OnStep = Callable[[float], None]  # called with the progress, 0 to 1
+OnStep = Callable[[float], None]  # called with the share of the steps that are taken, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,17 @@ class Exact:
     gaussians: Gaussians
     background: tuple[int, int, int]
     error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Shares(Recorder):
+    """Recorder that passes on the share of the steps taken, and measures nothing."""
+
+    total: int
+    on_step: OnStep
+
+    def report(self, _phase: str, step: int, *_figures: object) -> None:
+        self.on_step(step / self.total)
 
 
 @dataclass(frozen=True)
@@ -56,22 +67,22 @@ class ExactFit:
     @quiet
     def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
-        plan = self._plan(pixels, backend, clock)
-        times, n = plan.settings.effort.times, self.gaussians
-        state = plan.begin(place(plan.request, plan.pyramid))
-        for stage in stages(plan.request.deadline.pace(plan.settings.effort.steps), times):
+        request = self._request(pixels, backend, clock, on_step)
+        pyramid, n = request.pyramid(), self.gaussians
+        plan = Plan(request, within_pixels(request.settings, pyramid), pyramid)
+        state, times = plan.begin(place(request, pyramid)), plan.settings.effort.times
+        for stage in stages(request.deadline.pace(plan.settings.effort.steps), times):
             if stage.is_due:
                 state = prune(plan, state, stage)
                 state = replace(state, quantum=self._quantum(plan, times, stage.at))
                 state = densify(plan, state, stage)
             if stage.at == times.trim_at[-1]:
                 state = _complete(plan, replace(state, quantum=self.quantum), n)
-            state = _fitted(plan, state, stage, on_step)
+            state = fit(plan, state, stage)
         found = _complete(plan, state, n).gaussians
         found = found.rows(np.argsort(-found.factors[:, 0] * found.factors[:, 2], kind="stable"))
-        background = plan.request.background
-        error = backend.error(found, Frame(*plan.request.size), target_of(pixels, background))
-        return Exact(found, background, error)
+        error = backend.error(found, Frame(*request.size), target_of(pixels, request.background))
+        return Exact(found, request.background, error)
 
     def _quantum(self, plan: Plan, times: Times, at: float) -> float:
         """Return the quantum that prices bits while Gaussians come and go: it decides well which of them stay."""
@@ -80,27 +91,14 @@ class ExactFit:
         chosen = min(dense, rate.gaussians_quantum)
         return max(chosen / float(times.finer_early ** surplus(times, at)), self.quantum)
 
-    def _plan(self, pixels: Pixels, backend: Backend, clock: Clock) -> Plan:
+    def _request(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Request:
+        """Return the request of an encode to as many Gaussians, with the schedule and the price of bits of this fit."""
         height, width = pixels.shape[:2]
         rate = replace(GaussianCount.from_count(self.gaussians, height * width, RD), quantum=self.quantum)
         steps = self.steps or round(EXACT.share_of_steps * rate.steps(RD))
-        settings = exact_schedule(steps)
+        settings, recorder = exact_schedule(steps), _Shares(clock, total=steps, on_step=on_step)
         objective = Objective.from_pixels(pixels, "psnr", settings.objective)
-        request = Request(objective, rate, Deadline.from_limit(clock), backend, settings, Recorder(clock), self.seed)
-        pyramid = request.pyramid()
-        return Plan(request, within_pixels(settings, pyramid), pyramid)
-
-
-def _fitted(plan: Plan, state: State, stage: Stage, on_step: OnStep) -> State:
-    """Take the steps of a stage."""
-    s, size = plan.settings.fit, len(state.gaussians)
-    gaussians, moments, price = state.gaussians.copy(), state.moments.copy(), s.rate_weight * state.bit_price
-    for progress in stage.pace.together(stage.until, lambda: STEPS_TOGETHER):
-        level = plan.level_for(state, stage, size)
-        rates = [cosine(s.optimiser.final_rate, at) for at in progress]
-        plan.request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
-        on_step(stage.pace.progress)
-    return replace(state, gaussians=gaussians, moments=moments)
+        return Request(objective, rate, Deadline.from_limit(clock), backend, settings, recorder, self.seed)
 
 
 def _complete(plan: Plan, state: State, n: int) -> State:

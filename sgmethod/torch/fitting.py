@@ -22,8 +22,7 @@ from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.codec import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
-from sgmethod.io.header import ImageLimits
-from sgmethod.io.inputs import check_range
+from sgmethod.io.image import ImageLimits, check_range
 from sgmethod.native import native
 from sgmethod.rd.exact import Exact, ExactFit
 from sgmethod.scene import Pixels

@@ -29,7 +29,7 @@ from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.errors import ImageError, SgError
 from sgmethod.exchange.files import arrays_of
 from sgmethod.io.files import checked_path, write_atomically
-from sgmethod.io.inputs import read_input
+from sgmethod.io.image import read_input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import OnRow, Run, Tally, Task, caught, finish_locally
 from sgmethod.rd.exact import Exact

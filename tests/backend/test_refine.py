@@ -87,7 +87,7 @@ def test_no_sweep_begins_after_the_end_of_the_time(backend: Backend) -> None:
 
 @each_backend
 @pytest.mark.parametrize(("grey", "upright"), [(True, False), (False, True), (True, True)])
-def test_what_a_file_has_no_room_for_stays_out(grey: bool, upright: bool, backend: Backend) -> None:
+def test_what_does_not_fit_into_the_file_stays_out(grey: bool, upright: bool, backend: Backend) -> None:
     gaussians, target = scene(1)
     coding = Coding(*SIZE, 0.3, grey, upright)
     found = decoded(backend.refine(gaussians, coding, target, RefineLimits(0.0, 1, math.inf, NO_LIMIT), None), coding)

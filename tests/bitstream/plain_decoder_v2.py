@@ -50,11 +50,11 @@ def body_of(data: bytes, version: int) -> bytes:
 # Version 2: limits
 
 MAX_COLOUR = 2**22
-MOST_EXPONENT = 18
-MOST_U_BITS, MOST_PART_BITS, MOST_RAW_BITS = 12, 16, 24
-MOST_V, MOST_R = 8, 4096
-LEAST_COLOUR_STEP = 2.0**-16
-OCTAVES, PATCH, MOST_STRENGTH = 2, 64, 15
+MAX_EXPONENT = 18
+MAX_U_BITS, MAX_PART_BITS, MAX_RAW_BITS = 12, 16, 24
+MAX_V, MAX_R = 8, 4096
+MIN_COLOUR_STEP = 2.0**-16
+OCTAVES, PATCH, MAX_STRENGTH = 2, 64, 15
 
 
 # Header
@@ -146,7 +146,7 @@ def read_texture(header: Header, bits: Bits) -> Codes:
                 t += -(ones + 1) // 2 if ones % 2 else ones // 2
                 above = t if column == 0 else above
                 code = t + (codes[octave - 1][row][column] if octave > 0 else 0)
-                refuse_unless(0 <= code <= MOST_STRENGTH, "strength")
+                refuse_unless(0 <= code <= MAX_STRENGTH, "strength")
                 codes[octave][row].append(code)
     bits.fill()
     return codes
@@ -331,7 +331,7 @@ def size_class(header: Header, k: int, n: int) -> SizeClass:
     t, mean = 0, columns * rows // max(n, 1)
     while mean >= 8:
         t, mean = t + 1, mean // 2
-    return SizeClass(k, columns, rows, min(t, MOST_RAW_BITS))
+    return SizeClass(k, columns, rows, min(t, MAX_RAW_BITS))
 
 
 # Bits of a Gaussian
@@ -350,9 +350,9 @@ class Integers:
 
     def __post_init__(self) -> None:
         self.square = sum(value * value for value in self.colour)  # S
-        self.h = min(self.square.bit_length() // 2, MOST_EXPONENT)
+        self.h = min(self.square.bit_length() // 2, MAX_EXPONENT)
         self.bucket = min(self.h, 7)
-        self.u_bits = min(max(self.h - 1, 0), MOST_U_BITS)
+        self.u_bits = min(max(self.h - 1, 0), MAX_U_BITS)
 
 
 def lg(x: int) -> int:
@@ -369,7 +369,7 @@ def parts_of(integers: Integers) -> tuple[int, int]:
     b = 46 * v // 2**h
     px = (f + w - max(a + b, -56)) // 32 + 1
     py = (f - max(a - b, -56)) // 32 + 1
-    return min(max(px, 0), MOST_PART_BITS), min(max(py, 0), MOST_PART_BITS)
+    return min(max(px, 0), MAX_PART_BITS), min(max(py, 0), MAX_PART_BITS)
 
 
 # Turns
@@ -421,7 +421,7 @@ def read_turn(
 def read_shape(coder: Coder, models: Models, now: Integers, numbers: tuple[Number, Number]) -> None:
     v, r = (coder.rest(number) for number in numbers)
     u = coder.take(now.u_bits)
-    refuse_unless(v <= MOST_V * 2**now.h and 2 * r <= MOST_R * 2**now.h, "shape")
+    refuse_unless(v <= MAX_V * 2**now.h and 2 * r <= MAX_R * 2**now.h, "shape")
     signs = coder.symbol(SHAPE, models.shape_signs[2 * (v != 0) + (r != 0)])
     now.shape = [u, -v if signs & 2 else v, -r if signs & 1 else r]
     now.parts = parts_of(now)
@@ -453,7 +453,7 @@ def gaussian_of(header: Header, integers: Integers) -> Gaussian:
         for along, part, bits in zip(deinterleave(integers.cell), integers.place, integers.parts, strict=True)
     )
 
-    c = max(header.quantum / (size(k) * 1.5), LEAST_COLOUR_STEP)
+    c = max(header.quantum / (size(k) * 1.5), MIN_COLOUR_STEP)
     p = integers.colour[0] * c * 0.57735026918962576
     q = integers.colour[1] * c * 0.70710678118654752
     s = integers.colour[2] * c * 0.40824829046386302

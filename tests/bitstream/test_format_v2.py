@@ -43,22 +43,22 @@ def test_the_limits_in_the_text() -> None:
     plain, text = plain_decoder_v2, " ".join(TEXT.split())
     for phrase in (
         f"one of them above 2^{plain.MAX_COLOUR.bit_length() - 1},",
-        f"<= S < 2^(2 h + 1), {plain.MOST_EXPONENT})",
-        f"u bits = min(max(h - 1, 0), {plain.MOST_U_BITS})",
-        f"each limited to 0 .. {plain.MOST_PART_BITS}.",
-        f"until it is less than 8; at most {plain.MOST_RAW_BITS}.",
-        rf"refuse \|v\| > {plain.MOST_V} * 2^h or 2 \|r\| > {plain.MOST_R} * 2^h",
-        f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.LEAST_COLOUR_STEP):g})",
+        f"<= S < 2^(2 h + 1), {plain.MAX_EXPONENT})",
+        f"u bits = min(max(h - 1, 0), {plain.MAX_U_BITS})",
+        f"each limited to 0 .. {plain.MAX_PART_BITS}.",
+        f"until it is less than 8; at most {plain.MAX_RAW_BITS}.",
+        rf"refuse \|v\| > {plain.MAX_V} * 2^h or 2 \|r\| > {plain.MAX_R} * 2^h",
+        f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.MIN_COLOUR_STEP):g})",
         f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
         f"the largest l from 1 to {native.MAX_LEVEL} with",
         f"Square patches, {plain.PATCH} pixels wide,",
         f"columns = ceil(width / {plain.PATCH}) rows = ceil(height / {plain.PATCH})",
         f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
-        f"a strength code for each patch, from 0 to {plain.MOST_STRENGTH}.",
+        f"a strength code for each patch, from 0 to {plain.MAX_STRENGTH}.",
     ):
         assert phrase in text
     of_texture = native.TEXTURE_OCTAVES, native.TEXTURE_CELL, native.TEXTURE_STRENGTHS - 1
-    assert of_texture == (plain.OCTAVES, plain.PATCH, plain.MOST_STRENGTH)
+    assert of_texture == (plain.OCTAVES, plain.PATCH, plain.MAX_STRENGTH)
 
 
 def test_the_version_and_the_views_in_the_text() -> None:

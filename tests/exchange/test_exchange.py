@@ -211,31 +211,23 @@ PLAIN = ["ply", "format binary_little_endian 1.0", "element vertex 20"]
 PLAIN += [*(f"property float {name}" for name in WRITTEN), "end_header"]
 
 
-def with_element(*properties: str, rows: int = 2) -> list[str]:
-    return [*PLAIN[:2], f"element camera {rows}", *(f"property {words}" for words in properties), *PLAIN[2:]]
-
-
 @pytest.mark.parametrize(
-    ("lines", "before", "newline"),
+    ("lines", "newline"),
     [
-        (["ply", "comment by hand", *PLAIN[1:]], b"", "\n"),
-        ([*PLAIN[:9], "obj_info x", "comment property float opacity", "", *PLAIN[9:]], b"", "\n"),
-        (["\t ".join(line.split(" ")) + " \t" for line in PLAIN], b"", "\n"),
-        (PLAIN, b"", "\r\n"),
-        (PLAIN, b"", "\r"),
-        (with_element("float focal", "uchar lens"), bytes(10), "\n"),
-        (with_element("list uchar short v", "float focal"), b"\2    ffff\0ffff", "\n"),
-        (with_element(), b"", "\n"),
+        (["ply", "comment by hand", *PLAIN[1:]], "\n"),
+        ([*PLAIN[:9], "obj_info x", "comment property float opacity", "", *PLAIN[9:]], "\n"),
+        (["\t ".join(line.split(" ")) + " \t" for line in PLAIN], "\n"),
+        (PLAIN, "\r\n"),
     ],
 )
-def test_headers_of_ply_as_its_rules_allow(lines: list[str], before: bytes, newline: str, tmp_path: Path) -> None:
-    """Words are separated by blanks; comments and other elements may stand anywhere."""
+def test_headers_of_ply_as_its_rules_allow(lines: list[str], newline: str, tmp_path: Path) -> None:
+    """Words are separated by blanks; comments may stand anywhere."""
     path = tmp_path / "some.ply"
     sgmethod.write_ply(path, SOME)
     body = path.read_bytes().partition(b"end_header\n")[2]
     assert len(body) == 20 * 62 * 4
     wanted = sgmethod.read_ply(path)
-    path.write_bytes(newline.join([*lines, ""]).encode() + before + body)
+    path.write_bytes(newline.join([*lines, ""]).encode() + body)
     found = sgmethod.read_ply(path)
     assert all(np.array_equal(a, b) for a, b in zip(found.arrays, wanted.arrays, strict=True))
 
@@ -255,8 +247,7 @@ def test_ply_has_what_programs_of_3d_splats_expect(tmp_path: Path) -> None:
     [
         (b"", "not a PLY file"),
         ("\n".join(PLAIN).replace("vertex 20", "vertex -1").encode() + b"\n" + bytes(248), "not a PLY file"),
-        ("\n".join(with_element("list char int v", rows=10**30)).encode() + b"\n\xff\xff\xff", "truncated"),
-        ("\n".join(with_element("list quad int v")).encode() + b"\n\0\0", "truncated, or not a PLY file"),
+        ("\n".join([*PLAIN[:2], "element camera 1", "property float x", *PLAIN[2:]]).encode() + b"\n", "begins with"),
         (b"ply\nproperty float x\nend_header\n", "not a PLY file"),
         (b"ply\nelement vertex 0\nend_header\n", "not a PLY file"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no property f_dc_0"),
@@ -265,7 +256,7 @@ def test_ply_has_what_programs_of_3d_splats_expect(tmp_path: Path) -> None:
         (HEADER.format(order="middle_endian").encode(), "not a PLY file"),
         (HEADER.format(order="ascii").replace("double", "quad").encode(), "not a PLY file"),
         (HEADER.format(order="ascii").replace("vertex 2", f"vertex {10**30}").encode(), "truncated"),
-        (HEADER.format(order="ascii").encode() + (b"1 2 3 256" + b" 5" * 12 + b"\n") * 2, "truncated, or not"),
+        (HEADER.format(order="ascii").encode() + (b"1 2 3 256" + b" 5" * 12 + b"\n") * 2, "truncated, or damaged"),
         (HEADER.format(order="binary_little_endian").encode() + b"\xff" * 150, "not finite"),
     ],
 )

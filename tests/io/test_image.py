@@ -6,30 +6,24 @@ import io
 import struct
 import time
 from itertools import chain
-from threading import Thread
-from types import ModuleType
 
 import numpy as np
 import pillow_heif
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from PIL import Image, ImageFile
+from PIL import Image
 
 from benchmarks.harness.pictures import photo
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
-from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit
-from sgmethod.io.inputs import read_input
-from sgmethod.io.levels import to_8_bit
-from sgmethod.io.pillow_defaults import pillow_defaults
+from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
 from tests.io.odd_files import chunk, png, tiff
 
 pillow_heif.register_heif_opener()
 PIXELS = np.ascontiguousarray(photo("kodim05-crop")[30:62, 20:68])
 PHOTO = Image.fromarray(PIXELS)
 SEE_THROUGH = pytest.mark.filterwarnings("ignore:transparency is composited over white:sgmethod.ImageWarning")
-PILLOWS = [(ImageFile, "LOAD_TRUNCATED_IMAGES", True), (Image, "MAX_IMAGE_PIXELS", 9)]
 ROUNDED = 0.501  # levels, worst seen 0.4999; in single precision what lies beside a half may go to the other side
 
 
@@ -114,8 +108,10 @@ def test_pixels_are_contiguous() -> None:
     for data in (*others, saved("JPEG", exif=exif_with(6)), saved("PNG", PHOTO.quantize(64))):
         found = read_image_8_bit(data)
         assert (found.shape[2], found.dtype, found.flags.c_contiguous) == (3, np.uint8, True)
-    assert np.array_equal(to_8_bit(PIXELS / 255, 1), PIXELS)
-    assert np.array_equal(to_8_bit(PIXELS[:, ::-1], 255), PIXELS[:, ::-1])
+    for array in (PIXELS, PIXELS / 255, PIXELS[:, ::-1]):
+        found = read_input(array)
+        assert np.array_equal(found, PIXELS[:, ::-1] if array.strides[1] < 0 else PIXELS)
+        assert found.flags.c_contiguous
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -299,46 +295,6 @@ def test_limits_are_the_callers() -> None:
     for read in (read_header, read_image_8_bit):
         with pytest.raises(ImageError, match="too large"):
             read(data, ImageLimits(max_pixels=48 * 32 - 1))
-
-
-@pytest.mark.parametrize(("module", "name", "value"), PILLOWS)
-def test_what_others_set_for_pillow_changes_nothing(
-    monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
-) -> None:
-    files = [data[:size] for data in KINDS.values() for size in (len(data), 2 * len(data) // 3)]
-
-    def results() -> list[object]:
-        found: list[object] = []
-        for data in files:
-            try:
-                found.append(read_image_8_bit(data).tolist())
-            except ImageError as error:
-                found.append(str(error))
-        return found
-
-    before = results()
-    monkeypatch.setattr(module, name, value)
-    assert results() == before
-
-
-@pytest.mark.parametrize(("module", "name", "value"), PILLOWS)
-def test_other_threads_find_what_they_set_for_pillow(
-    monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
-) -> None:
-    """Even while this one reads."""
-    found = []
-
-    def look() -> None:
-        number = getattr(module, name)
-        found.append((number == value, bool(number), 2 * number == 2 * value, value + 1 > number))
-
-    monkeypatch.setattr(module, name, value)
-    with pillow_defaults():
-        thread = Thread(target=look)
-        thread.start()
-        thread.join()
-    look()
-    assert found == [(True, True, True, True)] * 2
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -17,11 +17,10 @@ import pytest
 from PIL import Image
 
 from sgmethod.errors import ImageError, ImageWarning
-from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, of_profile
-from sgmethod.io.image import read_header, read_image_8_bit
-from sgmethod.io.inputs import read_input
+from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, from_profile
+from sgmethod.io.image import read_header, read_image_8_bit, read_input
 from tests.io import profiles
-from tests.io.odd_files import bmp, chunk, clap, gif, heif, mirrored, png, tiff, turned
+from tests.io.odd_files import chunk, clap, heif, mirrored, png, tiff, turned
 
 W, H = 32, 24
 Y, X = np.mgrid[0:H, 0:W]
@@ -86,7 +85,7 @@ def test_tags_of_a_profile_may_share_their_bytes() -> None:
     tracemalloc.start()
     try:
         with pytest.raises(ProfileError):
-            of_profile(profile, "RGB").convert(RGB, 255)
+            from_profile(profile, "RGB").convert(RGB, 255)
         assert tracemalloc.get_traced_memory()[1] < 20 << 20
     finally:
         tracemalloc.stop()
@@ -96,56 +95,6 @@ def test_16_bits_are_read_beside_long_text() -> None:
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in DEEP)
     text = chunk(b"zTXt", b"Comment\0\0" + zlib.compress(LONG))
     assert np.array_equal(read(png(rows, (W, H), [text], depth=16)), RGB)
-
-
-# --- BMP
-
-
-def embedded(profile: bytes) -> bytes:
-    where = struct.pack("<IIII", 4, 124 + PLAIN.size, len(profile), 0)
-    return bmp(PLAIN, space=b"MBED", more=bytes(48) + where, behind=profile)
-
-
-def test_the_profile_in_a_bmp_is_used() -> None:
-    assert np.abs(read(embedded(P3)).astype(int) - IN_P3).max() <= 1
-    assert np.array_equal(read(bmp(PLAIN)), PLAIN)
-    assert np.array_equal(read(bmp(PLAIN, header=108, space=bytes(4))), PLAIN)  # gammas, which browsers pass over
-    with pytest.warns(ImageWarning, match="profile is ignored"):
-        assert np.array_equal(read_image_8_bit(embedded(b"none")), PLAIN)
-
-
-# --- GIF
-
-
-@pytest.mark.parametrize(
-    ("screen", "frame", "hole", "size"),
-    [
-        ((W, H), (8, 6, 16, 12), None, (W, H)),
-        ((W, H), (8, 6, 16, 12), 3, (W, H)),
-        ((10, 8), (8, 6, 16, 12), None, (24, 18)),
-        ((0, 0), (0, 0, 16, 12), None, (16, 12)),
-        ((W, H), (0, 0, W, H), None, (W, H)),
-    ],
-)
-def test_nothing_is_seen_where_the_first_frame_of_a_gif_is_not(
-    screen: tuple[int, int], frame: tuple[int, int, int, int], hole: int | None, size: tuple[int, int]
-) -> None:
-    data = gif(screen, [(*frame, 1)], hole)
-    x, y, width, height = frame
-    expected = np.zeros((size[1], size[0], 4), np.uint8)
-    expected[y : y + height, x : x + width] = (0, 255, 0, 255)
-    loaded = Image.open(io.BytesIO(data))
-    loaded.load()
-    for pixels in (
-        read(data),
-        read_input(Image.open(io.BytesIO(data)), keep_alpha=True),
-        read_input(loaded, keep_alpha=True),
-    ):
-        if (x, y, width, height) == (0, 0, *size):
-            assert np.array_equal(pixels, expected[..., :3])
-        else:
-            assert np.array_equal(pixels[..., 3], expected[..., 3])
-            assert np.array_equal(pixels[expected[..., 3] > 0], expected[expected[..., 3] > 0])
 
 
 # --- TIFF
@@ -235,40 +184,18 @@ def test_a_chain_of_pages_that_does_not_end() -> None:
 # --- AVIF and HEIC
 
 
-APERTURES = {
-    "at the corner": ((16, 12, 0, 0), np.s_[0:12, 0:16]),
-    "within": ((16, 12, 5, 7), np.s_[7:19, 5:21]),
-    "odd": ((15, 11, 5, 7), np.s_[7:18, 5:20]),
-    "all": ((W, H, 0, 0), np.s_[:, :]),
-}
-
-
 @pytest.mark.parametrize("kind", ["AVIF", "HEIC"])
-@pytest.mark.parametrize("name", APERTURES)
-def test_clean_apertures_are_applied_before_turns(name: str, kind: str) -> None:
-    """libheif and libvips crop so. Chromium does where the crop is at the corner, and shows all otherwise."""
-    numbers, part = APERTURES[name]
-    aperture, whole = clap(*numbers, (W, H)), read(heif(RGB, kind))
-    for properties, turn in {
-        (aperture,): lambda a: a,
-        (aperture, turned(1)): np.rot90,
-        (aperture, turned(1), mirrored(1)): lambda a: np.rot90(a)[:, ::-1],
-        (aperture, mirrored(0)): lambda a: a[::-1],
+def test_a_clean_aperture_is_applied_before_turns(kind: str) -> None:
+    """Pillow's reader of AVIF passes over apertures, as some browsers do."""
+    apertures = [clap(15, 11, 5, 7, (W, H))] if kind == "HEIC" else []
+    part = read(heif(RGB, kind))[np.s_[7:18, 5:20] if apertures else np.s_[:]]
+    for turns, turn in {
+        (): lambda a: a,
+        (turned(1),): np.rot90,
+        (turned(1), mirrored(1)): lambda a: np.rot90(a)[:, ::-1],
+        (mirrored(0),): lambda a: a[::-1],
     }.items():
-        assert np.array_equal(read(heif(RGB, kind, properties)), turn(whole[part]))
-
-
-def test_alpha_is_cropped_with_its_colours() -> None:
-    both = np.dstack([RGB, ALPHA])
-    data = heif(both, "AVIF", [clap(16, 12, 5, 7, (W, H))])
-    assert np.array_equal(read(data), read(heif(both, "AVIF"))[7:19, 5:21])
-
-
-@pytest.mark.parametrize("numbers", [(40, 12, 0, 0), (16, 12, -1, 0), (16, 12, 20, 0), (0, 12, 0, 0)])
-def test_apertures_that_make_no_sense_are_passed_over(numbers: tuple[int, int, int, int]) -> None:
-    no_fraction = struct.pack(">I4s8I", 40, b"clap", 16, 0, 12, 1, 0, 1, 0, 1)
-    for box in (clap(*numbers, (W, H)), no_fraction):
-        assert read(heif(RGB, "AVIF", [box])).shape == RGB.shape
+        assert np.array_equal(read(heif(RGB, kind, [*apertures, *turns])), turn(part))
 
 
 @pytest.mark.parametrize(("points", "out"), [((12, 13), IN_P3), ((9, 16), "PQ"), ((1, 13), RED)])
@@ -281,55 +208,3 @@ def test_a_heic_opened_by_pillow_has_its_code_points(points: tuple[int, int], ou
                 read_input(form)
         else:
             assert np.abs(read_input(form).astype(int) - out).max() <= 3
-
-
-# --- JPEG
-
-
-def jpeg(**options: object) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(RGB).save(file, "JPEG", quality=95, **options)
-    return file.getvalue()
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"progressive": True}, {"restart_marker_blocks": 1}, {"restart_marker_blocks": 3}, {"keep_rgb": True}],
-)
-def test_a_jpeg_may_lack_its_end_alone(options: dict[str, object]) -> None:
-    whole = jpeg(**options)
-    pixels = read(whole)
-    for data in (whole[:-2], whole[:-1], whole[:-2] + bytes(500)):
-        assert np.array_equal(read(data), pixels)
-    for length in range(200, len(whole) - 2):
-        try:
-            found = read_image_8_bit(whole[:length])
-        except ImageError:
-            continue
-        assert np.array_equal(found, pixels)
-
-
-@pytest.mark.parametrize("subsampling", [0, 2])
-@pytest.mark.parametrize("level", [0, 255])
-def test_missing_pixels_of_one_colour_are_missed(level: int, subsampling: int) -> None:
-    """Each block takes so few bits, and has so few codes, that any bits decode to the same as those missing."""
-    file, pixels = io.BytesIO(), np.full((40, 64, 3), level, np.uint8)
-    Image.fromarray(pixels).save(file, "JPEG", optimize=True, subsampling=subsampling)
-    for missing in range(1, 9):
-        try:
-            found = read_image_8_bit(file.getvalue()[:-missing])
-        except ImageError:
-            continue
-        assert np.abs(found.astype(int) - level).max() <= 1
-    with pytest.raises(ImageError, match="truncated"):
-        read_image_8_bit(file.getvalue()[:-7])
-
-
-def test_scans_that_are_missing_are_missed() -> None:
-    """Cut between two scans, where each byte that is there is whole."""
-    whole = jpeg(progressive=True)
-    cuts = [at for at in range(2, len(whole)) if whole[at : at + 2] == b"\xff\xc4"]
-    assert len(cuts) > 4
-    for cut in cuts:
-        with pytest.raises(ImageError, match=r"truncated|missing pixel data"):
-            read_image_8_bit(whole[:cut])

@@ -25,7 +25,7 @@ from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded
 from sgmethod.client import encode_many as encode_on_server
 from sgmethod.errors import noted
-from sgmethod.io.header import warn
+from sgmethod.io.image import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short

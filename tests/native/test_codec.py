@@ -113,17 +113,6 @@ def test_extreme_values(size: tuple[int, int], quantum: float) -> None:
     assert (found.means < np.array(size) + 4 * 2**14).all()
 
 
-@pytest.mark.parametrize("where", [(0, 0), (0, 1), (1, 0), (1, 2), (2, 1)])
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_left_out(where: tuple[int, int], value: float) -> None:
-    values = scattered(1, (20, 20))
-    (values.means, values.factors, values.colors)[where[0]][0, where[1]] = value
-    parameters = native.RdParameters(20, 20, 0.01)
-    assert encoded(parameters, values) == encoded(parameters, scattered(0, (20, 20))) == b""
-    assert len(decoded(parameters, b"")) == 0
-    assert not quantised(parameters, values).colors.any()
-
-
 def test_what_rounds_to_no_colour_is_left_out() -> None:
     values = scattered(300, (100, 100))
     values.colors[::2] = 0

@@ -194,24 +194,6 @@ def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str, set_thre
             assert torch.equal(found, bytes_expected)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_bytes_over_a_background(name: str, set_threads: Callable[[int], None]) -> None:
-    """The background is what the sum begins with, so that rounding may differ by a level from adding it last."""
-    c, background = case(name), (0.2, 0.7, 0.4)
-    shown = native_picture(c, 0).permute(1, 2, 0) + torch.tensor(background)
-    levels = torch.floor(shown.clamp(0, 1) * 255 + 0.5)
-    results = []
-    for threads in (1, 2, 5):
-        set_threads(threads)
-        for isa in ISAS:
-            results.append(torch.full(shown.shape, 77, dtype=torch.uint8))
-            native.Rasterization(c.means, c.factors, *c.size, isa=isa).render_bytes(c.colors, results[-1], background)
-    assert all(torch.equal(one, results[0]) for one in results)
-    difference = (results[0].float() - levels).abs()
-    assert difference.max() <= 1
-    assert (difference > 0).float().mean() < 1e-3  # none seen
-
-
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
 def test_gradients_do_not_depend_on_threads(name: str, isa: int, set_threads: Callable[[int], None]) -> None:
@@ -239,37 +221,6 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert lit.min() == -np.floor(reach)
     assert lit.max() == np.floor(reach)
     assert row[50].item() == pytest.approx(1 - np.exp(-CUTOFF), abs=1e-6)  # worst seen 0
-
-
-NOT_DRAWN = {  # more, and in a pyramid: tests/torch/test_drawing.py
-    "mean x": ([np.nan, 5], [2, 0, 2]),
-    "mean y": ([5, np.inf], [2, 0, 2]),
-    "l1 not a number": ([5, 5], [np.nan, 0, 2]),
-    "l1 negative": ([5, 5], [-2, 0, 2]),
-    "l2 infinite": ([5, 5], [2, -np.inf, 2]),
-    "l3 infinite": ([5, 5], [2, 0, np.inf]),
-    "l3 zero": ([5, 5], [2, 0, 0]),
-    "l1 subnormal": ([5, 5], [1e-40, 0, 2]),
-    "l3 subnormal": ([5, 5], [2, 0, 1e-40]),
-}
-
-
-@pytest.mark.parametrize("isa", ISAS)
-@pytest.mark.parametrize("name", NOT_DRAWN)
-def test_what_is_no_ellipse_contributes_nothing(name: str, isa: int) -> None:
-    mean, factor = (torch.tensor([row], dtype=torch.float32) for row in NOT_DRAWN[name])
-    sound = case("specks")
-    mixed = Case(
-        torch.cat([mean, sound.means]),
-        torch.cat([factor, sound.factors]),
-        torch.cat([torch.ones(1, 3), sound.colors]),
-        sound.size,
-        sound.upstream,
-    )
-    assert torch.equal(native_picture(mixed, isa), native_picture(sound, isa))
-    for mine, others in zip(native_gradients(mixed, isa), native_gradients(sound, isa), strict=True):
-        assert not mine[0].any()
-        assert torch.equal(mine[1:], others)
 
 
 ABSURD = """

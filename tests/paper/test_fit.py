@@ -21,7 +21,7 @@ from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.levels import to_8_bit
+from sgmethod.io.image import read_input
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
@@ -39,7 +39,7 @@ PATIENCE = 0.3
 
 
 def level(image: FloatArray) -> Level:
-    return level_of(to_8_bit(image, 1), KERNELS)
+    return level_of(read_input(image), KERNELS)
 
 
 def unlimited() -> Deadline:

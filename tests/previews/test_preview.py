@@ -18,7 +18,7 @@ import sgmethod
 from benchmarks.harness.data import ROOT
 from benchmarks.harness.pictures import photo, saved
 from sgmethod.errors import BitstreamError, BudgetError, ImageError
-from sgmethod.io.header import ImageLimits
+from sgmethod.io.image import ImageLimits
 from sgmethod.metrics import psnr
 from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
@@ -169,14 +169,17 @@ def test_html_of_a_long_strip() -> None:
 
 
 def test_element(made: Preview) -> None:
-    """It is what sgmethod/javascript/src/sg-img.js takes: with an <img> within, which readers without scripts get, and
-    with the rules of docs/previews.md as styles."""
+    """It is what sgmethod/javascript/src/sg-img.js takes: with an <img> within, which shows a WebP to readers without
+    scripts, and with the rules of docs/previews.md as styles."""
     rules = re.findall(r"^(sg-img.*) { (.*); }$", (ROOT / "docs" / "previews.md").read_text(), re.M)
     styles = {selector: rule.replace(": ", ":").replace("; ", ";") for selector, rule in rules}
     (outer, attributes), (inner, image) = Tags(made.element("a.jpg", "b")).tags
     assert (outer, attributes) == ("sg-img", {"preview": made.text, "style": styles["sg-img"]})
-    same = {"src": "a.jpg", "alt": "b", "width": "1200", "height": "900", "style": styles["sg-img img"]}
-    assert (inner, image) == ("img", {**same, "loading": "lazy", "decoding": "async"})
+    style, shown = (image.pop("style") or "").split(";background:")
+    assert style == styles["sg-img img"]
+    assert shown.startswith(f"{made.color} url(data:image/webp;base64,")
+    same = {"src": "a.jpg", "alt": "b", "width": "1200", "height": "900", "loading": "lazy", "decoding": "async"}
+    assert (inner, image) == ("img", same)
 
 
 def test_dictionary_and_names(made: Preview) -> None:

@@ -62,7 +62,7 @@ def test_bytes_are_kept_to_and_used(soft: bool, tune: str) -> None:
     assert np.square(decoded[..., 3].astype(float) - pixels[..., 3]).mean() ** 0.5 < 10
 
 
-def test_what_nobody_sees_costs_nothing() -> None:
+def test_invisible_pixels_cost_nothing() -> None:
     pixels, other = seen_through(), seen_through()
     hidden = pixels[..., 3] == 0
     other[hidden, :3] = np.random.default_rng(0).integers(0, 256, (hidden.sum(), 3))

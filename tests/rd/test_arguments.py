@@ -13,7 +13,7 @@ from PIL import Image
 import sgmethod
 from benchmarks.harness.data import golden_path
 from sgmethod import Budget, BudgetError, ImageError, SgError, View, ViewError
-from sgmethod.io.inputs import read_input
+from sgmethod.io.image import read_input
 from sgmethod.profiles import PROFILES
 from tests.rd.short import shortened
 

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.job_table import IMAGE, change, submitted
-from benchmarks.harness.pictures import SMALL
+from benchmarks.harness.job_table import IMAGE, change
 from benchmarks.harness.postgres_server import PostgresServer
 from benchmarks.harness.processes import Outcome, run
 from benchmarks.harness.service import FAKE_CODEC, RunCommand
 from service.__main__ import _where
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
-from service.jobs.job import new_job_id
-from service.opening import open_job_table, open_storage
+from service.opening import open_job_table
 from service.settings import Settings
-from service.storage.files import source_key
 
 
 def verdicts(result: Outcome) -> dict[str, str]:
@@ -98,26 +92,6 @@ def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], word
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
-def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
-    settings = Settings(data_dir=tmp_path / "data")
-    table, storage = open_job_table(settings), open_storage(settings)
-    needed, orphan = source_key(submitted(table)), source_key(new_job_id())
-    table.close()
-    for key in (needed, orphan):
-        storage.put(key, SMALL)
-    for arguments, verb, files in (
-        ([], "removed", 0),  # as young as it is, it may belong to a job to come
-        (["--orphan-age-s", "0", "--dry-run"], "would remove", 1),
-        (["--orphan-age-s", "0"], "removed", 1),
-    ):
-        result = run_command("sweep", *arguments, data_dir=settings.data_dir)
-        assert (result.status, result.stdout) == (0, f"{verb} finished jobs: 0, files that no job needs: {files}\n")
-    assert set(storage.old(-5)) == {needed}
-    for age in ("nan", "-1", "inf"):
-        with pytest.raises(SystemExit, match="2"):
-            run_command("sweep", f"--orphan-age-s={age}", data_dir=settings.data_dir)
-
-
 def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
     """Containers ask whether their own one is; those of other containers do not count."""
     settings: dict[str, Any] = {"data_dir": tmp_path, "database_url": database_url}
@@ -138,24 +112,10 @@ def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path,
     table.close()
 
 
-def test_a_check_that_nobody_reads_to_its_end(tmp_path: Path) -> None:
-    """As `python -m service check | head -1` does it."""
-    command = [sys.executable, "-m", "service", "check"]
-    environment = {**os.environ, "SG_DATA_DIR": str(tmp_path)}
-    with subprocess.Popen(
-        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        process.stdout.readline()
-        process.stdout.close()
-        assert process.stderr.read() == ""
-
-
 def test_a_database_out_of_reach_is_one_clear_line(
     run_command: RunCommand, tmp_path: Path, postgres: PostgresServer
 ) -> None:
-    for command in ("serve", "web", "worker", "alive", "sweep"):
+    for command in ("serve", "web", "worker", "alive"):
         result = run_command(command, data_dir=tmp_path, database_url=postgres.url("there_is_none"), port=0)
         assert (result.status, result.stdout) == (1, "")  # and no address is printed where nothing answers
         (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]

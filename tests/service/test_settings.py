@@ -35,9 +35,10 @@ def run_alone(command: str, **environment: object) -> Outcome:
 
 
 def test_the_operators_page_has_every_setting_with_its_default() -> None:
-    rows = re.findall(r"^\| `SG_.*$", (ROOT / "docs" / "deploy.md").read_text(), re.MULTILINE)
-    fields = [(name, COMPUTED.get(name, str(field.default)), field) for name, field in Settings.model_fields.items()]
-    assert rows == [f"| `SG_{name.upper()}` | {d or 'none'} | {field.description} |" for name, d, field in fields]
+    text = (ROOT / "docs" / "deploy.md").read_text()
+    rows = re.findall(r"^\| `SG_(\w+)` \| (.*?) \| .+ \|$", text, re.MULTILINE)
+    fields = {name: COMPUTED.get(name, str(field.default)) for name, field in Settings.model_fields.items()}
+    assert rows == [(name.upper(), default or "none") for name, default in fields.items()]
 
 
 def test_limits_never_exceed_what_the_encoder_reads() -> None:
@@ -61,7 +62,7 @@ def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -
     assert Settings().workers == min(max(1, cores // 4), 64)
 
 
-@pytest.mark.parametrize("command", ["serve", "web", "worker", "alive", "check", "sweep"])
+@pytest.mark.parametrize("command", ["serve", "web", "worker", "alive", "check"])
 def test_missing_kernels_are_one_clear_line(command: str) -> None:
     missing = "import sys; sys.modules['sgmethod.native._native'] = None"
     script = f"{missing}; from service.__main__ import main; sys.exit(main())"
@@ -123,7 +124,7 @@ def test_a_taken_port_is_one_clear_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("command", ["serve", "web", "worker", "sweep"])
+@pytest.mark.parametrize("command", ["serve", "web", "worker"])
 @pytest.mark.parametrize("file", ["data", "data/jobs.sqlite3", "data/sources"])
 def test_a_data_folder_that_cannot_be_is_one_clear_line(
     run_command: RunCommand, tmp_path: Path, file: str, command: str
@@ -133,17 +134,15 @@ def test_a_data_folder_that_cannot_be_is_one_clear_line(
     start = run_alone if command == "web" else run_command  # which leaves its socket to the end of the process
     result = start(command, SG_PORT=0, SG_DATA_DIR=tmp_path / "data")
     assert result.status == 1
-    verb = "sweep" if command == "sweep" else "start"
     (line,) = [line for line in result.stderr.splitlines() if "INFO" not in line]
-    assert re.fullmatch(rf"cannot {verb}: .+", line)
+    assert re.fullmatch("cannot start: .+", line)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        *(("AWS_ENDPOINT_URL", v, "must begin with http") for v in ("store.example", "http://a:99999", "http://a b")),
-        ("AWS_ACCESS_KEY_ID", "key\n", "contains a line end"),
-        ("AWS_SESSION_TOKEN", "to\nken", "contains a line end"),
+        ("AWS_ENDPOINT_URL", "store.example", "malformed AWS_ variable"),
+        ("AWS_SESSION_TOKEN", "to\nken", "malformed AWS_ variable"),
         ("SSL_CERT_FILE", "/nowhere", "no certificates"),
     ],
 )
@@ -155,14 +154,13 @@ def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
     settings = {"SG_STORAGE_URL": "s3://bucket", "SG_DATA_DIR": tmp_path, "SSL_CERT_DIR": "/nowhere", **keys}
     result = run_command("serve", **{**settings, name: value})
     assert result.status == 1
-    assert re.fullmatch(rf"cannot start: .*{name}.*\n", result.stderr)
-    assert words in result.stderr
+    assert re.fullmatch(f"cannot start: .*{words}.*\n", result.stderr)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
 def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
-    """SIGTERM as soon as there is a sign of life: exit status 0 all the same."""
+    """SIGTERM as soon as it prints something: exit status 0 all the same."""
     settings = {"port": 0, "data_dir": tmp_path / "data", "workers": 1, "stop_grace_s": PATIENCE_S}
     environment = {**os.environ, **{f"SG_{name}".upper(): str(value) for name, value in settings.items()}}
     words, pipes = [sys.executable, "-m", "service", command], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}

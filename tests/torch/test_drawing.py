@@ -209,6 +209,6 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
         (ONE, {"scale": 100}, ViewError, "the scale must lie in"),
     ],
 )
-def test_what_is_wrong_is_said(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:
+def test_wrong_arguments(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         render(*values, **{"size": SIZE, **more})

@@ -72,6 +72,6 @@ def test_a_data_set_of_gaussians() -> None:
         (lambda: SgDataset(["picture.sg"], size=(1, 9000))[0], ViewError, "a picture of 48 x 40 cannot cover"),
     ],
 )
-def test_what_is_wrong_is_said(call: Callable[[], object], error: type[SgError], words: str) -> None:
+def test_wrong_arguments(call: Callable[[], object], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         call()

@@ -160,6 +160,6 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
         (lambda: fit(BATCH.to("meta"), 5), SgError, "no device 'meta' here"),
     ],
 )
-def test_what_is_wrong_is_said(call: Callable[[], object], error: type[SgError], words: str) -> None:
+def test_wrong_arguments(call: Callable[[], object], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         call()

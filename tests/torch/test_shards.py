@@ -208,6 +208,6 @@ def test_a_shard_with_a_size_that_is_none(tmp_path: Path) -> None:
         (lambda: many(device="cuda:99"), SgError, "no device 'cuda:99' here"),
     ],
 )
-def test_what_is_wrong_is_said(call: Callable[[], object], error: type[Exception], words: str) -> None:
+def test_wrong_arguments(call: Callable[[], object], error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         call()

@@ -36,7 +36,7 @@ def encode(
 
     from sgmethod.bitstream import container
     from sgmethod.bitstream.v2 import StreamV2
-    from sgmethod.io.inputs import read_input
+    from sgmethod.io.image import read_input
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
 

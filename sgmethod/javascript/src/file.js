@@ -4,7 +4,7 @@ import { CELL, OCTAVES, SgError, readHeader, refuseUnless, unknown } from "./hea
 import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
 import { readGaussians } from "./payload.js";
 
-const MOST_STRENGTH = 15;
+const MAX_STRENGTH = 15;
 // What the bits of a model describe, by its first row.
 const FIRST_ROWS = {
   [DISTANCE]: "place",
@@ -38,7 +38,7 @@ function readTexture(bit, width, height) {
       const before = i % columns ? sums[i - 1] : i ? sums[i - columns] : 0;
       sums[i] = before + (ones & 1 ? -(ones + 1) / 2 : ones / 2);
       const code = sums[i] + (octave ? octaves[octave - 1][i] : 0);
-      refuseUnless(code >= 0 && code <= MOST_STRENGTH, "a strength of texture is out of range");
+      refuseUnless(code >= 0 && code <= MAX_STRENGTH, "a strength of texture is out of range");
       return code;
     });
     octaves.push(codes);

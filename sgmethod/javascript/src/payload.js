@@ -46,9 +46,9 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
       }
       const y = numberIf(isMore, COLOUR, LUMA);
       let v = numberIf(i, SHAPE, V + bucket);
-      const a = numberIf(isMore && !grey, COLOUR, A + level(y));
+      const a = numberIf(isMore && !grey, COLOUR, A + level(y[2]));
       let r = numberIf(i && !upright, SHAPE, R + bucket);
-      const b = numberIf(isMore && !grey, COLOUR, B + level(a));
+      const b = numberIf(isMore && !grey, COLOUR, B + level(a[2]));
       fetch(v[1] + r[1] + uBits + (isMore && t));
       [v, r] = [whole(v), whole(r)];
       const u = take(uBits, SHAPE, V);
@@ -90,7 +90,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
 }
 
 /** Which of a colour's models is next, by the symbol before. */
-export const level = ([, , symbol]) => (symbol > 0) + (symbol > 2) + (symbol > 5);
+export const level = (symbol) => (symbol > 0) + (symbol > 2) + (symbol > 5);
 
 /** The bits that a cell below 2^32 has for one axis: every other one. */
 function even(cell, axis) {

@@ -89,7 +89,7 @@ inline std::shared_ptr<const sg::Texture> shared(const sg::Texture* texture) {
   return texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
 }
 
-// Each adds a room's classes and functions to the module.
+// Each adds a folder's classes and functions to the module.
 void bind_raster(nb::module_& m);
 void bind_fit(nb::module_& m);
 void bind_rd(nb::module_& m);

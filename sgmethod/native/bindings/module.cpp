@@ -1,4 +1,4 @@
-// The Python module. The files of this folder check and convert arguments; the rest is in the rooms beside it.
+// The Python module. The files of this folder check and convert arguments; the rest is in the folders beside it.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/tuple.h>
 

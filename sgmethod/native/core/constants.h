@@ -1,4 +1,4 @@
-// Numbers of the format (docs/format.md) and of the kernels that more than one room needs. Python reads them from the
+// Numbers of the format (docs/format.md) and of the kernels that more than one folder needs. Python reads them from the
 // compiled module.
 #pragma once
 

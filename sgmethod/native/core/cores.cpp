@@ -62,8 +62,8 @@ bool lists_cpu(const std::string& controllers) { return ("," + controllers + ","
 #ifdef __linux__
 // The kernel refuses a mask that is smaller than its own, so the mask grows until it fits.
 int affinity_cores() {
-  constexpr int kMostCpus = 1 << 20;  // far beyond any machine: a larger mask would be refused for another reason
-  for (int cpus = CPU_SETSIZE; cpus <= kMostCpus; cpus *= 2) {
+  constexpr int kMaxCpus = 1 << 20;  // far beyond any machine: a larger mask would be refused for another reason
+  for (int cpus = CPU_SETSIZE; cpus <= kMaxCpus; cpus *= 2) {
     std::vector<unsigned long> mask(CPU_ALLOC_SIZE(cpus) / sizeof(unsigned long));
     auto* set = reinterpret_cast<cpu_set_t*>(mask.data());
     if (sched_getaffinity(0, CPU_ALLOC_SIZE(cpus), set) == 0) return CPU_COUNT_S(CPU_ALLOC_SIZE(cpus), set);

@@ -14,11 +14,11 @@
 namespace sg {
 namespace {
 
-constexpr size_t kMostKept = 8;
-constexpr size_t kMostFloats = 1 << 25;  // kept in all, 128 MB: a huge picture must not hold its memory for good
+constexpr size_t kMaxKept = 8;
+constexpr size_t kMaxFloats = 1 << 25;  // kept in all, 128 MB: a huge picture must not hold its memory for good
 
 struct Kept {
-  Kept() { blocks.reserve(kMostKept + 1); }  // so that returning a block never throws
+  Kept() { blocks.reserve(kMaxKept + 1); }  // so that returning a block never throws
   std::mutex lock;
   std::vector<std::vector<float>> blocks;  // free ones, least recently used first
 };
@@ -57,7 +57,7 @@ Scratch::~Scratch() {
   auto& blocks = kept->blocks;
   const std::lock_guard<std::mutex> hold(kept->lock);
   blocks.push_back(std::move(floats_));
-  while (blocks.size() > kMostKept || floats_of(blocks) > kMostFloats) blocks.erase(blocks.begin());
+  while (blocks.size() > kMaxKept || floats_of(blocks) > kMaxFloats) blocks.erase(blocks.begin());
 }
 
 void release_memory() {

@@ -20,7 +20,7 @@
 namespace sg {
 namespace {
 
-constexpr int kClassBits = 6, kMostRawDistanceBits = 24;
+constexpr int kClassBits = 6, kMaxRawDistanceBits = 24;
 constexpr int kChunk = 256;  // Gaussians of one task
 constexpr int kBatch = 2048;  // Gaussians whose values are made together
 
@@ -31,7 +31,7 @@ int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
   const uint64_t cells = static_cast<uint64_t>(cells_along(p.width, bits)) * cells_along(p.height, bits);
   int result = 0;
   for (uint64_t mean = cells / std::max(count, 1u); mean >= 8; mean /= 2) ++result;
-  return std::min(result, kMostRawDistanceBits);
+  return std::min(result, kMaxRawDistanceBits);
 }
 
 SizeClass class_of(const RdParameters& p, int number, uint32_t count) {

@@ -32,8 +32,8 @@ constexpr size_t kStateBytes = 4, kWordBytes = 2;
 // How models adapt. Edges move by 1 / 2^shift of the way towards where they would be if nothing but the symbol came: by
 // shift 5 in the fast estimate, and in the slow one by 4 at first, later by up to 7.
 struct Adaptation {
-  static constexpr int kLeastShare = 4, kRoom = (1 << kProbabilityBits) - kSymbols * kLeastShare;
-  static constexpr int kFastShift = 5, kSlowShift = 7, kStartShift = 4, kStartSeen = 16, kMostSeen = 112;
+  static constexpr int kMinShare = 4, kRoom = (1 << kProbabilityBits) - kSymbols * kMinShare;
+  static constexpr int kFastShift = 5, kSlowShift = 7, kStartShift = 4, kStartSeen = 16, kMaxSeen = 112;
   using Ends = int16_t[kSymbols][kSymbols];  // by symbol
   struct Stage {
     int64_t slow_shift = 0;
@@ -41,21 +41,21 @@ struct Adaptation {
   };
   // Where the ends of all symbols go, and half of what the shift drops, so that it rounds.
   alignas(32) Ends fast = {}, slow[kSlowShift - kStartShift + 1] = {};
-  Stage stages[kMostSeen + 1] = {};  // by the number of symbols seen
+  Stage stages[kMaxSeen + 1] = {};  // by the number of symbols seen
 
   constexpr Adaptation() {
     set(fast, kFastShift);
     for (int k = 0; k <= kSlowShift - kStartShift; ++k) set(slow[k], k + kStartShift);
-    for (int seen = 0; seen <= kMostSeen; ++seen) {
+    for (int seen = 0; seen <= kMaxSeen; ++seen) {
       int shift = kStartShift;
       while ((seen + kStartSeen) >> (shift + 1) != 0) ++shift;
       stages[seen].slow_shift = shift;
       stages[seen].slow_shifts = static_cast<uint16_t>(shift - kStartShift);
-      stages[seen].next = static_cast<uint16_t>(std::min(seen + 1, kMostSeen));
+      stages[seen].next = static_cast<uint16_t>(std::min(seen + 1, kMaxSeen));
     }
   }
   // The least end of symbol i, less kProbabilityOne.
-  static constexpr int least_end(int i) { return kLeastShare * (i + 1) - (1 << kProbabilityBits); }
+  static constexpr int least_end(int i) { return kMinShare * (i + 1) - (1 << kProbabilityBits); }
 
  private:
   static constexpr void set(Ends& ends, int shift) {

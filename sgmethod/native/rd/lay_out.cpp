@@ -6,8 +6,8 @@
 namespace sg {
 namespace {
 
-constexpr size_t kFewestBits = 18;    // of a Gaussian; a file may have smaller ones, and then takes its time
-constexpr size_t kMostRoom = 1 << 18;  // Gaussians for which memory is taken before they are counted
+constexpr size_t kMinBits = 18;    // of a Gaussian; a file may have smaller ones, and then takes its time
+constexpr size_t kMaxRoom = 1 << 18;  // Gaussians for which memory is taken before they are counted
 
 LaidOut laid_out(GaussianArrays&& g, const Canvas& canvas) {
   const int64_t most = most_pairs(g.count(), canvas.width, canvas.height);
@@ -20,8 +20,8 @@ LaidOut laid_out(GaussianArrays&& g, const Canvas& canvas) {
 LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool prefix,
                 std::shared_ptr<const Texture> texture) {
   const Canvas canvas{0, 0, p.width, p.height, kCutoffV2, true, std::move(texture)};
-  const size_t room = 8 * size / kFewestBits + 1;
-  if (room > kMostRoom) return laid_out(rd_decode(p, data, size, prefix), canvas);
+  const size_t room = 8 * size / kMinBits + 1;
+  if (room > kMaxRoom) return laid_out(rd_decode(p, data, size, prefix), canvas);
   Arriving arriving(p, room);
   std::vector<float> colors(3 * room);
   bool crowded = false;

@@ -88,7 +88,7 @@ inline uint32_t shape_sign_bits(const Symbols& s) { return (s.v < 0) << 1 | (s.r
 
 SG_INLINE void check_color(uint32_t y, uint32_t a, uint32_t b) {
   if ((y | a | b) == 0) refuse<std::runtime_error>("a Gaussian has no colour");
-  if ((y | a | b) >= kFirstEscaped && std::max({y, a, b}) > static_cast<uint32_t>(kMostColor))
+  if ((y | a | b) >= kFirstEscaped && std::max({y, a, b}) > static_cast<uint32_t>(kMaxColor))
     refuse<std::runtime_error>("a colour is out of range");
 }
 SG_INLINE void check_shape(const Steps& steps, uint32_t v, uint32_t r) {

@@ -10,7 +10,7 @@ namespace sg {
 namespace {
 
 constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in u
-constexpr double kLeastScale = static_cast<float>(kMinScale);
+constexpr double kMinScaleFloat = static_cast<float>(kMinScale);
 // Cells beyond each edge of the picture. A centre further out is moved into the outermost of them. So is one that a
 // 16-bit coordinate does not reach: this happens to the smallest classes at the far end of sides above 65,531 pixels.
 constexpr int kBorderCells = 2;
@@ -60,7 +60,7 @@ SG_INLINE double shape_u(const Symbols& s, const Steps& steps) {
 }
 
 double color_step(const RdParameters& p, int size_class) {
-  return std::max(p.quantum / (class_size(size_class) * kColorScale), kLeastColorStep);
+  return std::max(p.quantum / (class_size(size_class) * kColorScale), kMinColorStep);
 }
 
 // A coordinate of a mean, from that of its cell, the part of the cell, and by how many bits this is divided.
@@ -80,8 +80,8 @@ Geometry::Geometry(const Symbols& s, const Steps& steps) {
   const double u = shape_u(s, steps), v = s.v * steps.v(), r = s.r * steps.r();
   const Pair e = exact_exp(Pair{u + v, u - v});
   const double size = class_size(s.size_class);
-  l1 = std::max(size * e[0], kLeastScale);
-  l3 = std::max(size * e[1], kLeastScale);
+  l1 = std::max(size * e[0], kMinScaleFloat);
+  l3 = std::max(size * e[1], kMinScaleFloat);
   l2 = r * l3;
   parts = parts_of(s, steps);
 }
@@ -113,20 +113,20 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   s.size_class = static_cast<int>(within(std::round(u / kClassWidth), kMinClass, kMaxClass));
   const double step = color_step(p, s.size_class);
   const Luma l = to_luma(color);
-  s.y = round_to(l.y / step, kMostColor);
-  s.a = p.grey ? 0 : round_to(l.a / step, kMostColor);
-  s.b = p.grey ? 0 : round_to(l.b / step, kMostColor);
+  s.y = round_to(l.y / step, kMaxColor);
+  s.a = p.grey ? 0 : round_to(l.a / step, kMaxColor);
+  s.b = p.grey ? 0 : round_to(l.b / step, kMaxColor);
   if (s.empty()) return false;
   const Steps steps(s);
   const double levels = static_cast<double>(1u << steps.u_bits());
   const double level = std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels);
   s.u = static_cast<uint32_t>(std::clamp(level, 0.0, levels - 1));
-  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::floor(kMostV / steps.v()));
+  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::floor(kMaxV / steps.v()));
   // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded
   // instead, the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
   s.r = 0;
   const Geometry flat(s, steps);
-  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(kMostR / steps.r()));
+  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(kMaxR / steps.r()));
   const Parts parts = parts_of(s, steps);
   const int cell = cell_bits(s.size_class);
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
@@ -236,8 +236,8 @@ SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const 
     }
     for (int i = 0; i < count; ++i) {
       const double size = sizes[s[i].size_class - kMinClass];
-      const double across = std::max(size * l3[i], kLeastScale);
-      factor[3 * i] = static_cast<float>(std::max(size * l1[i], kLeastScale));
+      const double across = std::max(size * l3[i], kMinScaleFloat);
+      factor[3 * i] = static_cast<float>(std::max(size * l1[i], kMinScaleFloat));
       factor[3 * i + 1] = static_cast<float>(slants[i] * across);
       factor[3 * i + 2] = static_cast<float>(across);
     }

@@ -27,11 +27,11 @@ constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
 
 // What the integers may be. The range of v and r ends at values that do not depend on the steps: a slanted needle in a
 // fine file is what it is in a coarse one. Steps are no finer than single precision can use.
-constexpr int kMostColor = 1 << 22;  // of each part of a colour, in steps
-constexpr int kMostV = 8, kMostR = 4096;  // of |v| and |r|
-constexpr int kMostExponent = 18;  // of the length of the colour vector, as far as it decides steps
-constexpr int kMostUBits = 12, kMostPartBits = 16;  // by which a class, and a cell, are divided
-constexpr double kLeastColorStep = 1.0 / 65536;
+constexpr int kMaxColor = 1 << 22;  // of each part of a colour, in steps
+constexpr int kMaxV = 8, kMaxR = 4096;  // of |v| and |r|
+constexpr int kMaxExponent = 18;  // of the length of the colour vector, as far as it decides steps
+constexpr int kMaxUBits = 12, kMaxPartBits = 16;  // by which a class, and a cell, are divided
+constexpr double kMinColorStep = 1.0 / 65536;
 
 // The integers of one Gaussian.
 struct Symbols {
@@ -50,18 +50,18 @@ struct Steps {
   explicit Steps(const Symbols& s) : Steps(s.y, s.a, s.b) {}
   Steps(int64_t y, int64_t a, int64_t b) : square(static_cast<uint64_t>(y * y + a * a + b * b)) {
     const int nearest = (64 - __builtin_clzll(square)) >> 1;  // 2^(2 e - 1) <= m^2 < 2^(2 e + 1)
-    exponent = std::min(nearest, kMostExponent);
+    exponent = std::min(nearest, kMaxExponent);
   }
   uint64_t square;  // m^2
   int exponent;  // of the power of two nearest to m
-  int u_bits() const { return std::clamp(exponent - 1, 0, kMostUBits); }  // 0.3466 / 2^bits against 0.707 / m
+  int u_bits() const { return std::clamp(exponent - 1, 0, kMaxUBits); }  // 0.3466 / 2^bits against 0.707 / m
   double v() const { return power_of_two(-exponent); }
   double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
   // Whether there is a shape with these steps of v and r.
   bool allow(uint32_t v_steps, uint32_t r_steps) const {
     const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };
-    return within(v_steps, kMostV) && within(r_steps, kMostR / kRStep);
+    return within(v_steps, kMaxV) && within(r_steps, kMaxR / kRStep);
   }
 };
 
@@ -93,7 +93,7 @@ inline Parts parts_of(const Symbols& s, const Steps& steps) {
   const int v = static_cast<int>(46 * int64_t{s.v} >> h);  // 32 / log(2)
   const int slant = log_16((uint64_t{1} << 2 * h) + 4 * static_cast<uint64_t>(r * r)) - 32 * h;  // 1 + (l2 / l3)^2
   const int fineness = log_16(steps.square) + 32 * cell_bits(s.size_class) - 17;
-  const auto bits = [&](int step) { return std::clamp(((fineness - step) >> 5) + 1, 0, kMostPartBits); };
+  const auto bits = [&](int step) { return std::clamp(((fineness - step) >> 5) + 1, 0, kMaxPartBits); };
   const int size = 16 * s.size_class + u;
   return {bits(std::max(size + v, kLeast) - slant), bits(std::max(size - v, kLeast))};
 }

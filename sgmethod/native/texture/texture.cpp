@@ -166,13 +166,13 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
   for (int octave = 0; octave < kTextureOctaves; ++octave) {
     int64_t above = 0;
     for (size_t row = 0; row < rows; ++row) {
-      int64_t told = above;
+      int64_t coded = above;
       for (size_t column = 0; column < columns; ++column) {
         int64_t ones = 0;
         while (bit() != 0) ++ones;
-        told += ones % 2 == 0 ? ones / 2 : -(ones + 1) / 2;
-        if (column == 0) above = told;
-        const int64_t code = told + (octave == 0 ? 0 : codes[codes.size() - cells]);
+        coded += ones % 2 == 0 ? ones / 2 : -(ones + 1) / 2;
+        if (column == 0) above = coded;
+        const int64_t code = coded + (octave == 0 ? 0 : codes[codes.size() - cells]);
         if (code < 0 || code >= kTextureStrengths)
           refuse<std::runtime_error>("a strength of the file's texture is out of range");
         codes.push_back(static_cast<uint8_t>(code));

@@ -100,14 +100,6 @@ TEST(pool_hands_on_what_ends_the_coming) {
   }
 }
 
-TEST(pool_hands_on_one_of_many_exceptions) {
-  for (const int threads : kThreads) {
-    sg::set_thread_count(threads);
-    CHECK(check::throws<std::bad_alloc>([] { sg::parallel_for(1000, [](int) { throw std::bad_alloc(); }); }));
-    CHECK(all_run_once(100));
-  }
-}
-
 TEST(pool_runs_a_call_within_a_task_where_it_is) {
   for (const int threads : kThreads) {
     sg::set_thread_count(threads);

@@ -19,7 +19,7 @@ constexpr size_t kHeader = 7;  // width, height, quantum, flags
 enum Flags { kGrey = 1, kUpright = 2, kPrefix = 4, kFarOut = 8, kTexture = 16, kShort = 32 };
 constexpr int kFarX = 65003, kFarY = 77;  // where a region may begin
 constexpr int64_t kMaxPixels = 1 << 15;
-constexpr uint64_t kMostGaussians = 1 << 14;
+constexpr uint64_t kMaxGaussians = 1 << 14;
 
 std::vector<uint8_t> picture(const sg::GaussianArrays& g, const sg::Canvas& canvas, int isa, int64_t max_pairs) {
   const sg::Rasterization raster(g.means.data(), g.factors.data(), g.count(), canvas, isa, max_pairs);
@@ -66,7 +66,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   try {
     const sg::RdParameters p(data[0] << 8 | data[1], data[2] << 8 | data[3], quantum, flags & kGrey, flags & kUpright,
                              flags & kShort);
-    draw(p, sg::rd_decode(p, data + kHeader, size - kHeader, flags & kPrefix, kMostGaussians), flags, data, size);
+    draw(p, sg::rd_decode(p, data + kHeader, size - kHeader, flags & kPrefix, kMaxGaussians), flags, data, size);
   } catch (const std::invalid_argument&) {
   } catch (const std::runtime_error&) {
   }

@@ -92,7 +92,7 @@ def test_a_header_that_takes_long_is_given_up(
     assert posted(ann, SMALL).status_code == 202
 
 
-def test_headers_that_take_long_keep_nobody_waiting(eve: httpx.Client, ann: httpx.Client) -> None:
+def test_slow_headers_delay_no_other_client(eve: httpx.Client, ann: httpx.Client) -> None:
     image = tiff_of_many_strips(800_000)
     with ThreadPoolExecutor(4) as pool:
         attack = [pool.submit(posted, eve, image) for _ in range(4)]
@@ -136,7 +136,7 @@ def test_decodes_of_one_client_keep_no_other_waiting(web: Service, ann: httpx.Cl
     wait_until(lambda: not forks_of(web, "draw"))
 
 
-def test_a_decode_ends_when_its_client_has_gone(web: Service, crowded: bytes) -> None:
+def test_a_decode_ends_when_its_client_disconnects(web: Service, crowded: bytes) -> None:
     """It is stopped here, and could not end by itself."""
 
     def left_in_the_middle() -> int | None:
@@ -180,7 +180,7 @@ def test_a_decode_has_limits(
     assert web.client.post("/decode", content=PICTURE).status_code == 200
 
 
-def test_a_task_that_is_killed_harms_nobody(start_service: StartService, crowded: bytes) -> None:
+def test_a_task_that_is_killed_harms_no_other(start_service: StartService, crowded: bytes) -> None:
     """It is tried again; a file that its reader dies of twice is given up."""
     web = start_service("web", decode_time_s=NEVER_S)
     assert web.client.post("/decode", content=PICTURE).status_code == 200

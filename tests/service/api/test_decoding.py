@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 
 import numpy as np
@@ -13,7 +12,6 @@ import sgmethod
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.pictures import pixels_of
 from service.api.cache import PictureCache
-from service.api.problems import ProblemError
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 
@@ -98,115 +96,10 @@ def test_entity_tags_tell_pictures_apart() -> None:
     assert all("," not in tag for tag in tags)  # lists of tags are split at commas
 
 
-class Maker:
-    """Makes files, whose names tell how long they are, on demand. made: all names so far."""
-
-    def __init__(self, cache: PictureCache) -> None:
-        self.cache = cache
-        self.made: list[str] = []
-        self.may_go_on = asyncio.Event()
-
-    async def get(self, name: str) -> bytes:
-        async def make() -> bytes:
-            self.made.append(name)
-            await self.may_go_on.wait()
-            return name.encode()
-
-        return await self.cache.get_or_make(name, make)
-
-
 def test_the_cache_keeps_what_was_asked_for_last() -> None:
-    async def scenario() -> None:
-        maker = Maker(PictureCache(10))
-        maker.may_go_on.set()
-        for name in ("aaaa", "bbbb", "aaaa", "cccc", "aaaa", "larger than all"):
-            assert await maker.get(name) == name.encode()
-        assert maker.made == ["aaaa", "bbbb", "cccc", "larger than all"]
-        assert ("aaaa" in maker.cache, "bbbb" in maker.cache, maker.cache.bytes) == (True, False, 8)
-
-    asyncio.run(scenario())
-
-
-def test_a_refusal_is_one_clients_own() -> None:
-    """Whoever waits for the same file then has it made in its own name."""
-
-    async def scenario() -> None:
-        cache = PictureCache(10)
-
-        async def refused() -> bytes:
-            await asyncio.sleep(0)
-            raise ProblemError(429, "too many are waiting", reason="own_turns")
-
-        async def made() -> bytes:
-            return b"a"
-
-        first, second = await asyncio.gather(
-            cache.get_or_make("a", refused), cache.get_or_make("a", made), return_exceptions=True
-        )
-        assert isinstance(first, ProblemError)
-        assert second == b"a"
-
-    asyncio.run(scenario())
-
-
-def test_a_refusal_of_one_who_has_gone() -> None:
-    """Those who joined have the file made anew: no one is left to remove what failed."""
-
-    async def scenario() -> None:
-        cache, may_fail = PictureCache(10), asyncio.Event()
-
-        async def refused() -> bytes:
-            await may_fail.wait()
-            raise ProblemError(429, "too many are waiting", reason="own_turns")
-
-        async def made() -> bytes:
-            return b"a"
-
-        first, *others = (asyncio.create_task(cache.get_or_make("a", make)) for make in (refused, made, made))
-        await asyncio.sleep(0)
-        first.cancel()
-        await asyncio.sleep(0)
-        may_fail.set()
-        assert await asyncio.gather(*others) == [b"a", b"a"]
-
-    asyncio.run(scenario())
-
-
-def test_a_refusal_that_is_for_all() -> None:
-    """What is deleted for one is deleted for those who wait with it."""
-
-    async def scenario() -> None:
-        cache, made = PictureCache(10), []
-
-        async def deleted() -> bytes:
-            made.append(1)
-            await asyncio.sleep(0)
-            raise ProblemError(410, "the image has been deleted")
-
-        answers = await asyncio.gather(*(cache.get_or_make("a", deleted) for _ in range(500)), return_exceptions=True)
-        assert {type(answer) for answer in answers} == {ProblemError}
-        assert len(made) == 1
-
-    asyncio.run(scenario())
-
-
-def test_a_file_is_made_once_for_all_who_wait() -> None:
-    """Whoever asked first may leave; when all have left, nothing goes on."""
-
-    async def scenario() -> None:
-        maker = Maker(PictureCache(10))
-        first, second = (asyncio.create_task(maker.get("a")) for _ in range(2))
-        await asyncio.sleep(0)
-        first.cancel()
-        await asyncio.sleep(0)
-        maker.may_go_on.set()
-        assert (await second, maker.made) == (b"a", ["a"])
-        maker.may_go_on.clear()
-        last = asyncio.create_task(maker.get("b"))
-        await asyncio.sleep(0)
-        last.cancel()
-        await asyncio.gather(last, return_exceptions=True)
-        maker.may_go_on.set()
-        assert (await maker.get("b"), maker.made) == (b"b", ["a", "b", "b"])
-
-    asyncio.run(scenario())
+    cache = PictureCache(10)
+    for name in ("aaaa", "bbbb", "aaaa", "cccc", "larger than all"):
+        if cache.get(name) is None:
+            cache.put(name, name.encode())
+    assert (cache.get("aaaa"), cache.get("bbbb"), cache.get("larger than all")) == (b"aaaa", None, None)
+    assert cache.bytes == 8

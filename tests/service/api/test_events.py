@@ -16,7 +16,7 @@ from benchmarks.harness.job_table import CRASH, IMAGE, REQUEST
 from benchmarks.harness.pictures import SMALL
 from benchmarks.harness.processes import PATIENCE_S, wait_until
 from benchmarks.harness.service import Service, StartService, assert_problem
-from service.api.models import MAX_TRACE_POINTS, summary, with_trace
+from service.api.models import summary, with_trace
 from service.jobs.job import Job, JobError, JobState
 from service.settings import Settings
 
@@ -132,16 +132,6 @@ def test_progress_never_falls() -> None:
     assert seen[26] == pytest.approx(0.3, abs=0.02)
     assert seen[52] == pytest.approx(0.6)
     assert with_trace(job("done"), [], SETTINGS).progress == 1
-
-
-@pytest.mark.parametrize("length", [0, 1, MAX_TRACE_POINTS, MAX_TRACE_POINTS + 1, 10 * MAX_TRACE_POINTS + 7])
-def test_a_long_trace_is_thinned(length: int) -> None:
-    trace = [point("fit", step, length) for step in range(length)]
-    steps = [int(shown["step"] or 0) for shown in with_trace(job("running"), trace, SETTINGS).trace]
-    assert len(steps) == min(length, MAX_TRACE_POINTS)
-    assert steps == sorted(set(steps))
-    if length:
-        assert (steps[0], steps[-1]) == (0, length - 1)
 
 
 def test_the_error_of_a_crash_is_shown_once_the_job_has_failed() -> None:

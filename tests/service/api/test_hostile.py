@@ -140,17 +140,6 @@ def problem_from(connection: socket.socket, status: int) -> dict[str, object]:
     return problem
 
 
-def test_a_chunked_body_is_as_good_as_any(web: Service) -> None:
-    def chunks() -> Iterator[bytes]:
-        yield HEAD
-        for start in range(0, len(SMALL), 1000):
-            yield SMALL[start : start + 1000]
-        yield TAIL
-
-    answer = web.client.post("/encode", content=chunks(), headers=FORM)
-    assert answer.status_code == 202, answer.text
-
-
 @pytest.mark.parametrize(
     ("headers", "sent"),
     [

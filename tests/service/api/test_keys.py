@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -133,21 +132,6 @@ def test_one_owner_cannot_fill_the_queue(start_service: StartService) -> None:
     web.client.headers.update(bearer(BOB))
     assert web.post(key="c").status_code == 202
     assert len(web.files()) == 3
-
-
-def test_use_is_counted_by_key(start_service: StartService) -> None:
-    """Only for names of keys that are known, or anybody could make up figures."""
-    web = start_service("web", api_keys=KEYS)
-    for _ in range(2):
-        assert post(web.client, **bearer(ANN), **{"Idempotency-Key": "one"}).status_code == 202
-    assert_problem(web.client.get("/jobs", headers=bearer("mallory")), 401)
-    seen = web.client.get("/metrics", headers=bearer(BOB)).text
-    assert re.findall(r'sgmethod_key_(\w+)_total{key="(\w+)"} (\S+)', seen) == [
-        ("requests", "ann", "2.0"),
-        ("jobs", "ann", "1.0"),
-    ]
-    assert "mallory" not in seen
-    assert 'sgmethod_refusals_total{reason="key"} 1.0' in seen
 
 
 def test_a_body_is_not_read_without_a_key(guarded: Service) -> None:

@@ -64,7 +64,7 @@ def test_what_is_not_done_in_time_is_a_job(web: Service) -> None:
     assert web.job(answer.json()["id"])["state"] == "queued"
 
 
-@pytest.mark.parametrize("query", ["wait=x", "wait=-1", "wait=1.5", "wait=1&wait=1", "wait=", "wiat=1"])
+@pytest.mark.parametrize("query", ["wait=x", "wait=-1", "wait=1.5", "wait=", "wiat=1"])
 def test_waits_that_are_refused(web: Service, query: str) -> None:
     assert_problem(web.client.post(f"/encode?{query}", content=SMALL, headers=BODY), 422)
 
@@ -210,11 +210,8 @@ def test_images_that_are_no_longer_kept(keeping: Service) -> None:
         keeping.publish(job_id, PICTURE)
         assert keeping.client.post(f"/jobs/{job_id}/encode").status_code == 202
     (keeping.data_dir / "sources" / swept).unlink()
-    again = keeping.client.post(f"/jobs/{swept}/encode")  # of what was stored just now
-    assert_problem(again, 503, "not have this file yet")
     with keeping.table() as table:
         change(table, "UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", late)
-        change(table, "UPDATE jobs SET created_at = created_at - 1000")
     before = keeping.files()
     assert f"sources/{late}" in before  # which the next sweep removes
     for job_id in (swept, late):

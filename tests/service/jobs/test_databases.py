@@ -152,7 +152,7 @@ def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJob
         later._top_up()
         later._top_up()
         assert tokens(url) == 1
-        assert claimed(later).job_id == job_id
+        assert claimed(later).id == job_id
 
 
 def test_a_table_of_a_later_version_in_postgresql(url: str, jobs: PostgresJobTable) -> None:

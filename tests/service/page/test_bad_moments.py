@@ -82,6 +82,17 @@ def test_a_browser_that_blocks_site_data(page: Chromium, web: Service) -> None:
         page.tell("Page.removeScriptToEvaluateOnNewDocument", **script)
 
 
+def test_a_browser_whose_database_never_answers(page: Chromium, web: Service) -> None:
+    """The page waited for it with a picture at hand."""
+    script = page.tell("Page.addScriptToEvaluateOnNewDocument", source="IDBFactory.prototype.open = () => ({});")
+    try:
+        page.open("about:blank")
+        page.open(f"{web.url}/#{web.published(COFFEE)}")
+        page.says(COFFEE_SAYS, "#prefix-words")
+    finally:
+        page.tell("Page.removeScriptToEvaluateOnNewDocument", **script)
+
+
 def test_while_the_service_cannot_be_reached(page: Chromium, web: Service) -> None:
     """One sentence says so, and a sample that did not come is asked for again."""
     page.open_page(web)
@@ -268,7 +279,7 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     assert page.complaints() == []
 
 
-def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
+def test_downloads_are_confirmed(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.says("AVIF", "#verdict")  # buttons move until then
     page.run("HTMLAnchorElement.prototype.click = function () { window.saved = this.download; }")

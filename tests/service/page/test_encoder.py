@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import shutil
 import statistics
@@ -34,13 +35,30 @@ console.log(JSON.stringify(pictures.map(([data, width, height, options]) => {
 """
 
 
-def encoded(folder: Path, *calls: tuple[Pixels, Any]) -> list[Any]:
+URIS = """
+const { dataUri } = await import("%s");
+const pictures = JSON.parse((await import("node:fs")).readFileSync("pictures.json"));
+const webp = ({ quality }) => ({ toBuffer: async () => new Uint8Array(4 * quality) });
+const resize = (width, height) => {
+  const toBuffer = async () => new Uint8Array(3 * width * height);
+  const image = { removeAlpha: () => image, raw: () => image, toBuffer };
+  return image;
+};
+console.log(JSON.stringify(await Promise.all(pictures.map(async ([data, width, height, { isSharp, ...options }]) => {
+  const sharp = isSharp && (() => ({ webp, resize }));
+  const rgba = new Uint8Array(Buffer.from(data, "base64"));
+  return dataUri(rgba, width, height, { ...options, sharp }).catch((error) => `${error.name}: ${error.message}`);
+}))));
+"""
+
+
+def encoded(folder: Path, *calls: tuple[Pixels, Any], script: str = ENCODE, module: str = "encoder.js") -> list[Any]:
     """What encodePreview() makes of pictures [H, W, 4], each with its options; or what it throws."""
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
     given = [(base64.b64encode(p.tobytes()).decode(), p.shape[1], p.shape[0], options) for p, options in calls]
     (folder / "pictures.json").write_text(json.dumps(given))
-    script = ENCODE % (JAVASCRIPT / "encoder" / "encoder.js").as_uri()
+    script = script.replace("%s", (JAVASCRIPT / "encoder" / module).as_uri())
     done = run("node", "--input-type=module", "--eval", script, folder=folder)
     assert done.status == 0, done.stderr
     found: list[Any] = json.loads(done.stdout)
@@ -102,3 +120,32 @@ def test_what_it_refuses(tmp_path: Path) -> None:
     answers = encoded(tmp_path, *((pixel, options) for options in wrong), (pixel[..., :3], {}))
     assert [answer.split(":")[0] for answer in answers] == ["TypeError", *["RangeError"] * 3, "TypeError"]
     assert "byte, only bytes" in answers[0]
+
+
+def test_data_uris(tmp_path: Path) -> None:
+    """A PNG of the photograph that fits, and the largest of a stand-in for sharp."""
+    photographs = [np.asarray(Image.open(path).convert("RGB")) for path in sorted(PHOTOGRAPHS.glob("*.png"))]
+    calls = [(opaque(pixels), {"characters": most}) for pixels in photographs for most in (300, 400)]
+    clear, plain = np.zeros((8, 8, 4), np.uint8), np.full((1, 3, 4), 255, np.uint8)
+    others = [
+        (calls[0][0], {"characters": 90}),
+        (clear, {}),
+        (plain, {}),
+        (calls[0][0], {"isSharp": True}),
+        (plain, {"c": 1}),
+    ]
+    answers = encoded(tmp_path, *calls, *others, script=URIS, module="uri.js")
+    qualities = []
+    for (pixels, options), uri in zip(calls, answers, strict=False):
+        assert 0.8 * options["characters"] < len(uri) <= options["characters"]
+        picture = Image.open(io.BytesIO(base64.b64decode(uri.removeprefix("data:image/png;base64,"))))
+        assert max(picture.size) <= 32
+        drawn = picture.convert("RGB").resize(pixels.shape[1::-1], Image.Resampling.BICUBIC)
+        qualities.append(psnr(np.asarray(drawn, np.uint8), pixels[..., :3]))
+    assert min(qualities) > 18  # seen: 18.4
+    assert all(small < large for small, large in zip(qualities[::2], qualities[1::2], strict=True))
+    few, transparent, white, webp, refused = answers[len(calls) :]
+    assert (few, transparent) == ("", "")
+    assert np.all(np.asarray(Image.open(io.BytesIO(base64.b64decode(white.split(",")[1]))).convert("RGB")) == 255)
+    assert len(base64.b64decode(webp.removeprefix("data:image/webp;base64,"))) == 280  # of 400 characters
+    assert refused == "TypeError: dataUri() has no option c, only characters and sharp"

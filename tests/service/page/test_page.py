@@ -1,4 +1,4 @@
-"""The page, in a real browser, against a real service: giving pictures, watching, taking away, trouble."""
+"""The page, in a real browser, against a real service: uploads, progress, downloads, trouble."""
 
 from __future__ import annotations
 

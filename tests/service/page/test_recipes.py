@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import os
 import re
 import shutil
 import sys
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from PIL import Image
 
-from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden
-from benchmarks.harness.processes import run, wait_until
+import sgmethod
+from benchmarks.harness.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
+from benchmarks.harness.processes import PATIENCE_S, run, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
+from sgmethod.metrics import psnr
 from tests.service.browser import Chromium
 from tests.service.page.test_previews import show
 
@@ -62,6 +70,50 @@ def test_plain_html(page: Chromium, web: Service) -> None:
     wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
     show(page, alone.replace(SHORTENED, text))
     wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
+
+
+class Held(SimpleHTTPRequestHandler):
+    """Serves files, and photo.png only once it may."""
+
+    may = threading.Event()
+
+    def do_GET(self) -> None:
+        if self.path != "/photo.png" or self.may.wait(PATIENCE_S):
+            super().do_GET()
+
+    def log_message(self, format: str, *_: Any) -> None:
+        pass
+
+
+@pytest.mark.thorough
+def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium, tmp_path: Path) -> None:
+    shutil.copy(PHOTOGRAPH, tmp_path / "photo.png")
+    shutil.copytree(JAVASCRIPT, tmp_path / "sgmethod")
+    tag = sgmethod.preview(PHOTOGRAPH).element("photo.png", "A parrot")
+    html = f'<!doctype html><body style="margin:0"><div style="width:384px">{tag}</div>'
+    (tmp_path / "index.html").write_text(html)
+    photograph = np.asarray(Image.open(PHOTOGRAPH).convert("RGB").resize((384, 288)))
+
+    def likeness() -> float:
+        shown = Image.open(io.BytesIO(page.driver.get_screenshot_as_png())).convert("RGB").crop((0, 0, 384, 288))
+        return psnr(np.asarray(shown), photograph)
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Held, directory=str(tmp_path))) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            page.open(f"http://127.0.0.1:{server.server_port}/index.html")
+            wait_until(lambda: likeness() > 17)  # seen: 19.6
+            webp = likeness()
+            page.run("return import('/sgmethod/sg-img.js').then(() => undefined)")
+            wait_until(lambda: page.run("return document.querySelector('sg-img').shadowRoot.querySelector('canvas')"))
+            assert likeness() > 17
+            assert likeness() != webp
+            Held.may.set()
+            wait_until(lambda: page.run(PICTURE) == ["A parrot", True, True])
+            assert likeness() > 25
+        finally:
+            Held.may.set()
+            server.shutdown()
 
 
 @pytest.mark.thorough

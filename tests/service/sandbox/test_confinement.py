@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -141,32 +140,6 @@ def test_memory_of_every_kind_is_limited(system: str) -> None:
         assert 0.9 * MEMORY_BYTES < held < MEMORY_BYTES + 2**27
 
 
-@pytest.mark.parametrize("system", [name for name in SYSTEMS if "root" not in name])
-def test_threads_are_limited(system: str) -> None:
-    """Of each task by itself, whatever others of the same user have; root has no limit."""
-    program = """
-import threading, time
-threading.stack_size(32768)
-started = 0
-try:
-    while started < 1000:
-        threading.Thread(target=time.sleep, args=(1000,), daemon=True).start()
-        started += 1
-except RuntimeError:
-    pass
-answer.send(frames.Preview(file=str(started).encode()))
-time.sleep(1000)
-"""
-    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], FAKE_CODEC) as (tasks, _), ExitStack() as held:
-        for threads in (1, 10, 1):
-            file = held.enter_context(file_of(program.encode()))
-            what = task(threads=threads)
-            running = held.enter_context(tasks.start(what, file))
-            report = wait_until(lambda running=running: [m for m in running.read(0.1) if isinstance(m, Preview)])
-            # Threads of others come and go as they are counted.
-            assert what.max_threads - 2 <= int(report[0].file) <= what.max_threads + confinement.THREADS_STEP
-
-
 def test_a_task_that_is_not_confined_is_not_run() -> None:
     """Though the system could confine those before it."""
     fails = "server.confine = lambda *limits: confinement.confine(*limits) + ['Landlock']\n"
@@ -236,7 +209,7 @@ def test_a_sandbox_that_is_required(
     assert f"ok      sandbox: uploads are read without {missing}, which this system does not offer" in result.stdout
 
 
-def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_layers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confinement, "_refuse_files", lambda: False)
     monkeypatch.setattr(confinement, "_become_nobody", lambda: False)
     monkeypatch.setattr(os, "geteuid", lambda: 0)

@@ -59,7 +59,7 @@ def header(width: int) -> bytes:
     return result({"format": "PNG", "width": width, "height": 8})
 
 
-def test_a_task_has_no_field_that_nobody_knows() -> None:
+def test_a_task_has_no_unknown_field() -> None:
     for field in ("more", "bytes_per_pixel"):
         with pytest.raises(ValidationError):
             TypeAdapter(frames.AnyTask).validate_python({**DRAW.model_dump(), field: 1})
@@ -88,11 +88,9 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, encoded(notes=[{}]), "notes"),
         (ENCODE, encoded(warnings=["x" * 1001]), "warnings"),
         (ENCODE, encoded(psnr=float("nan")), "psnr"),
-        (ENCODE, encoded(more=1), "extra_forbidden"),
-        (ENCODE, encoded(better="exe"), "better"),
         (ENCODE, encoded(width=None), "width"),
         (ENCODE, encoded(bytes=2**63), "less_than_equal"),
-        (ENCODE, encoded(steps=-1), "greater_than_equal"),
+        (ENCODE, encoded(bytes=-1), "greater_than_equal"),
         (ENCODE, encoded(b"four"), "of another size"),
         (ENCODE, result(None, b"x"), "figures"),
         (ENCODE, frame('{"kind": "trace", "step": 1}'), "missing"),

@@ -155,14 +155,6 @@ def test_ends(taken_over: Sandbox, program: str, end: object) -> None:
     assert messages_of(taken_over, task(), f"import ctypes, os\n{program}".encode())[-1] == end
 
 
-def test_a_system_without_pidfd_open() -> None:
-    """Kernels before 5.3 lack it, and older container engines refuse it. Each end is noticed all the same."""
-    refuse = "import os\ndef refuse(*_):\n    raise OSError(38, 'Function not implemented')\nos.pidfd_open = refuse"
-    with sandbox(f"{TAKEN_OVER}\n{refuse}", FAKE_CODEC) as (tasks, _):
-        for number in range(4):
-            assert messages_of(tasks, task(), f"import os; os._exit({number})".encode())[-1] == Ended(status=number)
-
-
 def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
     program = b"import os, time\nfor number in range(3, 64):\n    if number != answer._descriptor:\n        try:\n"
     program += b"            os.close(number)\n        except OSError:\n            pass\ntime.sleep(1000)"
@@ -193,7 +185,7 @@ def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
         assert list(until_end(running)) == [Ended(status=0)]
 
 
-def test_a_client_that_reads_nothing_holds_nobody_up(taken_over: Sandbox) -> None:
+def test_a_client_that_reads_nothing_holds_up_no_other(taken_over: Sandbox) -> None:
     """Its task waits for it, and so does the word of its end; others are served."""
     with (
         file_of(b"answer.send(frames.Preview(file=bytes(1 << 20)))") as file,

@@ -142,7 +142,7 @@ def test_what_was_never_stored_whole_is_old(disk: DiskStorage, tmp_path: Path) -
     assert not path.exists()
 
 
-def test_a_storage_that_is_gone(disk: DiskStorage, tmp_path: Path) -> None:
+def test_a_missing_storage(disk: DiskStorage, tmp_path: Path) -> None:
     disk.check()
     (tmp_path / "data").rename(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="No such file"):

@@ -58,7 +58,7 @@ def test_a_file_that_came_out_badly(service: Service) -> None:
 
 
 @pytest.mark.thorough
-def test_what_is_left_out_is_told(service: Service) -> None:
+def test_what_is_dropped_is_noted(service: Service) -> None:
     glass = saved(Image.new("RGBA", (64, 48), (200, 80, 60, 100)))
     with Client(service.url) as client:
         kept = client.encode(glass, Budget("bytes", 200), time_limit_s=0.5)

@@ -9,10 +9,11 @@
 // refining.js   their integers
 // integers.js   Gaussians and integers
 // writing.js    integers and bytes
+// uri.js        beside these: a placeholder that needs no script
 
 import { COARSE, FINE, expectedIn, fitted } from "./fitting.js";
 import { newGrid } from "./grid.js";
-import { averaged, reducedSize } from "./reducing.js";
+import { averaged, pictureOf, reducedSize } from "./reducing.js";
 import { fileOf } from "./writing.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
@@ -37,13 +38,11 @@ export function encodePreview(rgba, width, height, options = {}) {
   if (!(Number.isInteger(bytes) && bytes >= MIN_BYTES && bytes <= MAX_BYTES)) {
     throw new RangeError(`bytes must be a whole number from ${MIN_BYTES} to ${MAX_BYTES}`);
   }
-  if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
-    throw new TypeError("rgba must have 4 numbers for each of width x height pixels");
-  }
+  const picture = pictureOf(rgba, width, height);
   const size = reducedSize(width, height, PIXELS_PER_BYTE * bytes);
   const small = sqrt((size[0] * size[1]) / (PIXELS_PER_BYTE * bytes)); // below 1 for a picture that was small already
   const least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), NARROWEST_PX);
-  const [coarse, fine] = picturesOf({ rgba, columns: width, rows: height }, size, expectedIn(bytes), least);
+  const [coarse, fine] = picturesOf(picture, size, expectedIn(bytes), least);
   const [red, green, blue, alpha] = averaged(fine, 1, 1).means;
   const average = [red, green, blue].map((sum) => sum / (alpha || 1));
   const file = encoded([coarse, fine], size, average, alpha, least, bytes);
@@ -107,10 +106,10 @@ const levelOf = (code) => (8 * code + (code >> 2)) / 255;
 /** Grids with what Gaussians are to add to a background. value(at, c, means): that wanted of a channel. */
 function gridsOf(pictures, { width, height, background }, value) {
   return pictures.map(({ means, columns, rows }) => {
-    const target = Float32Array.from({ length: 3 * columns * rows }, (_, i) => {
-      const c = i % 3;
-      return value((4 * (i - c)) / 3, c, means) - levelOf(background[c]);
-    });
+    const target = new Float32Array(3 * columns * rows);
+    for (let at = 0, i = 0; i < target.length; at += 4) {
+      for (let c = 0; c < 3; c++, i++) target[i] = value(at, c, means) - levelOf(background[c]);
+    }
     return newGrid(target, columns, rows, width, height);
   });
 }

@@ -17,7 +17,7 @@ export const COARSE = [100, 2.5];
 export const FINE = [400, 5];
 const FINE_FROM = 0.75; // parts of the steps, as all times are
 const RATE_WEIGHT = 1.3;
-const MOST = 3; // Gaussians while they grow, in multiples of those expected
+const MAX_SURPLUS = 3; // Gaussians while they grow, in multiples of those expected
 const BITS_OF_DROPPED = 14;
 const BITS_PER_GAUSSIAN = 30;
 const GROWTH_AT = [0, 0.06, 0.12, 0.18, 0.24, 0.3, 0.37, 0.45, 0.55, 0.65];
@@ -25,12 +25,12 @@ const TRIM_AT = [0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97];
 const STEERING_FROM = 0.12;
 const [STEERING_LIMIT, STEERING_EXPONENT] = [1.35, 0.9];
 const [EXCESS, EXCESS_FROM, EXCESS_UNTIL] = [0.5, 0.45, 0.88];
-const [BITS_OF_NEW, BITS_OF_NOTHING, FEWEST] = [20, 4.3, 4];
+const [BITS_OF_NEW, BITS_OF_NOTHING, MIN_GROWN] = [20, 4.3, 4];
 const [RATE, LAST_RATE, BETA1, BETA2, NEWTON_STEPS, FAINT] = [0.14, 0.5, 0.9, 0.99, 2, 0.03];
 const CURVATURE = [1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1];
 const REACH = 1.6; // of a centre beyond the picture, in scales
 const REFINE_WEIGHT = 0.35;
-const [TRIES, LEAST_USED, QUANTUM_PER_SIZE] = [6, 0.985, 1.4];
+const [TRIES, MIN_USED, QUANTUM_PER_SIZE] = [6, 0.985, 1.4];
 
 /** About how many Gaussians a payload holds. */
 export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN), 1);
@@ -39,17 +39,20 @@ export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN),
 const priceOf = (quantum) => (quantum * quantum * Math.LN2) / 6;
 
 /** Add the derivative of an estimate of a Gaussian's bits, times `weight`, to what differentiate() finds. */
-function addRate([, , l1, l2, l3, red, green, blue], quantum, weight, out) {
+function addRate(g, quantum, weight, out) {
+  const [l1, l2, l3, red, green, blue] = [g[2], g[3], g[4], g[5], g[6], g[7]];
   const perStep = (1.5 * sqrt(l1 * l3)) / quantum;
   const [i, j, k] = [perStep / sqrt(3), perStep / sqrt(2), perStep / sqrt(6)];
-  const axes = [(red + green + blue) * i, (red - blue) * j, (red - 2 * green + blue) * k];
-  const m = sqrt(axes[0] ** 2 + axes[1] ** 2 + axes[2] ** 2 + 1e-12);
+  const [p, q, s] = [(red + green + blue) * i, (red - blue) * j, (red - 2 * green + blue) * k];
+  const m = sqrt(p * p + q * q + s * s + 1e-12);
   const [v, r] = [log(l1 / l3) / 2, l2 / l3];
   const byV = 1 / (1 + abs(v) * m);
   const byR = 0.5 / (1 + (abs(r) * m) / 2);
   const byM = abs(v) * byV + abs(r) * byR + 3 / (1 + m);
-  const [y, a, b] = axes.map((axis) => sign(axis) / (1 + abs(axis)) + (byM * axis) / m);
-  const bySize = (y * axes[0] + a * axes[1] + b * axes[2]) / 2;
+  const y = sign(p) / (1 + abs(p)) + (byM * p) / m;
+  const a = sign(q) / (1 + abs(q)) + (byM * q) / m;
+  const b = sign(s) / (1 + abs(s)) + (byM * s) / m;
+  const bySize = (y * p + a * q + b * s) / 2;
   const [dv, dr] = [(sign(v) * m * byV) / 2, sign(r) * m * byR];
   out[2] += weight * (bySize + dv + dr * r);
   out[3] += weight * dr;
@@ -86,17 +89,17 @@ function descend(all, grid, { width, height }, quantum, rate, least) {
   const area = grid.sx * grid.sy;
   const weight = (RATE_WEIGHT * priceOf(quantum) * area) / (2 * Math.LN2);
   const d = new Float64Array(8);
-  leave(grid, all);
-  for (const one of all) {
+  const covered = leave(grid, all);
+  all.forEach((one, i) => {
     const { g } = one;
-    differentiate(grid, g, d);
+    differentiate(grid, g, covered[i], d);
     addRate(g, quantum, weight, d);
     one.age++;
     move(one, d, rate, area, least);
     const margin = REACH * sqrt(g[2] * g[4]);
     g[0] = min(max(g[0], -margin), width + margin);
     g[1] = min(max(g[1], -margin), height + margin);
-  }
+  });
 }
 
 /** Drop the Gaussians whose energy is not worth this many bits. */
@@ -138,7 +141,7 @@ function searched(all, grid, header, limit, quantum) {
     const error = errorOf(grid);
     if (error < least) [best, least] = [{ ...own, payload }, error];
     const used = payload.length / limit;
-    if (!used || used >= LEAST_USED || code === FINEST) break;
+    if (!used || used >= MIN_USED || code === FINEST) break;
     code = finer(code + 1, own.quantum * used ** QUANTUM_PER_SIZE);
   }
   return best;
@@ -162,7 +165,7 @@ export function fitted([coarse, fine], header, limit, least) {
     }
     if (grows) {
       leave(grid, all);
-      const most = min(max(all.length, floor(expected / GROWTH_AT.length), FEWEST), MOST * expected - all.length);
+      const most = min(max(all.length, floor(expected / GROWTH_AT.length), MIN_GROWN), MAX_SURPLUS * expected - all.length);
       const worth = RATE_WEIGHT * BITS_OF_NEW * priceOf(quantum) * grid.sx * grid.sy;
       for (const g of found(grid, most, worth, least)) {
         all.push({ g, first: new Float64Array(8), second: new Float64Array(8), age: 0 });

@@ -6,24 +6,37 @@ const { ceil, exp, floor, max, min, sqrt } = Math;
 
 const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
-// Of the Gaussian that is covered: exp(-sigma) of its samples; four numbers for each of its rows, and how many these
-// are; by how much z1 rises from one sample to the next, and z2 falls for that. They are in arrays, and numbers below
+// Of the Gaussians that were covered: exp(-sigma) of their samples, and four numbers for each of their rows. Numbers below
 // have a line each, because engines make an object of every fraction elsewhere.
-let [weights, spans] = [new Float64Array(0), new Float64Array(0)];
-let count = 0;
-const steps = new Float64Array(2);
+let [weights, spans] = [new Float32Array(0), new Float64Array(0)];
+const START = [0, 0, 0, 0];
 
 /** A grid of samples over a picture of width x height pixels. target: [rows, columns, 3]; left: what Gaussians leave
  * of it. */
-export function newGrid(target, columns, rows, width, height) {
-  if (weights.length < columns * rows) weights = new Float64Array(columns * rows);
-  if (spans.length < 4 * rows) spans = new Float64Array(4 * rows);
-  return { target, left: target.slice(), columns, rows, sx: columns / width, sy: rows / height };
+export const newGrid = (target, columns, rows, width, height) => ({
+  target,
+  left: target.slice(),
+  columns,
+  rows,
+  sx: columns / width,
+  sy: rows / height,
+});
+
+/** An array with room for `more` numbers behind `used`. */
+function roomy(array, used, more) {
+  if (array.length >= used + more) return array;
+  const larger = new array.constructor(2 * (used + more));
+  larger.set(array);
+  return larger;
 }
 
 /** Find the samples that a Gaussian covers. Of a row: where they begin and end among the grid's numbers, z1 of the
- * first, and z2 where z1 is 0. */
-function cover({ columns, rows, sx, sy }, g) {
+ * first, and z2 where z1 is 0. before: what this returned for another Gaussian, which is kept. Returns where those of
+ * this one begin and end in spans, and where in weights. */
+function cover({ columns, rows, sx, sy }, g, before = START) {
+  const [, first, , start] = before;
+  weights = roomy(weights, start, columns * rows);
+  spans = roomy(spans, first, 4 * rows);
   const [x, y] = [g[0] * sx - 0.5, g[1] * sy - 0.5];
   const [l1, l2, l3] = [g[2] * sx, g[3] * sy, g[4] * sy];
   const slope = l2 / l3;
@@ -31,8 +44,8 @@ function cover({ columns, rows, sx, sy }, g) {
   const bend = exp(-A / (l1 * l1)); // the ratio of one ratio of neighbours to the next
   const high = sqrt(2 * CUTOFF * (l2 * l2 + l3 * l3));
   const last = min(floor(y + high), rows - 1);
-  let n = 0;
-  let k = 0;
+  let n = first;
+  let k = start;
   for (let j = max(ceil(y - high), 0); j <= last; j++) {
     const e = (j - y) / l3;
     const half = sqrt(max(2 * CUTOFF * A - e * e, 0));
@@ -54,17 +67,16 @@ function cover({ columns, rows, sx, sy }, g) {
       ratio *= bend;
     }
   }
-  count = n;
-  steps[0] = 1 / l1;
-  steps[1] = slope;
+  return [first, n, start, k];
 }
 
-/** Take a Gaussian off what is left, or put it back with times = -1. */
-export function subtract(grid, g, times = 1) {
-  cover(grid, g);
+/** Take a Gaussian off what is left, or put it back with times = -1. Returns what cover() does. */
+export function subtract(grid, g, times = 1, before = START) {
+  const covered = cover(grid, g, before);
   const { left } = grid;
   const [red, green, blue] = [g[5] * times, g[6] * times, g[7] * times];
-  for (let row = 0, k = 0; row < count; row += 4) {
+  const [first, last, start] = covered;
+  for (let row = first, k = start; row < last; row += 4) {
     for (let at = spans[row], end = spans[row + 1]; at < end; at += 3) {
       const w = max(weights[k++] - EDGE, 0);
       left[at] -= red * w;
@@ -72,17 +84,18 @@ export function subtract(grid, g, times = 1) {
       left[at + 2] -= blue * w;
     }
   }
+  return covered;
 }
 
 /** Inner products of a Gaussian's weights with what is left, for each colour, and with themselves. */
 export function project(grid, g) {
-  cover(grid, g);
+  const [first, last, start] = cover(grid, g);
   const { left } = grid;
   let red = 0;
   let green = 0;
   let blue = 0;
   let energy = 0;
-  for (let row = 0, k = 0; row < count; row += 4) {
+  for (let row = first, k = start; row < last; row += 4) {
     for (let at = spans[row], end = spans[row + 1]; at < end; at += 3) {
       const w = max(weights[k++] - EDGE, 0);
       red += left[at] * w;
@@ -95,25 +108,27 @@ export function project(grid, g) {
 }
 
 /** Half the derivative of the squared error by a Gaussian's parameters in its own frame, into `out`: by d, where the
- * mean moves by L d; by S, a lower triangle, where L becomes L (1 + S); and by the colour. */
-export function differentiate(grid, g, out) {
-  cover(grid, g);
-  const { left } = grid;
+ * mean moves by L d; by S, a lower triangle, where L becomes L (1 + S); and by the colour. covered: by leave(). */
+export function differentiate({ left, sx }, g, [first, last, start], out) {
   const [red, green, blue] = [g[5], g[6], g[7]];
-  const [step, slope] = [steps[0], steps[1]];
+  const step = 1 / (g[2] * sx); // of z1 from one sample to the next
+  const slope = g[3] / g[4]; // by which z2 falls when z1 rises
   out.fill(0);
-  for (let row = 0, k = 0; row < count; row += 4) {
+  for (let row = first, k = start; row < last; row += 4) {
     let z = spans[row + 2];
     const e = spans[row + 3];
     let s0 = 0; // sums by powers of z1
     let s1 = 0;
     let s2 = 0;
+    let byRed = 0;
+    let byGreen = 0;
+    let byBlue = 0;
     for (let at = spans[row], end = spans[row + 1]; at < end; at += 3) {
       const weight = weights[k++];
       const w = max(weight - EDGE, 0);
-      out[5] -= left[at] * w;
-      out[6] -= left[at + 1] * w;
-      out[7] -= left[at + 2] * w;
+      byRed += left[at] * w;
+      byGreen += left[at + 1] * w;
+      byBlue += left[at + 2] * w;
       const v = (red * left[at] + green * left[at + 1] + blue * left[at + 2]) * weight;
       s0 += v;
       s1 += v * z;
@@ -125,6 +140,9 @@ export function differentiate(grid, g, out) {
     out[2] -= s2;
     out[3] -= e * s1 - slope * s2;
     out[4] -= e * e * s0 - 2 * e * slope * s1 + slope * slope * s2;
+    out[5] -= byRed;
+    out[6] -= byGreen;
+    out[7] -= byBlue;
   }
 }
 
@@ -135,8 +153,9 @@ export function errorOf({ left }) {
   return sum;
 }
 
-/** Set what is left by Gaussians, each as `g` of an object. */
+/** Set what is left by Gaussians, each as `g` of an object. Returns for each what cover() does, for differentiate(). */
 export function leave(grid, gaussians) {
   grid.left.set(grid.target);
-  for (const { g } of gaussians) subtract(grid, g);
+  let before = START;
+  return gaussians.map(({ g }) => (before = subtract(grid, g, 1, before)));
 }

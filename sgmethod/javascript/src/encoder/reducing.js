@@ -22,6 +22,14 @@ export function reducedSize(width, height, pixels) {
   return width < height ? best : best.reverse();
 }
 
+/** A picture of RGBA of 8 bits, as averaged() takes it. Throws a TypeError. */
+export function pictureOf(rgba, width, height) {
+  if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
+    throw new TypeError("rgba must have 4 numbers for each of width x height pixels");
+  }
+  return { rgba, columns: width, rows: height };
+}
+
 /** Where each of `from` pixels falls on `to` samples: the sample, and the part of the pixel that is in it, not in the
  * next. */
 function shares(from, to) {
@@ -31,7 +39,7 @@ function shares(from, to) {
 }
 
 /** A picture's means over columns x rows samples: four numbers each, 0 to 1, the colour multiplied by alpha. The
- * picture has columns and rows, and either such `means` itself or `rgba` of 8 bits. */
+ * picture is pictureOf()'s, or what this returned. */
 export function averaged(picture, columns, rows) {
   const [across, acrossShares] = shares(picture.columns, columns);
   const [down, downShares] = shares(picture.rows, rows);

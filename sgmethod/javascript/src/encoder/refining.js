@@ -11,29 +11,43 @@ const BITS_OF_COLOUR = 6; // most bits that another colour is expected to save
 
 /** Change of the squared error if a Gaussian is taken off what is left (times = -2), or put back (2), by its inner
  * products. */
-const change = ([, , , , , red, green, blue], [p, q, r, energy], times) =>
-  red * (red * energy + times * p) + green * (green * energy + times * q) + blue * (blue * energy + times * r);
-
-/** Integers that are one step from these. */
-function neighbours(s, header) {
-  const found = [];
-  const [x, y, l1, l2, l3, ...colour] = s.g;
-  for (const step of [-1, 1]) {
-    const grow = exp(step * 0.34657359 * 2 ** -s.uBits);
-    found.push(rounded([x, y, l1 * grow, l2 * grow, l3 * grow, ...colour], header));
-    for (const name of ["v", "r"]) {
-      const { g } = withGaussian({ ...s, [name]: s[name] + step }, header);
-      found.push(rounded([x, y, ...g.slice(2)], header)); // another shape divides the cell differently
-    }
-    ["px", "py"].forEach((name, axis) => {
-      const at = s[name] + step;
-      if (at >= 0 && at < 2 ** s.parts[axis]) found.push(withGaussian({ ...s, [name]: at }, header));
-    });
-  }
-  return found.filter(Boolean);
+function change(g, products, times) {
+  let sum = 0;
+  for (let c = 0; c < 3; c++) sum += g[5 + c] * (g[5 + c] * products[3] + times * products[c]);
+  return sum;
 }
 
-const isSameShape = (one, other) => one.g.every((value, i) => i >= 5 || value === other.g[i]);
+/** These integers, one of them moved. */
+function moved(s, name, step, header) {
+  const other = { ...s };
+  other[name] += step;
+  return withGaussian(other, header);
+}
+
+/** These integers, and those one step from them. */
+function neighbours(s, header) {
+  const found = [s];
+  const consider = (g) => {
+    const other = rounded(g, header); // another shape divides the cell differently
+    if (other) found.push(other);
+  };
+  for (const step of [-1, 1]) {
+    const grow = exp(step * 0.34657359 * 2 ** -s.uBits);
+    const g = s.g.slice();
+    for (let i = 2; i < 5; i++) g[i] *= grow;
+    consider(g);
+    consider(moved(s, "v", step, header).g);
+    consider(moved(s, "r", step, header).g);
+    if (s.px + step >= 0 && s.px + step < 2 ** s.parts[0]) found.push(moved(s, "px", step, header));
+    if (s.py + step >= 0 && s.py + step < 2 ** s.parts[1]) found.push(moved(s, "py", step, header));
+  }
+  return found;
+}
+
+function isSameShape(one, other) {
+  for (let i = 0; i < 5; i++) if (one.g[i] !== other.g[i]) return false;
+  return true;
+}
 
 /** The best integers in place of these, or null if none are worth their bits. The grid is without them. */
 function chosen(s, grid, header, price, costs) {
@@ -43,19 +57,20 @@ function chosen(s, grid, header, price, costs) {
     if (cost < least) [best, least] = [one, cost];
     return cost;
   };
-  for (const one of [s, ...neighbours(s, header)]) {
+  for (const one of neighbours(s, header)) {
     const products = project(grid, one.g);
     const energy = products[3];
     if (!energy) continue;
     const cost = consider(one, products);
-    const ideal = [...one.g.slice(0, 5), products[0] / energy, products[1] / energy, products[2] / energy];
+    const ideal = one.g.slice();
+    for (let c = 0; c < 3; c++) ideal[5 + c] = products[c] / energy;
     const gained = change(one.g, products, -2) - change(ideal, products, -2);
     if (cost - gained - BITS_OF_COLOUR * price >= least) continue; // no other colour can win
     const { y, a, b } = rounded(ideal, header) ?? one;
+    const coloured = withGaussian({ ...one, y, a, b }, header);
     for (const axis of ["none", "y", "a", "b"]) {
-      const colour = { y, a, b };
-      if (axis in colour) colour[axis] -= sign(colour[axis]);
-      const other = rounded(withGaussian({ ...one, ...colour }, header).g, header);
+      const smaller = axis === "none" ? coloured : moved(coloured, axis, -sign(coloured[axis]), header);
+      const other = rounded(smaller.g, header);
       if (other) consider(other, isSameShape(one, other) ? products : project(grid, other.g));
     }
   }

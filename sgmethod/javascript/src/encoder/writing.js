@@ -4,25 +4,25 @@ import { adapt, edge } from "../coder.js";
 import { ALPHA_HEADER, HEADER, crc32 } from "../header.js";
 import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V, newModels } from "../models.js";
 import { level } from "../payload.js";
-import { MAX_CLASS, cellsOf } from "./integers.js";
+import { MAX_CLASS, cellsAlong, sideOf } from "./integers.js";
 
 const { abs, floor, log2, max, min } = Math;
 
 const NOTHING = { y: 0, a: 0, b: 0, v: 0, r: 0, u: 0, uBits: 0, px: 0, py: 0, parts: [0, 0], h: 0 };
 const BITS_OF_PLACE = 6; // about those of a cell, beside the first distance
 
-/** A number's symbol, and how many bits of it follow. */
+/** A number's symbol; of those below 15, how many of its bits follow. */
 function symbolOf(value) {
-  if (value < 4) return [value, 0];
   const top = 31 - Math.clz32(value);
-  return value < 192 ? [2 * top + ((value >> (top - 1)) & 1), top - 1] : [15, 0];
+  return value < 4 ? value : min(2 * top + ((value >> (top - 1)) & 1), 15);
 }
+const bitsAfter = (symbol) => max((symbol >> 1) - 1, 0);
 
 /** Begin a number; returns how many of its bits are still to come. */
 function begin({ symbol, fetch, raw }, row, value) {
-  const [found, rest] = symbolOf(value);
+  const found = symbolOf(value);
   symbol(row, found);
-  if (found < 15) return rest;
+  if (found < 15) return bitsAfter(found);
   const top = 31 - Math.clz32(value);
   fetch(5);
   raw(top, 5);
@@ -31,10 +31,9 @@ function begin({ symbol, fetch, raw }, row, value) {
   return 0;
 }
 
-const bitsBy = (holds, ...values) => values.reduce((bits, value) => 2 * bits + holds(value), 0);
-const signsOf = (...values) => bitsBy((value) => value < 0, ...values);
-const setOf = (...values) => bitsBy((value) => value !== 0, ...values);
-const levelOf = (value) => level([0, 0, symbolOf(abs(value))[0]]);
+const signsOf = (one, two, three) => 4 * (one < 0) + 2 * (two < 0) + (three < 0);
+const setOf = (one, two, three) => 4 * (one !== 0) + 2 * (two !== 0) + (three !== 0);
+const levelOf = (value) => level(symbolOf(abs(value)));
 
 /** Write cell and colour of `next` and shape and place of `now`, either of which may be missing. by: the distance of
  * their cells, whose last t bits have no model. */
@@ -55,7 +54,7 @@ function writeTurn(coder, by, t, next, now, grey) {
   raw(abs(now.v), v);
   raw(abs(now.r), r);
   raw(now.u, now.uBits);
-  if (isNow) symbol(SHAPE_SIGNS + setOf(now.v, now.r), signsOf(now.v, now.r));
+  if (isNow) symbol(SHAPE_SIGNS + setOf(0, now.v, now.r), signsOf(0, now.v, now.r));
   if (isNext) raw(by, t);
   fetch(y + a + b + distance + now.parts[0] + now.parts[1]);
   raw(abs(next.y), y);
@@ -66,13 +65,20 @@ function writeTurn(coder, by, t, next, now, grey) {
   raw(now.py, now.parts[1]);
 }
 
-/** The bits of a Gaussian, given those of each symbol of each model. */
-export function bitsOf(s, costs, grey) {
-  let bits = BITS_OF_PLACE;
-  const counter = { symbol: (row, found) => (bits += costs[row][found]), fetch() {}, raw: (_, n) => (bits += n) };
-  writeTurn(counter, 0, 0, s, NOTHING, grey);
-  writeTurn(counter, 0, 0, NOTHING, s, grey);
-  return bits;
+/** The bits of a number, given those of each symbol. */
+function bitsOfNumber(costs, value) {
+  const symbol = symbolOf(abs(value));
+  return costs[symbol] + (symbol < 15 ? bitsAfter(symbol) : 36 - Math.clz32(abs(value)));
+}
+
+/** About the bits of a Gaussian, given those of each symbol of each model. */
+export function bitsOf({ y, a, b, v, r, h, uBits, parts }, costs, grey) {
+  const bucket = min(h, 7);
+  let bits = BITS_OF_PLACE + costs[DISTANCE][0] + uBits + parts[0] + parts[1] + bitsOfNumber(costs[LUMA], y);
+  if (!grey) bits += bitsOfNumber(costs[A + levelOf(y)], a) + bitsOfNumber(costs[B + levelOf(a)], b);
+  bits += bitsOfNumber(costs[V + bucket], v) + bitsOfNumber(costs[R + bucket], r);
+  bits += costs[COLOUR_SIGNS + setOf(y, a, b)][signsOf(y, a, b)];
+  return bits + costs[SHAPE_SIGNS + setOf(0, v, r)][signsOf(0, v, r)];
 }
 
 /** Bytes of bits, the first of which is the least significant, or the most. */
@@ -147,9 +153,10 @@ export function payloadOf(all, header) {
     const rest = begin(writer, COUNT, n);
     writer.fetch(rest);
     writer.raw(n, rest);
-    const [, columns, rows] = cellsOf(k, header);
+    const side = sideOf(k);
+    const cells = cellsAlong(header.width, side) * cellsAlong(header.height, side);
     let t = 0;
-    for (let mean = floor((columns * rows) / max(n, 1)); mean >= 8; mean /= 2) t++;
+    for (let mean = floor(cells / max(n, 1)); mean >= 8; mean /= 2) t++;
     for (let i = 0; i <= n && n; i++) {
       const by = i < n ? here[i].cell - (i ? here[i - 1].cell : 0) : 0;
       writeTurn(writer, by, min(t, 24), here[i] ?? NOTHING, here[i - 1] ?? NOTHING, header.grey);
