@@ -36,8 +36,8 @@ class Times:
     # The end of the time with few pixels, and the start of the time with many (PyramidSettings).
     few_until: float = 0.6
     many_from: float = 0.85
-    # In the last run, the price of a bit falls from this stage on: it has decided which Gaussians stay, and would only
-    # keep their colours too faint.
+    # Before a file is made, the price of a bit falls from this stage on: it has decided which Gaussians stay, and would
+    # only keep their colours too faint.
     settling_from: float = 0.97
 
 
@@ -159,7 +159,7 @@ class PruneSettings:
     """Pruning: a Gaussian is dropped if its own energy is worth fewer bits than this."""
 
     bits_of_nothing: float = 4.3  # during growth: a Gaussian worth less rounds to nothing in the file
-    bits_of_dropped: float = 18.0  # from the last growth on
+    bits_of_dropped: float = 21.0  # from the last growth on
     missed_db: float = 0.1  # no Gaussians are dropped if that would take the PSNR this far below the requested one
 
 
@@ -236,12 +236,12 @@ class MovingTargetSettings:
 
     every: int = 6  # steps
     shrink: int = 4  # coarse errors are means over squares of this side
-    rate: float = 0.22  # part of the way to the current error per move; from 0.5 on, target and fit oscillate
+    rate: float = 0.15  # part of the way to the current error per move; from 0.5 on, target and fit oscillate
     furthest: float = 0.1  # 1 being white
     most_detail: tuple[float, ...] = (3.0, 1.4)  # in multiples of the source's, by octave, finest first
     detail_window: float = 1.4  # sigma, in samples of the octave; small, so that peaks do not hide their surroundings
     detail_power: float = 1.15  # of the inverse of structural similarity
-    detail_rate: float = 0.41  # part of the way per move
+    detail_rate: float = 0.3  # part of the way per move
     faint_levels: float = 2.0  # of 8 bits: fainter detail is not exaggerated
     overshoot: float = 0.4  # most overshoot allowed, 1 being white
     overshoot_every: int = 2  # steps
