@@ -117,7 +117,7 @@ class PyramidSettings:
     # Pixels per Gaussian: while there are few, for most steps, and for the last steps and the file's integers.
     pixels_while_few: float = 20.0
     pixels_per_gaussian: float = 100.0
-    pixels_in_the_end: float = 400.0
+    pixels_in_the_end: float = 250.0
     # Samples: the energy of a narrower Gaussian depends on its position between the samples of a smaller picture.
     narrowest: float = 0.75
     contrast_kept: float = 0.7  # part of the picture's variance; smaller pictures that keep less are not used
