@@ -16,7 +16,7 @@ from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
-HALVINGS = 8  # of an interval of a quarter: to a thousandth
+HALVINGS = 8  # of the interval in which the first quantum lies
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
