@@ -119,7 +119,6 @@ def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes() -> None:
     assert np.mean(ratios) < 0.97
 
 
-
 @pytest.mark.parametrize("budget", [{"bytes": 700}, {"quality": 40}, {"gaussians": 60}])
 def test_other_budgets(budget: dict[str, float]) -> None:
     stats = encode(PHOTO[:96, :96], tune="visual", effort=2, **budget).stats  # type: ignore[arg-type]
