@@ -49,73 +49,40 @@ from typing import TYPE_CHECKING, Any
 from sgmethod.pillow import plugin
 
 if TYPE_CHECKING:
-    from sgmethod.bitstream.stream import Info
-    from sgmethod.bitstream.text import from_text, to_text
-    from sgmethod.budget import Budget
-    from sgmethod.codec import Encoded, Stats, encode
-    from sgmethod.decoder import SgFile, decode, info, open
+    from sgmethod.bitstream.stream import Info as Info
+    from sgmethod.bitstream.text import from_text as from_text, to_text as to_text
+    from sgmethod.budget import Budget as Budget
+    from sgmethod.codec import Encoded as Encoded, Stats as Stats, encode as encode
+    from sgmethod.decoder import SgFile as SgFile, decode as decode, info as info, open as open
     from sgmethod.errors import (
-        BitstreamError,
-        BudgetError,
-        GaussiansError,
-        ImageError,
-        ImageWarning,
-        MissingPackageError,
-        NativeModuleError,
-        ServerError,
-        SgError,
-        ViewError,
+        BitstreamError as BitstreamError,
+        BudgetError as BudgetError,
+        GaussiansError as GaussiansError,
+        ImageError as ImageError,
+        ImageWarning as ImageWarning,
+        MissingPackageError as MissingPackageError,
+        NativeModuleError as NativeModuleError,
+        ServerError as ServerError,
+        SgError as SgError,
+        ViewError as ViewError,
     )
-    from sgmethod.exchange.files import read_npz, read_ply, write_npz, write_ply
-    from sgmethod.exchange.packing import pack
-    from sgmethod.many.encoding import encode_many
-    from sgmethod.many.manifest import Row
-    from sgmethod.many.run import Tally
-    from sgmethod.previews.preview import Preview, preview
-    from sgmethod.scene import Gaussians
-    from sgmethod.threads import set_threads
-    from sgmethod.trace import TracePoint
-    from sgmethod.view import View
+    from sgmethod.exchange.files import (
+        read_npz as read_npz,
+        read_ply as read_ply,
+        write_npz as write_npz,
+        write_ply as write_ply,
+    )
+    from sgmethod.exchange.packing import pack as pack
+    from sgmethod.many.encoding import encode_many as encode_many
+    from sgmethod.many.manifest import Row as Row
+    from sgmethod.many.run import Tally as Tally
+    from sgmethod.previews.preview import Preview as Preview, preview as preview
+    from sgmethod.scene import Gaussians as Gaussians
+    from sgmethod.threads import set_threads as set_threads
+    from sgmethod.trace import TracePoint as TracePoint
+    from sgmethod.view import View as View
 
     __version__: str
-
-__all__ = [
-    "BitstreamError",
-    "Budget",
-    "BudgetError",
-    "Encoded",
-    "Gaussians",
-    "GaussiansError",
-    "ImageError",
-    "ImageWarning",
-    "Info",
-    "MissingPackageError",
-    "NativeModuleError",
-    "Preview",
-    "Row",
-    "ServerError",
-    "SgError",
-    "SgFile",
-    "Stats",
-    "Tally",
-    "TracePoint",
-    "View",
-    "ViewError",
-    "decode",
-    "encode",
-    "encode_many",
-    "from_text",
-    "info",
-    "open",
-    "pack",
-    "preview",
-    "read_npz",
-    "read_ply",
-    "set_threads",
-    "to_text",
-    "write_npz",
-    "write_ply",
-]
 
 # Imported on first use: numpy takes 0.1 s, torch more.
 _HOMES = {
@@ -140,6 +107,7 @@ _HOMES = {
     "view": ("View",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
+__all__ = sorted(_HOME)  # noqa: PLE0605 - a list of names, each of which is imported above
 
 plugin.register()
 

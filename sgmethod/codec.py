@@ -35,8 +35,7 @@ from sgmethod.io.image import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_PROFILE, Profile, checked_effort, checked_profile, profile_of, settings_of, tuning
-from sgmethod.rd import alpha
-from sgmethod.rd import encode as rd
+from sgmethod.rd import alpha, encode as rd
 from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.request import Request

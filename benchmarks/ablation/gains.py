@@ -30,8 +30,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from benchmarks.ablation.gaussian_image import Adan, AdanSettings, shaped
-from benchmarks.ablation.gaussian_image import fit as fit_by_adan
+from benchmarks.ablation.gaussian_image import Adan, AdanSettings, fit as fit_by_adan, shaped
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, middle_of, named_in

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, TypeVar
 
 from anyio import CapacityLimiter, to_thread
-from fastapi import Depends, Request
-from fastapi import Path as PathParameter
+from fastapi import Depends, Path as PathParameter, Request
 
 from service.api.cache import PictureCache
 from service.api.callers import Caller

@@ -16,8 +16,7 @@ from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
 from service.errors import JobTableError
-from service.jobs.engine import PATIENCE_S, Engine, in_words
-from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
+from service.jobs.engine import PATIENCE_S, SCHEMA as ENGINE_SCHEMA, Engine, in_words
 from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal

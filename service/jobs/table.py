@@ -14,8 +14,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from service.errors import KeyReusedError, LimitError
-from service.jobs import outcomes
-from service.jobs import statements as sql
+from service.jobs import outcomes, statements as sql
 from service.jobs.job import (
     FINAL_STATES,
     JOB_STATES,

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -19,7 +18,7 @@ from sgmethod.errors import ServerError
 from sgmethod.io.files import bytes_of
 from sgmethod.many.folder import Item, Made, into_folder, written
 from sgmethod.many.manifest import Row, text_of
-from sgmethod.many.processes import MAX_JOBS
+from sgmethod.many.processes import MAX_JOBS, as_they_finish
 from sgmethod.many.run import Finished, OnRow, Tally, Task, caught
 
 
@@ -53,7 +52,7 @@ def encode_many(
 
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
         # Files are written here: a thread that outlives the run must not replace those of the next one.
-        for task, made in _in_threads(partial(make, folder), tasks, threads):
+        for task, made in as_they_finish(partial(_in_thread, partial(make, folder)), tasks, threads):
             yield caught(partial(write, folder, made), task)
 
     return into_folder(items, output_dir, options, finish, resume, on_row)
@@ -65,24 +64,15 @@ def key_of(target: Path, options: Mapping[str, object], image: bytes) -> str:
     return hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
 
 
-def _in_threads(
-    make: Callable[[Task[Row]], Made], tasks: Iterator[Task[Row]], threads: int
-) -> Iterator[tuple[Task[Row], Future[Made]]]:
-    """Finish tasks in threads that nothing waits for after an error or Ctrl-C: a server may be busy for hours."""
+def _in_thread(make: Callable[[Task[Row]], Made], task: Task[Row]) -> Future[Made]:
+    """Begin a task in a thread that nothing waits for after an error or Ctrl-C: a server may be busy for hours."""
+    future: Future[Made] = Future()
 
-    def run(task: Task[Row], future: Future[Made]) -> None:
+    def run() -> None:
         try:
             future.set_result(make(task))
         except BaseException as error:
             future.set_exception(error)
 
-    running: dict[Future[Made], Task[Row]] = {}
-    while True:
-        for task in islice(tasks, threads - len(running)):
-            future: Future[Made] = Future()
-            running[future] = task
-            Thread(target=run, args=(task, future), daemon=True).start()
-        if not running:
-            return
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            yield running.pop(future), future
+    Thread(target=run, daemon=True).start()
+    return future

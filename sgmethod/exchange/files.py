@@ -22,7 +22,6 @@ import io
 import os
 import re
 from collections.abc import Sequence
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -109,26 +108,47 @@ def read_ply(path: PathLike) -> Gaussians:
 
 
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
-    """Read the vertices of a PLY file, with a field for each property. They must come first in the file."""
+    """Read the vertices of a PLY file, with a field for each property."""
     header = re.match(rb"ply\s.*?\nend_header[ \t]*\r?\n", data, re.DOTALL)
+    elements = list[tuple[str, int, list[list[str]]]]()
     try:
         if header is None:
             raise ValueError("another file")
         lines = [line.split() for line in header[0].decode("latin1").splitlines()]
         (order,) = (BYTE_ORDERS[words[1]] for words in lines if words[:1] == ["format"])
-        (_, element, rows), *rest = (words for words in lines if words[:1] in (["element"], ["property"]))
-        if element != "vertex" or not rows.isdecimal():
-            raise ValueError("no vertices")
-        properties = takewhile(lambda words: words[0] == "property", rest)
-        kind = np.dtype([(field, order + TYPES[number]) for _, number, field in properties])
+        for words in lines:
+            if words[:1] == ["element"] and words[2].isdecimal():
+                elements.append((words[1], int(words[2]), []))
+            elif words[:1] == ["property"]:
+                elements[-1][2].append(words[1:])
+        place = [element for element, _, _ in elements].index("vertex")
+        _, rows, properties = elements[place]
+        kind = np.dtype([(field, order + TYPES[number]) for number, field in properties])
     except (ValueError, LookupError) as error:
-        raise GaussiansError(f"{name} is not a PLY file that begins with Gaussians") from error
+        raise GaussiansError(f"{name} is not a PLY file of Gaussians") from error
     if missing := sorted(set(NEEDED) - set(kind.names or ())):
         raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
     try:
         if order != "=":
-            return np.frombuffer(data, kind, int(rows), header.end())
-        text = data[header.end() :].decode().splitlines()
-        return np.array([tuple(text[row].split()) for row in range(int(rows))], kind)
-    except (ValueError, OverflowError, IndexError) as error:
+            return np.frombuffer(data, kind, rows, _end(data, header.end(), order, elements[:place]))
+        text = data[header.end() :].decode().splitlines()[sum(count for _, count, _ in elements[:place]) :]
+        return np.array([tuple(text[row].split()) for row in range(rows)], kind)
+    except (ValueError, OverflowError, LookupError) as error:
         raise GaussiansError(f"{name} is truncated, or damaged") from error
+
+
+def _end(data: bytes, at: int, order: str, elements: list[tuple[str, int, list[list[str]]]]) -> int:
+    """Find where binary elements end that begin at `at`. Properties are a type, or "list", two types, and a name."""
+    for _, rows, properties in elements:
+        types = [[np.dtype(order + TYPES[word]) for word in words[:-1] if word != "list"] for words in properties]
+        if all(len(pair) == 1 for pair in types):
+            at += rows * sum(kind.itemsize for (kind,) in types)
+            continue
+        for _ in range(rows):
+            for *length, kind in types:
+                items = 1
+                if length:
+                    items = max(int(np.frombuffer(data, length[0], 1, at)[0]), 0)
+                    at += length[0].itemsize
+                at += items * kind.itemsize
+    return at

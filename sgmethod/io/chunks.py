@@ -1,6 +1,6 @@
 """Parsers for parts of image files that Pillow does not expose, or misreads.
 
-PNG's chunks, the colours of AVIF, the header of JPEG XL, the orientation in EXIF data.
+PNG's chunks, the profile of BMP, colours and aperture of AVIF, the header of JPEG XL, the orientation in EXIF data.
 """
 
 from __future__ import annotations
@@ -9,15 +9,19 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from fractions import Fraction
 from typing import NamedTuple
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 PNG_ANCILLARY = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")
 
+BMP_V5, BMP_EMBEDDED = 124, b"DEBM"  # size of the header; colour space PROFILE_EMBEDDED
+
 EXIF_MARKS = re.compile(rb"^(Exif\0\0)*")  # some writers put it there twice
 ORIENTATION = 274
 
 Span = tuple[bytes, int, int]  # kind, start and end of the content
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1
 
 JPEG_XL_MAGICS = (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")  # bare codestream; codestream in boxes
 # ISO/IEC 18181-1: two bits choose a pair: the width in bits of the number that follows, and the offset added to it.
@@ -64,6 +68,14 @@ def _chunks(data: bytes) -> Iterator[Span]:
         at = end + 4
 
 
+def bmp_profile(data: bytes) -> bytes | None:
+    """Return the ICC profile embedded in a BMP file, if any."""
+    if int.from_bytes(data[14:18], "little") != BMP_V5 or data[70:74] != BMP_EMBEDDED:
+        return None
+    start, length = struct.unpack_from("<II", data, 126)
+    return data[14 + start : 14 + start + length]
+
+
 def brands(data: bytes) -> list[bytes]:
     """Brands of an AVIF or HEIC file, the major one first; empty for other files."""
     if data[4:8] != b"ftyp":
@@ -74,9 +86,29 @@ def brands(data: bytes) -> list[bytes]:
 
 def code_points(data: bytes) -> tuple[int, int] | None:
     """Primaries and transfer (H.273) of an AVIF file: those stated first are the primary picture's."""
-    meta = next((data[start:end] for kind, start, end in _boxes(data) if kind == b"meta"), b"")
+    meta = _meta(data)
     at = meta.find(b"colrnclx")
     return (_number(meta, at + 8, 2), _number(meta, at + 10, 2)) if at >= 0 else None
+
+
+def clean_aperture(data: bytes, width: int, height: int) -> Box | None:
+    """Visible part of an AVIF file's primary picture, the first one stated; None if there is none, or it is invalid.
+
+    ISO/IEC 14496-12, 12.1.4: width, height, and the offset of the part's centre from the picture's, all as fractions.
+    """
+    meta = _meta(data)
+    at = meta.find(b"\0\0\0\x28clap")
+    numbers = struct.unpack_from(">iIiIiIiI", meta, at + 8) if at >= 0 else (0,) * 8
+    if 0 in numbers[1::2]:
+        return None
+    w, h, across, down = map(Fraction, numbers[::2], numbers[1::2])
+    x, y = int((width - w) / 2 + across), int((height - h) / 2 + down)
+    right, bottom = x + int(w), y + int(h)
+    return (x, y, right, bottom) if 0 <= x < right <= width and 0 <= y < bottom <= height else None
+
+
+def _meta(data: bytes) -> bytes:
+    return next((data[start:end] for kind, start, end in _boxes(data) if kind == b"meta"), b"")
 
 
 def exif_orientation(block: object) -> int:

@@ -55,6 +55,14 @@ def decode(opened: Opened, smaller: int = 1) -> Picture:
         if data is not None and reader.format == "PNG":
             key = _transparent_in_png(data, levels.shape[2], white)
         alpha = np.any(levels != np.bitwise_and(key, white), axis=2, keepdims=True) * levels.dtype.type(white)
+    if opened.frame is not None:
+        x0, y0, x1, y1 = opened.frame
+        covered = np.zeros((*levels.shape[:2], 1), levels.dtype)
+        covered[y0:y1, x0:x1] = white if alpha is None else alpha[y0:y1, x0:x1]
+        alpha = covered
+    if opened.aperture is not None:
+        x0, y0, x1, y1 = opened.aperture
+        levels, alpha = levels[y0:y1, x0:x1], alpha if alpha is None else alpha[y0:y1, x0:x1]
     if alpha is not None and alpha.min() == white:
         alpha = None
     return Picture(levels, white, alpha, white, opened.orientation, opened.colour, opened.notes)

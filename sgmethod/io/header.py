@@ -9,6 +9,7 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io import chunks, colour, formats
+from sgmethod.io.chunks import Box
 from sgmethod.io.colour import Colour, ProfileError
 from sgmethod.native import native
 
@@ -44,7 +45,8 @@ class Opened:
     """A picture whose header is parsed.
 
     reader: not yet loaded; data: the file, None for a Pillow image; orientation: of EXIF, still to be undone; colour:
-    as stated, None for sRGB; notes: warnings about dropped parts; still: whether it is the only picture in the file.
+    as stated, None for sRGB; notes: warnings about dropped parts; still: whether it is the only picture in the file;
+    frame: the part with pixels, that of a GIF's first frame; aperture: the visible part of an AVIF; None if all.
     """
 
     reader: Image.Image
@@ -53,6 +55,14 @@ class Opened:
     colour: Colour
     notes: tuple[str, ...] = ()
     still: bool = True
+    frame: Box | None = None
+    aperture: Box | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height before orientation."""
+        x0, y0, x1, y1 = self.aperture or (0, 0, *self.reader.size)
+        return x1 - x0, y1 - y0
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
@@ -77,7 +87,8 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
     still = _is_still(reader, data)
     if not still:
         notes = ("only the first of several pictures is used", *notes)
-    return Opened(reader, data, orientation, stated, notes, still)
+    aperture = chunks.clean_aperture(data, *reader.size) if kind == "AVIF" else None  # libheif crops itself
+    return Opened(reader, data, orientation, stated, notes, still, frame_of(reader), aperture)
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits) -> chunks.JpegXl:
@@ -135,6 +146,11 @@ def _is_still(reader: Image.Image, data: bytes) -> bool:
     return False
 
 
+def frame_of(reader: Any) -> Box | None:
+    """Part of the picture that a GIF's first frame covers; None for other formats, and for later frames."""
+    return reader.dispose_extent if reader.format == "GIF" and reader.tell() == 0 else None
+
+
 def stated_colour(reader: Image.Image, data: bytes | None) -> tuple[Colour, tuple[str, ...]]:
     """Colours of the decoded samples, and a note if their statement is ignored. Raises ImageError for PQ and HLG.
 
@@ -154,6 +170,8 @@ def stated_colour(reader: Image.Image, data: bytes | None) -> tuple[Colour, tupl
             found = colour.from_profile(colour.inflate(png[b"iCCP"]), mode)
         elif "icc_profile" in info:
             found = colour.from_profile(info["icc_profile"] or b"", mode)
+        elif data is not None and kind == "BMP" and (profile := chunks.bmp_profile(data)) is not None:
+            found = colour.from_profile(profile, mode)
         elif data is not None and kind == "AVIF" and (points := chunks.code_points(data)) is not None:
             found = colour.from_code_points(*points)
         elif nclx := info.get("nclx_profile"):  # of pillow_heif

@@ -8,17 +8,19 @@ ImageWarning:
                    `heif`, JPEG XL with the extra `jxl`; recognised by their first bytes, never by file name
     size           checked against ImageLimits from the header, before pixels are decoded
     frames         the first, with a warning if there are others. Further pictures inside a JPEG (previews, gain maps)
-                   and previews in a TIFF do not count. Animated JPEG XL is refused.
+                   and previews in a TIFF do not count. Animated JPEG XL is refused. Outside the first frame of a GIF,
+                   the picture is transparent.
     whole          truncated files, files with missing pixels and damaged PNGs are refused, unless the program has set
                    Pillow's LOAD_TRUNCATED_IMAGES; damage in other formats can go unnoticed, because they have no
                    checksums
-    orientation    EXIF orientation is applied, as are rotation and mirroring of AVIF and HEIC, and the clean aperture
-                   of HEIC. Invalid EXIF data is ignored.
-    colour         the result is sRGB. Stated colours are converted, relative colorimetric: the first present of PNG's
-                   cICP, ICC profile, sRGB, gAMA and cHRM; ICC profiles of other formats except BMP; the code points of
-                   AVIF and HEIC. An unusable profile is ignored, with a warning. PQ and HLG are refused. Grey becomes
-                   three equal channels, palettes are expanded; CMYK without a profile, YCbCr and LAB are converted by
-                   Pillow's plain formulas. QOI's flag for linear light is ignored, because Pillow always sets it.
+    orientation    EXIF orientation is applied, as are rotation, mirroring and clean aperture of AVIF and HEIC. Invalid
+                   EXIF data is ignored.
+    colour         the result is sRGB. Stated colours are converted, relative colorimetric (with black-point
+                   compensation only if the profile uses tables): the first present of PNG's cICP, ICC profile, sRGB,
+                   gAMA and cHRM; ICC profiles of other formats; the code points of AVIF and HEIC. An unusable profile
+                   is ignored, with a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are
+                   expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. QOI's flag
+                   for linear light is ignored, because Pillow always sets it.
     depth          the result has 8 bits. 16-bit grey and RGB(A) are rounded last, after conversion of colours (before
                    it, if the profile uses tables) and transparency; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's
                    grey with alpha, TIFF's premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond
@@ -47,7 +49,7 @@ from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.decoding import Picture, decode
 from sgmethod.io.files import checked_path
-from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, open_file, stated_colour
+from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, frame_of, open_file, stated_colour
 from sgmethod.scene import Pixels
 
 __all__ = ["ImageHeader", "ImageLimits", "Input", "check_range", "read_header", "read_image_8_bit", "read_input"]
@@ -84,7 +86,7 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
             return ImageHeader(kind, header.width, header.height)
         opened = open_file(data, kind, limits)
         # Pillow's TIFF reader already reports the size after orientation.
-        width, height = reversed(opened.reader.size) if opened.orientation >= 5 else opened.reader.size
+        width, height = reversed(opened.size) if opened.orientation >= 5 else opened.size
         return ImageHeader(kind, width, height, opened.still)
 
 
@@ -193,10 +195,11 @@ def _open_pillow(image: Image.Image) -> Opened:
     """Check a Pillow image as a file is checked, and copy it."""
     ImageLimits().check(*image.size)
     check_samples(image)
-    tags, image = getattr(image, "tag_v2", None), image.copy()
+    tags, frame, image = getattr(image, "tag_v2", None), frame_of(image), image.copy()
     if tags is not None:  # a copy has lost those of TIFF, which say what white is
         image.tag_v2 = tags  # type: ignore[attr-defined]
-    return Opened(image, None, chunks.exif_orientation(image.info.get("exif")), *stated_colour(image, None))
+    orientation = chunks.exif_orientation(image.info.get("exif"))
+    return Opened(image, None, orientation, *stated_colour(image, None), frame=frame)
 
 
 def _from_array(pixels: npt.NDArray[Any]) -> Picture:

@@ -39,20 +39,30 @@ def in_processes(
     """Yield the result of each item, as they finish.
 
     Function, items and results are pickled. Few items are taken ahead, so there may be any number. Raises SgError if a
-    process is killed or cannot begin, and OSError if the system allows no more.
+    process is killed or none can begin, and OSError if the system allows no more.
     """
-    waiting = iter(items)
-    running: set[Future[Result]] = set()
     with _pool(processes) as pool:
-        while True:
-            for item in islice(waiting, 2 * processes - len(running)):
-                with _uninterrupted():
-                    running.add(pool.submit(function, item))
-            if not running:
-                return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+
+        def begin(item: Item) -> Future[Result]:
+            with _uninterrupted():
+                return pool.submit(function, item)
+
+        for _, future in as_they_finish(begin, items, 2 * processes):
+            yield future.result()
+
+
+def as_they_finish(
+    begin: Callable[[Item], Future[Result]], items: Iterable[Item], most: int
+) -> Iterator[tuple[Item, Future[Result]]]:
+    """Yield each item and its future as they finish, beginning further ones so that `most` are under way."""
+    waiting = iter(items)
+    running: dict[Future[Result], Item] = {}
+    while True:
+        running |= {begin(item): item for item in islice(waiting, most - len(running))}
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            yield running.pop(future), future
 
 
 @contextmanager
@@ -62,7 +72,10 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
     threads = max(native.thread_count() // processes, 1)
     watched, held = CONTEXT.Pipe(duplex=False)  # the system closes it too, if this process is killed
-    pool = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, watched))
+    try:
+        pool = ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, watched))
+    except (OSError, ImportError) as error:  # there are no semaphores, as in AWS Lambda
+        raise SgError(f"no further process can begin: {error}; a single job needs none") from error
     try:
         yield pool
     except BrokenProcessPool as error:

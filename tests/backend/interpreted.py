@@ -26,8 +26,7 @@ from sgmethod.settings.shared import ADAM, OptimiserSettings
 from sgmethod.torch.fitting import fit_pictures
 from tests.backend.cases import FRAMES, SIZE, VISIBILITIES, image, over, scattered, target, visibility, worst
 from tests.definitions.backend import Reference
-from tests.native import test_pyramid as pyramid
-from tests.native import test_render as plain
+from tests.native import test_pyramid as pyramid, test_render as plain
 
 CPU = torch.device("cpu")
 

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from benchmarks.harness.data import ROOT, damaged, golden, golden_path, with_checksum
 from sgmethod import BitstreamError, decode, encode

@@ -201,7 +201,8 @@ def test_ply_of_3d_splats_is_flattened(order: str, tmp_path: Path) -> None:
     dtype = np.dtype([(name, sign + kinds[kind]) for kind, name in map(str.split, PROPERTIES)])
     text = "".join(" ".join(map(repr, map(float, row))).replace(" 7.0 ", " 7 ") + "\n" for row in VERTICES)
     body = text.encode() if order == "ascii" else np.array([tuple(row) for row in VERTICES], dtype).tobytes()
-    (tmp_path / "splats.ply").write_bytes(HEADER.format(order=order).encode() + body)
+    header = HEADER.format(order=order).replace("element v", "element camera 1\nproperty uchar lens\nelement v")
+    (tmp_path / "splats.ply").write_bytes(header.encode() + (b"7\n" if order == "ascii" else b"7") + body)
     wanted = single([[3.5, 4.5], [8.5, 1.5]], [[2, 0, 3], [4, 0, 5]], [[0.75, 0.25, 0.25], [0.5, 0.5, 1.5]])
     assert np.allclose(sgmethod.read_ply(tmp_path / "splats.ply").factors[:, 1], 0, atol=1e-5)
     assert close(sgmethod.read_ply(tmp_path / "splats.ply"), recut(wanted, NO_CUTOFF))
@@ -211,23 +212,30 @@ PLAIN = ["ply", "format binary_little_endian 1.0", "element vertex 20"]
 PLAIN += [*(f"property float {name}" for name in WRITTEN), "end_header"]
 
 
+def with_element(*properties: str, rows: int = 2) -> list[str]:
+    return [*PLAIN[:2], f"element camera {rows}", *(f"property {words}" for words in properties), *PLAIN[2:]]
+
+
 @pytest.mark.parametrize(
-    ("lines", "newline"),
+    ("lines", "before", "newline"),
     [
-        (["ply", "comment by hand", *PLAIN[1:]], "\n"),
-        ([*PLAIN[:9], "obj_info x", "comment property float opacity", "", *PLAIN[9:]], "\n"),
-        (["\t ".join(line.split(" ")) + " \t" for line in PLAIN], "\n"),
-        (PLAIN, "\r\n"),
+        (["ply", "comment by hand", *PLAIN[1:]], b"", "\n"),
+        ([*PLAIN[:9], "obj_info x", "comment property float opacity", "", *PLAIN[9:]], b"", "\n"),
+        (["\t ".join(line.split(" ")) + " \t" for line in PLAIN], b"", "\n"),
+        (PLAIN, b"", "\r\n"),
+        (with_element("float focal", "uchar lens"), bytes(10), "\n"),
+        (with_element("list uchar short v", "float focal"), b"\2    ffff\0ffff", "\n"),
+        (with_element(), b"", "\n"),
     ],
 )
-def test_headers_of_ply_as_its_rules_allow(lines: list[str], newline: str, tmp_path: Path) -> None:
-    """Words are separated by blanks; comments may stand anywhere."""
+def test_headers_of_ply_as_its_rules_allow(lines: list[str], before: bytes, newline: str, tmp_path: Path) -> None:
+    """Words are separated by blanks; comments and other elements may stand anywhere."""
     path = tmp_path / "some.ply"
     sgmethod.write_ply(path, SOME)
     body = path.read_bytes().partition(b"end_header\n")[2]
     assert len(body) == 20 * 62 * 4
     wanted = sgmethod.read_ply(path)
-    path.write_bytes(newline.join([*lines, ""]).encode() + body)
+    path.write_bytes(newline.join([*lines, ""]).encode() + before + body)
     found = sgmethod.read_ply(path)
     assert all(np.array_equal(a, b) for a, b in zip(found.arrays, wanted.arrays, strict=True))
 
@@ -247,7 +255,8 @@ def test_ply_has_what_programs_of_3d_splats_expect(tmp_path: Path) -> None:
     [
         (b"", "not a PLY file"),
         ("\n".join(PLAIN).replace("vertex 20", "vertex -1").encode() + b"\n" + bytes(248), "not a PLY file"),
-        ("\n".join([*PLAIN[:2], "element camera 1", "property float x", *PLAIN[2:]]).encode() + b"\n", "begins with"),
+        ("\n".join(with_element("list char int v", rows=10**30)).encode() + b"\n\xff\xff\xff", "truncated"),
+        ("\n".join(with_element("list quad int v")).encode() + b"\n\0\0", "truncated, or damaged"),
         (b"ply\nproperty float x\nend_header\n", "not a PLY file"),
         (b"ply\nelement vertex 0\nend_header\n", "not a PLY file"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no property f_dc_0"),

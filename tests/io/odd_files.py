@@ -66,6 +66,35 @@ def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: boo
     return bytes(file)
 
 
+def bmp(
+    pixels: np.ndarray, *, header: int = 124, space: bytes = b"sRGB", more: bytes = bytes(60), behind: bytes = b""
+) -> bytes:
+    """A 24-bit BMP of version 4 or 5, whose colours are in `space` (little-endian) with `more` of its header behind."""
+    height, width, _ = pixels.shape
+    body = pixels[::-1, :, ::-1].tobytes()
+    info = struct.pack("<IiiHHIIiiII", header, width, height, 1, 24, 0, len(body), 0, 0, 0, 0) + bytes(16) + space[::-1]
+    info = (info + more).ljust(header, b"\0")[:header]
+    return b"BM" + struct.pack("<IHHI", 14 + header + len(body) + len(behind), 0, 0, 14 + header) + info + body + behind
+
+
+def gif(screen: tuple[int, int], frames: Sequence[tuple[int, int, int, int, int]], hole: int | None = None) -> bytes:
+    """A GIF of frames (x, y, width, height, colour), each of one of four colours. hole: the one that is transparent."""
+    palette = bytes((255, 0, 0, 0, 255, 0, 0, 0, 255, 10, 20, 30))
+    file = b"GIF89a" + struct.pack("<HHBBB", *screen, 0x81, 2, 0) + palette
+    for x, y, width, height, colour in frames:
+        bits = length = 0
+        for symbol in [4, colour] * (width * height) + [5]:  # a clear code before each, so that codes stay 3 bits wide
+            bits |= symbol << length
+            length += 3
+        packed = bits.to_bytes(-(-length // 8), "little")
+        parts = (packed[start : start + 255] for start in range(0, len(packed), 255))
+        if hole is not None:
+            file += b"!\xf9\4\1\0\0" + bytes([hole, 0])
+        file += b"," + struct.pack("<HHHHB", x, y, width, height, 0) + b"\2"
+        file += b"".join(bytes([len(part)]) + part for part in parts) + b"\0"
+    return file + b";"
+
+
 def heif(pixels: np.ndarray, kind: str, properties: Sequence[bytes] = (), **options: object) -> bytes:
     """An AVIF or HEIC with further properties of its picture, whole boxes. All its offsets are moved."""
     saved = io.BytesIO()

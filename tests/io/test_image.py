@@ -10,8 +10,7 @@ from itertools import chain
 import numpy as np
 import pillow_heif
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from PIL import Image
 
 from benchmarks.harness.pictures import photo

@@ -108,6 +108,7 @@ GREY = Image.new("L", SIZE, 128)
 INK = Image.new("CMYK", SIZE, (255, 0, 0, 0))
 CYAN, PRESS_CYAN = (0, 255, 255), (0, 156, 223)
 PHOTO = Image.fromarray(photo("kodim05-crop")).resize((96, 64))
+SMALL_FRAME = saved("GIF", OTHER).replace(struct.pack("<HH", *SIZE), struct.pack("<HH", 99, 77), 1)
 TALL = (SIZE[1], SIZE[0])
 
 # Made by cjxl 0.7.
@@ -218,6 +219,7 @@ ODD = {
     # More than one picture
     "gif that moves": Odd(saved("GIF", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "gif that is cut in its second frame": Odd(saved("GIF", save_all=True, append_images=[OTHER])[:-30], RED, FIRST, 0),
+    "gif of a small first frame": Odd(SMALL_FRAME, (255, 255, 255), ALPHA, 255, (99, 77)),
     "webp that moves": Odd(saved("WEBP", save_all=True, append_images=[OTHER], lossless=True), RED, FIRST, 0),
     "apng": Odd(saved("PNG", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "avif that moves": Odd(saved("AVIF", save_all=True, append_images=[OTHER], quality=100), RED, FIRST, 3),

@@ -20,7 +20,7 @@ from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, from_profile
 from sgmethod.io.image import read_header, read_image_8_bit, read_input
 from tests.io import profiles
-from tests.io.odd_files import chunk, clap, heif, mirrored, png, tiff, turned
+from tests.io.odd_files import bmp, chunk, clap, gif, heif, mirrored, png, tiff, turned
 
 W, H = 32, 24
 Y, X = np.mgrid[0:H, 0:W]
@@ -95,6 +95,56 @@ def test_16_bits_are_read_beside_long_text() -> None:
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in DEEP)
     text = chunk(b"zTXt", b"Comment\0\0" + zlib.compress(LONG))
     assert np.array_equal(read(png(rows, (W, H), [text], depth=16)), RGB)
+
+
+# --- BMP
+
+
+def embedded(profile: bytes) -> bytes:
+    where = struct.pack("<IIII", 4, 124 + PLAIN.size, len(profile), 0)
+    return bmp(PLAIN, space=b"MBED", more=bytes(48) + where, behind=profile)
+
+
+def test_the_profile_in_a_bmp_is_used() -> None:
+    assert np.abs(read(embedded(P3)).astype(int) - IN_P3).max() <= 1
+    assert np.array_equal(read(bmp(PLAIN)), PLAIN)
+    assert np.array_equal(read(bmp(PLAIN, header=108, space=bytes(4))), PLAIN)  # gammas, which browsers pass over
+    with pytest.warns(ImageWarning, match="profile is ignored"):
+        assert np.array_equal(read_image_8_bit(embedded(b"none")), PLAIN)
+
+
+# --- GIF
+
+
+@pytest.mark.parametrize(
+    ("screen", "frame", "hole", "size"),
+    [
+        ((W, H), (8, 6, 16, 12), None, (W, H)),
+        ((W, H), (8, 6, 16, 12), 3, (W, H)),
+        ((10, 8), (8, 6, 16, 12), None, (24, 18)),
+        ((0, 0), (0, 0, 16, 12), None, (16, 12)),
+        ((W, H), (0, 0, W, H), None, (W, H)),
+    ],
+)
+def test_nothing_is_seen_where_the_first_frame_of_a_gif_is_not(
+    screen: tuple[int, int], frame: tuple[int, int, int, int], hole: int | None, size: tuple[int, int]
+) -> None:
+    data = gif(screen, [(*frame, 1)], hole)
+    x, y, width, height = frame
+    expected = np.zeros((size[1], size[0], 4), np.uint8)
+    expected[y : y + height, x : x + width] = (0, 255, 0, 255)
+    loaded = Image.open(io.BytesIO(data))
+    loaded.load()
+    for pixels in (
+        read(data),
+        read_input(Image.open(io.BytesIO(data)), keep_alpha=True),
+        read_input(loaded, keep_alpha=True),
+    ):
+        if (x, y, width, height) == (0, 0, *size):
+            assert np.array_equal(pixels, expected[..., :3])
+        else:
+            assert np.array_equal(pixels[..., 3], expected[..., 3])
+            assert np.array_equal(pixels[expected[..., 3] > 0], expected[expected[..., 3] > 0])
 
 
 # --- TIFF
@@ -184,18 +234,40 @@ def test_a_chain_of_pages_that_does_not_end() -> None:
 # --- AVIF and HEIC
 
 
+APERTURES = {
+    "at the corner": ((16, 12, 0, 0), np.s_[0:12, 0:16]),
+    "within": ((16, 12, 5, 7), np.s_[7:19, 5:21]),
+    "odd": ((15, 11, 5, 7), np.s_[7:18, 5:20]),
+    "all": ((W, H, 0, 0), np.s_[:, :]),
+}
+
+
 @pytest.mark.parametrize("kind", ["AVIF", "HEIC"])
-def test_a_clean_aperture_is_applied_before_turns(kind: str) -> None:
-    """Pillow's reader of AVIF passes over apertures, as some browsers do."""
-    apertures = [clap(15, 11, 5, 7, (W, H))] if kind == "HEIC" else []
-    part = read(heif(RGB, kind))[np.s_[7:18, 5:20] if apertures else np.s_[:]]
-    for turns, turn in {
-        (): lambda a: a,
-        (turned(1),): np.rot90,
-        (turned(1), mirrored(1)): lambda a: np.rot90(a)[:, ::-1],
-        (mirrored(0),): lambda a: a[::-1],
+@pytest.mark.parametrize("name", APERTURES)
+def test_clean_apertures_are_applied_before_turns(name: str, kind: str) -> None:
+    """libheif and libvips crop so. Chromium does where the crop is at the corner, and shows all otherwise."""
+    numbers, part = APERTURES[name]
+    aperture, whole = clap(*numbers, (W, H)), read(heif(RGB, kind))
+    for properties, turn in {
+        (aperture,): lambda a: a,
+        (aperture, turned(1)): np.rot90,
+        (aperture, turned(1), mirrored(1)): lambda a: np.rot90(a)[:, ::-1],
+        (aperture, mirrored(0)): lambda a: a[::-1],
     }.items():
-        assert np.array_equal(read(heif(RGB, kind, [*apertures, *turns])), turn(part))
+        assert np.array_equal(read(heif(RGB, kind, properties)), turn(whole[part]))
+
+
+def test_alpha_is_cropped_with_its_colours() -> None:
+    both = np.dstack([RGB, ALPHA])
+    data = heif(both, "AVIF", [clap(16, 12, 5, 7, (W, H))])
+    assert np.array_equal(read(data), read(heif(both, "AVIF"))[7:19, 5:21])
+
+
+@pytest.mark.parametrize("numbers", [(40, 12, 0, 0), (16, 12, -1, 0), (16, 12, 20, 0), (0, 12, 0, 0)])
+def test_apertures_that_make_no_sense_are_passed_over(numbers: tuple[int, int, int, int]) -> None:
+    no_fraction = struct.pack(">I4s8I", 40, b"clap", 16, 0, 12, 1, 0, 1, 0, 1)
+    for box in (clap(*numbers, (W, H)), no_fraction):
+        assert read(heif(RGB, "AVIF", [box])).shape == RGB.shape
 
 
 @pytest.mark.parametrize(("points", "out"), [((12, 13), IN_P3), ((9, 16), "PQ"), ((1, 13), RED)])

@@ -22,8 +22,7 @@ from PIL import Image
 
 from benchmarks.harness.pictures import photo
 from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
-from sgmethod.client import RemoteEncoded
-from sgmethod.client import encode_many as encode_on_server
+from sgmethod.client import RemoteEncoded, encode_many as encode_on_server
 from sgmethod.errors import noted
 from sgmethod.io.image import warn
 from sgmethod.many.manifest import Manifest

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from multiprocessing import active_children
+from unittest.mock import Mock
 
 import pytest
 
@@ -47,6 +48,14 @@ def test_processes_that_end_before_they_begin(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(processes, "_begin", os.abort)
     with pytest.raises(SgError, match="if __name__ =="):
         list(in_processes(doubled, [1, 2], 2))
+
+
+@pytest.mark.parametrize("error", [OSError(38, "Function not implemented"), ImportError("no sem_open")])
+def test_a_system_without_semaphores(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    """AWS Lambda has no /dev/shm."""
+    monkeypatch.setattr(processes.CONTEXT, "Lock", Mock(side_effect=error))
+    with pytest.raises(SgError, match=r"no further process can begin: .*; a single job needs none"):
+        list(in_processes(doubled, [1], 1))
 
 
 def test_errors_are_raised_and_end_no_other_process() -> None:

@@ -19,10 +19,8 @@ from benchmarks.harness.pictures import SMALL, png, saved
 from benchmarks.harness.processes import Outcome, run, wait_until
 from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, Service, StartService, keys_of
 from sgmethod import Budget
-from sgmethod.cli import encoding
-from sgmethod.cli import main as cli
-from sgmethod.client import Client, encode_many
-from sgmethod.client import client as client_module
+from sgmethod.cli import encoding, main as cli
+from sgmethod.client import Client, client as client_module, encode_many
 from sgmethod.client.connection import Connection
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
