@@ -7,8 +7,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
@@ -18,31 +17,17 @@ from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.terminal import redraw, remaining
-from sgmethod.many.manifest import Manifest, Row
+from sgmethod.many.manifest import Manifest
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
 
 SOME_FAILED = 1
 Figures = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Outcome(Row):
-    """The result of one conversion: its line in the manifest, its output, and a summary."""
-
-    input: str
-    target: str = ""
-    summary: str = ""
-
-    @classmethod
-    def from_conversion(cls, conversion: Conversion, **made: Any) -> Outcome:
-        """Create the result of a conversion."""
-        return cls(Path(conversion.target).name, conversion.source, target=conversion.target, **made)
+Convert = Callable[[Conversion, argparse.Namespace], Conversion]  # makes it
 
 
-Convert = Callable[[Conversion, argparse.Namespace], Outcome]
-
-
-def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
+def say_notes(outcome: Conversion, arguments: argparse.Namespace) -> None:
     """Print what was dropped from a picture, and warnings about its file."""
     if not arguments.quiet:
         figures = outcome.figures
@@ -51,10 +36,23 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
         files.print_lines("advice", outcome.input, filter(None, [figures.get("advice")]))
 
 
-def say_done(outcome: Outcome, out: TextIO) -> None:
-    """Print the names and the summary of a single conversion."""
-    names = f"{files.name_of(outcome.input)} -> {files.name_of(outcome.target, 'standard output')}"
-    print(f"{one_line(names)}: {outcome.summary}", file=out)
+def convert_one(
+    conversion: Conversion, convert: Convert, arguments: argparse.Namespace, others: Sequence[str] = ()
+) -> int:
+    """Make a single conversion unless --no-clobber keeps its output, and print its names and its summary.
+
+    others: further outputs. If any is standard output, the text goes to stderr.
+    """
+    out = sys.stderr if STREAM in (conversion.target, *others) else sys.stdout
+    for wanted in without_existing([conversion], arguments, out):
+        made = convert(wanted, arguments)
+        say_notes(made, arguments)
+        if getattr(arguments, "json", False):
+            print(json.dumps(made.figures, allow_nan=False), file=out)
+        elif not arguments.quiet:
+            names = f"{files.name_of(made.input)} -> {files.name_of(made.target, 'standard output')}"
+            print(f"{one_line(names)}: {made.summary}", file=out)
+    return 0
 
 
 def without_existing(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
@@ -82,7 +80,7 @@ def convert_all(
     """
     beside = sys.stderr if getattr(arguments, "json", False) else sys.stdout  # with --json, stdout has nothing else
     kept = without_existing(conversions, arguments, beside)
-    run = Run[Outcome](manifest, getattr(arguments, "resume", False))
+    run = Run[Conversion](manifest, getattr(arguments, "resume", False))
     wanted = list(run.rest(tasks_of(kept)))
     report = _Report(len(wanted), arguments)
     try:
@@ -102,12 +100,12 @@ class _Report:
     """Printer of a line for each outcome, and of progress on a terminal."""
 
     def __init__(self, whole: int, arguments: argparse.Namespace) -> None:
-        self.failed: list[Outcome] = []
+        self.failed: list[Conversion] = []
         self._whole, self._arguments, self._json = whole, arguments, getattr(arguments, "json", False)
         self._shown = not arguments.quiet and os.isatty(2)
         self._show_count(0, "")
 
-    def show(self, outcome: Outcome, tally: Tally) -> None:
+    def show(self, outcome: Conversion, tally: Tally) -> None:
         """Print a line for an outcome."""
         done = tally.encoded + tally.failed
         pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
@@ -133,16 +131,16 @@ class _Report:
             redraw(sys.stderr, f"{done} of {self._whole}{pace}")
 
 
-def tasks_of(conversions: list[Conversion]) -> list[Task[Outcome]]:
+def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:
     """Create a task for each conversion."""
-    return [Task(one, Outcome.from_conversion(one)) for one in conversions]
+    return [Task(one.input, one) for one in conversions]
 
 
-def outcomes(tasks: list[Task[Outcome]], convert: Convert, arguments: argparse.Namespace) -> Finished[Outcome]:
-    """Yield outcomes as they finish."""
+def outcomes(tasks: list[Task[Conversion]], convert: Convert, arguments: argparse.Namespace) -> Finished[Conversion]:
+    """Yield conversions as they are made."""
     make = partial(caught, partial(_converted, convert, arguments))
     return finish_locally(make, tasks, min(getattr(arguments, "jobs", 1), len(tasks)))
 
 
-def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Outcome]) -> Outcome:
-    return replace(convert(task.picture, arguments), key=task.row.key)
+def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Conversion]) -> Conversion:
+    return convert(task.row, arguments)
