@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from itertools import accumulate
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, SummaryMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 from starlette.types import Scope
@@ -59,14 +58,8 @@ def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
     for outcome in outcomes.OUTCOMES:
         words = f"Jobs {outcome}, since the job table was made."
         yield CounterMetricFamily(f"sgmethod_jobs_{outcome}", words, so_far.get(outcome, 0.0))
-    names = [str(most).replace("inf", "+Inf") for most in outcomes.BUCKETS_S]
-    numbers = accumulate(so_far.get(outcomes.bucket(most), 0.0) for most in outcomes.BUCKETS_S)
-    yield HistogramMetricFamily(
-        "sgmethod_encode_seconds",
-        "From the claim of a job to its file.",
-        buckets=[*zip(names, numbers, strict=True)],
-        sum_value=so_far.get(outcomes.SECONDS, 0.0),
-    )
+    seconds, finished = so_far.get(outcomes.SECONDS, 0.0), int(so_far.get("finished", 0))
+    yield SummaryMetricFamily("sgmethod_encode_seconds", "From the claim of a job to its file.", finished, seconds)
 
 
 class Metrics:

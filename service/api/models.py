@@ -10,15 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.jobs.job import Job, JobError, JobState, JsonObject, Priority
 from service.settings import Settings
-
-# Progress at the start and the end of each phase; each counts its own steps.
-PHASES = {
-    "start": (0.0, 0.0),
-    "fit": (0.0, 0.6),
-    "tune": (0.6, 1.0),
-    "joint": (0.0, 1.0),  # profile rd does both at once
-    "done": (1.0, 1.0),
-}
+from sgmethod.trace import share_of
 
 Figure = float | int | str | None
 
@@ -188,10 +180,4 @@ def _members(job: Job, settings: Settings) -> JsonObject:
 
 def progress(trace: Sequence[JsonObject]) -> float:
     """Estimate the share of the work that is done, 0 to 1."""
-    return max(map(_progress, trace), default=0.0)
-
-
-def _progress(point: JsonObject) -> float:
-    begin, end = PHASES.get(point["phase"], (0.0, 0.0))
-    share = float(point["step"] / max(1, point["steps"]))
-    return begin + (end - begin) * min(1.0, share)
+    return max((share_of(point["phase"], point["step"], point["steps"]) for point in trace), default=0.0)

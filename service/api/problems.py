@@ -9,9 +9,11 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
@@ -22,6 +24,7 @@ log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
 PAGE = "/problems"  # which explains each reason
+METHODS = ("DELETE", "GET", "POST")  # that any route has
 PROBLEM: dict[str, Any] = {
     "schema": {
         "type": "object",
@@ -87,10 +90,10 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 async def _on_error(request: Request, error: Exception) -> Response:
-    return refused(request, _problem_of(error))
+    return refused(request, _problem_of(request, error))
 
 
-def _problem_of(error: Exception) -> ProblemError:
+def _problem_of(request: Request, error: Exception) -> ProblemError:
     match error:
         case ProblemError():
             return error
@@ -100,6 +103,8 @@ def _problem_of(error: Exception) -> ProblemError:
             return ProblemError(429, str(error), reason=error.reason, headers=RETRY_AFTER)
         case RequestValidationError():
             return _invalid_parameters(error)
+        case HTTPException(status_code=405):
+            return ProblemError(405, error.detail, headers={"Allow": _allowed_methods(request)})
         case HTTPException():
             return ProblemError(error.status_code, error.detail, headers=error.headers)
         case ClientDisconnect():
@@ -133,3 +138,13 @@ def _in_words(error: Mapping[str, Any]) -> str:
 def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
     log_seldom(log, f"{what} is unreachable: %s", error)
     return ProblemError(503, f"{what} is unreachable right now", reason=reason, headers=RETRY_AFTER)
+
+
+def _allowed_methods(request: Request) -> str:
+    """Return the methods of all routes at this path; the exception knows only those of the first."""
+
+    def is_allowed(method: str) -> bool:
+        scope = {**request.scope, "method": method}
+        return any(route.matches(scope)[0] is Match.FULL for route in request.app.routes if isinstance(route, APIRoute))
+
+    return ", ".join(filter(is_allowed, METHODS)) or "GET"  # of a static file, which is no route

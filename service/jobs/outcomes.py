@@ -17,7 +17,6 @@ from service.jobs.statements import Database
 Outcome = Literal["finished", "failed", "retried", "cancelled"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed", "queued": "retried"}
-BUCKETS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float("inf"))
 SECONDS = "encode_seconds"
 # Each pause is about as long as the delivery has waited until then, and so doubles.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0
@@ -53,16 +52,9 @@ def conclude(db: Database, job: Job, addresses: Sequence[str]) -> None:
     """Count the outcome of an attempt; if the job ended with it, add a delivery for each address."""
     count(db, OUTCOME_OF[job.state])
     if job.state == "done" and job.finished_at and job.started_at:
-        seconds = max(0.0, job.finished_at - job.started_at)
-        db.execute(ADD, (SECONDS, seconds))
-        db.execute(ADD, (bucket(next(most for most in BUCKETS_S if seconds <= most)), 1))
+        db.execute(ADD, (SECONDS, max(0.0, job.finished_at - job.started_at)))
     for address in addresses if job.state in FINAL_STATES else ():
         db.execute(ADD_DELIVERY, (job.id, address, _body(job)))
-
-
-def bucket(most_s: float) -> str:
-    """Name of the total that counts encodes of at most this many seconds and more than the previous bucket's."""
-    return f"{SECONDS} {most_s:g}"
 
 
 def totals(db: Database) -> Mapping[str, float]:
@@ -73,7 +65,7 @@ def totals(db: Database) -> Mapping[str, float]:
 def take_delivery(db: Database, address: str) -> Delivery | None:
     """Take the delivery to the address that is due for longest; None if there is none, or another worker took it.
 
-    It is due again after a pause, unless it is forgotten.
+    It is due again after a pause, unless it is deleted.
     """
     row = db.execute(NEXT, (address,)).fetchone()
     if row is None or not row["is_due"]:

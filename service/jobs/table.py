@@ -234,10 +234,9 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute(sql.REGISTER, (worker,))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
-            if given_up := db.execute(
-                "DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.KEPT_S,)
-            ).rowcount:
-                log.error("gave up on %d webhooks", given_up)
+            expired = db.execute("DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.KEPT_S,)).rowcount
+            if expired:
+                log.error("gave up on %d webhooks", expired)
 
     def unregister(self, worker: str) -> None:
         """Forget a worker that has stopped on request."""

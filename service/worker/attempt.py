@@ -124,21 +124,18 @@ class Attempt:
 
         Raises ClaimLostError, StoppedError, JobTableError.
         """
-        if isinstance(outcome, Encoded):
-            self._publish(outcome)
-            return
         claim = self.claim
-        log.warning("job %s: attempt %d %s: %s", claim.id, claim.attempt, outcome.code, outcome.detail)
-        if not self._insist(lambda: self._table.fail(claim, outcome)):
+        if isinstance(outcome, JobError):
+            log.warning("job %s: attempt %d %s: %s", claim.id, claim.attempt, outcome.code, outcome.detail)
+            is_recorded = self._insist(lambda: self._table.fail(claim, outcome))
+        else:
+            self._store(outcome.bitstream)  # before it becomes the job's
+            result = EncodeResult(self.key, hashlib.sha256(outcome.bitstream).hexdigest(), outcome.stats)
+            is_recorded = self._insist(lambda: self._table.finish(claim, result))
+        if not is_recorded:
             raise ClaimLostError
-
-    def _publish(self, encoded: Encoded) -> None:
-        """Store the bitstream, then make it the job's in one update."""
-        self._store(encoded.bitstream)
-        result = EncodeResult(self.key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
-        if not self._insist(lambda: self._table.finish(self.claim, result)):
-            raise ClaimLostError
-        log.info("job %s: done, %d bytes", self.claim.id, len(encoded.bitstream))
+        if isinstance(outcome, Encoded):
+            log.info("job %s: done, %d bytes", claim.id, len(outcome.bitstream))
 
     def _store(self, data: bytes) -> None:
         """Store the bitstream, which took long to compute, and retry for as long as the disk is full.

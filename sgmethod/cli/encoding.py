@@ -73,7 +73,10 @@ def _encode(
     image = files.read(conversion.input)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
-        data, figures, trace, notes = encode(conversion, arguments, image, show)
+        try:
+            data, figures, trace, notes = encode(conversion, arguments, image, show)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{files.name_of(conversion.target)} was not written") from None
     figures["seconds"] = round(time.perf_counter() - began, 4)  # including imports and transfers
     if arguments.trace is not None:
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}

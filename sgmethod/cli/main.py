@@ -47,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         _abandon_stdout()
         return NO_READER
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
+        print(f"sgmethod: interrupted{''.join(f': {words}' for words in error.args)}", file=sys.stderr)
         return INTERRUPTED
     except MemoryError:
         return _fail("out of memory")

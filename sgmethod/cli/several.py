@@ -7,9 +7,12 @@ import json
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
+from threading import Event, Lock, Thread
 from typing import Any, TextIO
 
 from sgmethod.cli import files
@@ -21,6 +24,7 @@ from sgmethod.many.manifest import Manifest
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
 
 SOME_FAILED = 1
+TICK_S = 1.0
 Figures = dict[str, Any]
 
 
@@ -82,11 +86,14 @@ def convert_all(
     kept = without_existing(conversions, arguments, beside)
     run = Run[Conversion](manifest, getattr(arguments, "resume", False))
     wanted = list(run.rest(tasks_of(kept)))
-    report = _Report(len(wanted), arguments)
+    report = _Report([one.row.input for one in wanted], arguments)
     try:
         tally = run.finish(outcomes(wanted, convert, arguments), report.show)
+    except KeyboardInterrupt:
+        resume = "; --resume continues" if manifest else ""
+        raise KeyboardInterrupt(f"{report.done} of {len(wanted)} done{resume}") from None
     finally:
-        report.clear()
+        report.end()
     if not arguments.quiet:
         counts = f"{tally.encoded} {verb}, {len(conversions) - len(wanted)} skipped, {tally.failed} failed"
         summary = f"{counts}: {tally.bytes:,} bytes, {time.perf_counter() - arguments.began:.1f} s"
@@ -97,19 +104,39 @@ def convert_all(
 
 
 class _Report:
-    """Printer of a line for each outcome, and of progress on a terminal."""
+    """Printer of a line for each outcome, and of progress on a terminal, with the pictures that are being converted."""
 
-    def __init__(self, whole: int, arguments: argparse.Namespace) -> None:
+    def __init__(self, pictures: list[str], arguments: argparse.Namespace) -> None:
         self.failed: list[Conversion] = []
-        self._whole, self._arguments, self._json = whole, arguments, getattr(arguments, "json", False)
+        self.done = 0
+        self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
         self._shown = not arguments.quiet and os.isatty(2)
-        self._show_count(0, "")
+        self._left, self._jobs, self._pace = Counter(pictures), getattr(arguments, "jobs", 1), ""
+        self._began: dict[str, float] = {}
+        self._lock, self._ended = Lock(), Event()
+        self._redraw()
+        self._ticking = Thread(target=self._tick, daemon=True)
+        if self._shown:
+            self._ticking.start()
+
+    def end(self) -> None:
+        """Remove the progress from the terminal."""
+        self._ended.set()
+        if self._shown:
+            self._ticking.join()
+            redraw(sys.stderr, "")
 
     def show(self, outcome: Conversion, tally: Tally) -> None:
         """Print a line for an outcome."""
-        done = tally.encoded + tally.failed
-        pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
-        self.clear()  # or the next line would follow it
+        with self._lock:
+            self._show(outcome, tally)
+
+    def _show(self, outcome: Conversion, tally: Tally) -> None:
+        done = self.done = tally.encoded + tally.failed
+        self._left -= Counter([outcome.input])
+        pace = self._pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
+        if self._shown:
+            redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)
         if outcome.error:
             self.failed.append(outcome)
@@ -119,16 +146,20 @@ class _Report:
         elif not self._arguments.quiet:
             count = "" if self._shown else f" ({done} of {self._whole}{pace})"
             print(f"{one_line(f'{outcome.input} -> {outcome.target}')}: {outcome.summary}{count}", flush=True)
-        self._show_count(done, pace)
+        self._redraw()
 
-    def clear(self) -> None:
-        """Remove the count from the terminal."""
-        if self._shown:
-            redraw(sys.stderr, "")
+    def _tick(self) -> None:
+        while not self._ended.wait(TICK_S):
+            with self._lock:
+                self._redraw()
 
-    def _show_count(self, done: int, pace: str) -> None:
-        if self._shown and done < self._whole:
-            redraw(sys.stderr, f"{done} of {self._whole}{pace}")
+    def _redraw(self) -> None:
+        """Draw the count and the pictures that are being converted: pictures are taken in order."""
+        if self._shown and self.done < self._whole:
+            now_s = time.perf_counter()
+            running = [(name, now_s - self._began.setdefault(name, now_s)) for name in islice(self._left, self._jobs)]
+            names = ", ".join(f"{one_line(Path(name).name)} {seconds:.0f} s" for name, seconds in running)
+            redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
 
 
 def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:

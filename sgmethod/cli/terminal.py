@@ -10,11 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
+from sgmethod.trace import share_of
+
 if TYPE_CHECKING:
     from sgmethod.trace import Progress, TracePoint
 
 BAR_CELLS = 24
-FIRST_SHARE = 0.05  # of an encode; before it an estimate is far off
+FIRST_SHARE = 0.08  # of an encode; before it an estimate is far off
 
 
 @contextmanager
@@ -43,6 +45,7 @@ def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
         yield None
         return
     try:
+        redraw(sys.stderr, "start")  # reading and placing take seconds of a large picture
         yield lambda point: redraw(sys.stderr, bar(point, time.perf_counter() - began))
     finally:
         redraw(sys.stderr, "")
@@ -57,12 +60,12 @@ def redraw(stream: TextIO, text: str) -> None:
 
 def bar(point: TracePoint, waited_s: float) -> str:
     """Format the progress of a fit and the seconds waited. No PSNR, because tuning for the eye lowers it."""
-    done = point.step / point.steps if point.steps else 1.0
-    phase = "write" if done == 1 and point.phase != "fit" else point.phase  # "tune" follows a fit
+    done = share_of(point.phase, point.step, point.steps)
+    phase = "write" if point.phase == "done" else point.phase
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
     left = remaining(point.seconds, done) if done >= FIRST_SHARE else ""
-    return f"{phase:<5} [{bar}] {done:4.0%}  {point.gaussians:,} Gaussians  {waited_s:.1f} s{left}"
+    return f"{phase:<6} [{bar}] {done:4.0%}  {point.gaussians:,} Gaussians  {waited_s:.1f} s{left}"
 
 
 def remaining(seconds: float, done: float) -> str:

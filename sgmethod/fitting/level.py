@@ -137,7 +137,7 @@ class Level:
         _, gradients = self.gradients(black if others is None else others.with_more(black))
         residual = gradients.colors[-n:] * np.float32(-self.values / 2)  # inner products with the residual
         if self.visibility is not None:  # gram() weighs pixels only, and leaves out the weights of channels
-            residual = residual @ np.linalg.inv(self.visibility.color).astype(np.float32)
+            residual = np.einsum("na,ab->nb", residual, np.linalg.inv(self.visibility.color).astype(np.float32))
         colors = np.zeros((n, 3), np.float32)
         direction = z = residual / energy
         rz = (residual * z).sum(0)

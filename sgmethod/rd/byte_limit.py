@@ -20,6 +20,7 @@ from sgmethod.errors import BudgetError
 from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import RdSettings, Times
 
+PRECISION = 1e-3  # of a quantum, as a part
 LONG_FILE = 32  # bytes that certainly hold a header that is not short, with alpha
 
 
@@ -105,15 +106,29 @@ class ByteBudget(ByteLimit):
     def first_quantum(
         self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
     ) -> float:
-        """Bisect for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some."""
-        low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
-        while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
+        """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
+
+        Bisection, at the place where the line through both ends meets the limit. The end that stays counts half each
+        time (Illinois), so that both move.
+        """
+
+        def beyond(log_quantum: float) -> float:
+            return math.log(max(payload(math.exp(log_quantum)), 1) / max(limit, 1))
+
+        low, high = math.log(0.9 * quantum), math.log(1.02 * quantum)
+        while (above := beyond(high)) > 0 and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)
-        while payload(math.exp(low)) < limit and low > math.log(MIN_QUANTUM):
-            low, high = low - math.log(2), low
+        while (below := beyond(low)) < 0 and low > math.log(MIN_QUANTUM):
+            low, high, above = low - math.log(2), low, below
         for _ in halvings:
-            middle = (low + high) / 2
-            low, high = (low, middle) if payload(math.exp(middle)) <= limit else (middle, high)
+            if high - low < PRECISION:
+                break
+            middle = low + (high - low) * min(max(below / max(below - above, 1e-9), 0.02), 0.98)
+            at_middle = beyond(middle)
+            if at_middle <= 0:
+                high, above, below = middle, at_middle, below / 2
+            else:
+                low, below, above = middle, at_middle, above / 2
         return math.exp(high)
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:

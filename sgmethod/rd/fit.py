@@ -13,7 +13,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     state = _without_grain(plan, state, stage)
     request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
-    price = s.rate_weight * state.bit_price
+    weight = s.settling_weight if stage.at >= stage.times.settling_from else s.rate_weight
+    price = weight * state.bit_price
 
     def decoded_error() -> float:
         return plan.error(plan.rounded(gaussians, state.quantum))

@@ -105,8 +105,12 @@ class Plan:
 
     def times(self, run: int) -> Times:
         """Times of a run: 0 is the first, others are rounds."""
+        rounds = self.settings.effort.rounds
         times = self.settings.effort.times if run == 0 else self.settings.schedule.round_times
-        return times if run >= self.settings.effort.rounds[-1] else replace(times, many_from=1.0)
+        if run < rounds[-1]:
+            times = replace(times, many_from=1.0)
+        makes_file = run in rounds or run > rounds[-1]
+        return times if makes_file else replace(times, settling_from=1.0)
 
 
 def _in_time(

@@ -16,7 +16,7 @@ from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
-HALVINGS = 8  # of an interval of a quarter: to a thousandth
+HALVINGS = 8  # of the interval in which the first quantum lies
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
@@ -34,6 +34,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     def payload(quantum: float) -> int:
         return len(coded(StreamV2.coded_quantum(quantum, rate.is_short)).payload)
 
+    report = partial(_report, plan, state, rounds)
+    report(0, 1)
     texture = request.objective.texture(coded(state.quantum))
     if texture is not None and not rate.affords(texture):
         texture = None
@@ -57,7 +59,9 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         best = smaller(plan, best, target)
         rounds = 0
     rng = np.random.default_rng(request.seed)
-    for _ in request.deadline.tries(max(rounds - 1, 0) if best.size else 0):
+    tries = max(rounds - 1, 0) if best.size else 0
+    for number in request.deadline.tries(tries):
+        report(number, tries)
         held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
         best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
@@ -65,6 +69,13 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         return best
     empty = replace(empty, quantum=best.stream.quantum)
     return rate.best([best, Coded(empty, request.objective)])
+
+
+def _report(plan: Plan, state: State, rounds: int, step: int, steps: int) -> None:
+    """Report the progress of a search, unless another run of the schedule follows it."""
+    if rounds >= plan.settings.effort.rounds[-1]:
+        decoded = plan.rounded(state.gaussians, state.quantum)
+        plan.request.recorder.report("search", step, steps, lambda: plan.error(decoded), len(decoded), state.size)
 
 
 def _refined(

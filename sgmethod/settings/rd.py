@@ -36,6 +36,9 @@ class Times:
     # The end of the time with few pixels, and the start of the time with many (PyramidSettings).
     few_until: float = 0.6
     many_from: float = 0.85
+    # Before a file is made, the price of a bit falls from this stage on: it has decided which Gaussians stay, and would
+    # only keep their colours too faint.
+    settling_from: float = 0.97
 
 
 # Effort 1: few growths, no surplus, and smaller pictures for longer.
@@ -114,7 +117,7 @@ class PyramidSettings:
     # Pixels per Gaussian: while there are few, for most steps, and for the last steps and the file's integers.
     pixels_while_few: float = 20.0
     pixels_per_gaussian: float = 100.0
-    pixels_in_the_end: float = 400.0
+    pixels_in_the_end: float = 250.0
     # Samples: the energy of a narrower Gaussian depends on its position between the samples of a smaller picture.
     narrowest: float = 0.75
     contrast_kept: float = 0.7  # part of the picture's variance; smaller pictures that keep less are not used
@@ -136,6 +139,7 @@ class FitSettings:
 
     optimiser: OptimiserSettings = NEWTON_ADAM
     rate_weight: float = 1.7  # price of a bit, in multiples of its theoretical price
+    settling_weight: float = 0.5  # the same from Times.settling_from on
 
 
 @dataclass(frozen=True)
@@ -155,7 +159,7 @@ class PruneSettings:
     """Pruning: a Gaussian is dropped if its own energy is worth fewer bits than this."""
 
     bits_of_nothing: float = 4.3  # during growth: a Gaussian worth less rounds to nothing in the file
-    bits_of_dropped: float = 18.0  # from the last growth on
+    bits_of_dropped: float = 21.0  # from the last growth on
     missed_db: float = 0.1  # no Gaussians are dropped if that would take the PSNR this far below the requested one
 
 
@@ -230,7 +234,7 @@ class VisibilitySettings:
 class MovingTargetSettings:
     """Moving targets: for the eye, one that exaggerates errors; for alpha, one that overshoots black and white."""
 
-    every: int = 4  # steps
+    every: int = 6  # steps
     shrink: int = 4  # coarse errors are means over squares of this side
     rate: float = 0.15  # part of the way to the current error per move; from 0.5 on, target and fit oscillate
     furthest: float = 0.1  # 1 being white

@@ -362,6 +362,7 @@ def test_interrupt_of_a_process() -> None:
     seen += rest_of(ours)
     assert process.returncode == 130
     assert out == ""
+    assert b"sgmethod: interrupted: out.sg was not written" in seen
     assert b"Traceback" not in seen
     assert names() == {"photo.png", "picture.sg"}
 
@@ -392,8 +393,8 @@ def test_progress_on_a_terminal() -> None:
     assert on_terminal(*command, "--quiet", streams="stderr") == (0, "", b"")
     status, _, seen = on_terminal(*command, streams="stderr")
     assert status == 0
-    first, *lines, last = seen.split(b"\r")
-    assert (first, last) == (b"", b"\x1b[K")  # the line is erased at the end
+    first, start, *lines, last = seen.split(b"\r")
+    assert (first, start, last) == (b"", b"start\x1b[K", b"\x1b[K")  # the line is erased at the end
     assert len(lines) > 0
     shown = rb"\w+ +\[[#.]{24}\] +\d+%  [\d,]+ Gaussians  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K"
     assert all(re.fullmatch(shown, line) for line in lines)
@@ -403,7 +404,7 @@ def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "30")
     stream = io.StringIO()
     terminal.redraw(stream, terminal.bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune"), 3.21))
-    assert stream.getvalue() == "\rtune  [############..........\x1b[K"
+    assert stream.getvalue() == "\rtune   [###################..\x1b[K"
 
 
 def test_stdout_is_full() -> None:

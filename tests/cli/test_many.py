@@ -105,8 +105,9 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     status, _, seen = on_terminal("decode", "a.sg", "b.sg", "--output-dir", "out", streams="stdout stderr")
     assert status == 0
     first, second, third, end = seen.decode().replace("\r\n", "\n").split("\r\x1b[K")[:4]
-    assert first == "\r0 of 2\x1b[K"
-    assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, [\d.]+ pictures/s, \d+ s left\x1b\[K", second)
+    assert first == "\r0 of 2: a.sg 0 s\x1b[K"
+    after = r"\r1 of 2, [\d.]+ pictures/s, \d+ s left: b\.sg 0 s\x1b\[K"
+    assert re.fullmatch(rf"a\.sg -> out/a\.png: .* bytes\n{after}", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
 

@@ -107,13 +107,16 @@ PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 140:300])
 
 
 def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes() -> None:
-    pixels, both = PHOTO, {tune: encode(PHOTO, bpp=0.4, tune=tune) for tune in ("psnr", "visual")}
-    visible = of_detail(pixels, DETAIL)
-    errors = {tune: error(visible, decode(e.data, texture=False), pixels) for tune, e in both.items()}
-    assert errors["visual"] < 0.97 * errors["psnr"]
-    assert all(e.stats.bpp <= 0.4 for e in both.values())
-    assert both["visual"].stats.psnr < both["psnr"].stats.psnr
-    assert both["visual"].trace[-1].psnr == pytest.approx(both["visual"].stats.psnr, abs=1e-3)
+    """In the mean of a few seeds, because chance moves a file by 3 %."""
+    visible, ratios = of_detail(PHOTO, DETAIL), []
+    for seed in range(4):
+        both = {tune: encode(PHOTO, bpp=0.4, tune=tune, seed=seed) for tune in ("psnr", "visual")}
+        errors = {tune: error(visible, decode(e.data, texture=False), PHOTO) for tune, e in both.items()}
+        ratios.append(errors["visual"] / errors["psnr"])
+        assert all(e.stats.bpp <= 0.4 for e in both.values())
+        assert both["visual"].stats.psnr < both["psnr"].stats.psnr
+        assert both["visual"].trace[-1].psnr == pytest.approx(both["visual"].stats.psnr, abs=1e-3)
+    assert np.mean(ratios) < 0.97
 
 
 @pytest.mark.parametrize("budget", [{"bytes": 700}, {"quality": 40}, {"gaussians": 60}])

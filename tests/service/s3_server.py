@@ -1,4 +1,4 @@
-"""Servers that speak S3, for tests: moto's, which forgets all when it ends, and rclone's, which does not."""
+"""A server that speaks S3, for tests: rclone's."""
 
 from __future__ import annotations
 
@@ -12,18 +12,22 @@ from pathlib import Path
 
 from benchmarks.harness.processes import PATIENCE_S, wait_until
 
-KEY = "test"
+KEY, BUCKET = "test", "pictures"
 
 
 class S3Server:
-    """One server with one bucket. environment: how obstore reaches it."""
+    """A server with one bucket, a folder within `folder`, which is there after a restart. environment: for clients."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
+        (folder / BUCKET).mkdir(parents=True)
         with socket.create_server(("127.0.0.1", 0)) as free:
-            self._port = free.getsockname()[1]
-        self._buckets = 0
+            address = f"127.0.0.1:{free.getsockname()[1]}"
+        self._url = f"http://{address}"
+        rclone = str(Path(sys.executable).with_name("rclone"))
+        self._command = [rclone, "serve", "s3", "--addr", address, "--auth-key", f"{KEY},{KEY}", str(folder)]
+        self._storages = 0
         self.environment = {
-            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self._port}",
+            "AWS_ENDPOINT_URL": self._url,
             "AWS_ACCESS_KEY_ID": KEY,
             "AWS_SECRET_ACCESS_KEY": KEY,
             "AWS_REGION": "us-east-1",
@@ -31,29 +35,23 @@ class S3Server:
         self.start()
 
     def start(self) -> None:
-        """Start it; it answers when this returns, and has forgotten everything."""
-        self._process = subprocess.Popen(self._command(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        """Start it; it answers when this returns."""
+        self._process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait_until(self._answers)
-
-    def _command(self) -> list[str]:
-        return [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(self._port)]
 
     def _answers(self) -> bool:
         try:
-            urllib.request.urlopen(f"http://127.0.0.1:{self._port}/", timeout=PATIENCE_S).close()
-        except urllib.error.HTTPError:  # which rclone answers those with who do not sign
+            urllib.request.urlopen(self._url, timeout=PATIENCE_S).close()
+        except urllib.error.HTTPError:  # the answer to a request without a signature
             return True
-        except OSError:  # one that comes before it has begun to answer
+        except OSError:  # it has not begun to answer
             return False
         return True
 
     def new_storage(self) -> str:
-        """SG_STORAGE_URL of a new, empty bucket, beneath a prefix."""
-        self._buckets += 1
-        bucket = f"pictures{self._buckets}"
-        request = urllib.request.Request(f"http://127.0.0.1:{self._port}/{bucket}", method="PUT")
-        urllib.request.urlopen(request, timeout=PATIENCE_S).close()
-        return f"s3://{bucket}/sgmethod"
+        """SG_STORAGE_URL of an empty storage: each has a prefix of its own."""
+        self._storages += 1
+        return f"s3://{BUCKET}/sgmethod{self._storages}"
 
     def freeze(self) -> None:
         """From now on connections are accepted, by the system, and nothing is ever answered."""
@@ -63,20 +61,3 @@ class S3Server:
         """End it."""
         self._process.kill()
         self._process.wait()
-
-
-class KeptS3Server(S3Server):
-    """One whose objects are files of a folder, and are still there after a restart."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        super().__init__()
-
-    def _command(self) -> list[str]:
-        rclone = str(Path(sys.executable).with_name("rclone"))
-        address = f"127.0.0.1:{self._port}"
-        return [rclone, "serve", "s3", "--addr", address, "--auth-key", f"{KEY},{KEY}", str(self._folder)]
-
-    def new_storage(self) -> str:
-        (self._folder / "pictures").mkdir(parents=True)
-        return "s3://pictures/sgmethod"

@@ -5,25 +5,17 @@ import { $ } from "../parts.js";
 import { count, size } from "../words.js";
 
 const UNFOLD_MS = 1400;
-const STILL_MS = 4000;
 const overlays = () => [...document.querySelectorAll("[name=overlay]")];
 
 export class Tools {
   #viewer;
   #file = null;
-  #still = null; // the timer that hides the time of a frame
 
   /** changed: called when the rest of the page needs an update. */
   constructor(viewer, changed) {
     this.#viewer = viewer;
     this.changed = changed;
     viewer.moved = () => this.#showZoom();
-    viewer.timed = (ms) => {
-      const perSecond = Math.round(1000 / ms);
-      $("frame").textContent = `${ms.toFixed(1)} ms a frame, ${perSecond} a second`;
-      clearTimeout(this.#still);
-      this.#still = setTimeout(() => ($("frame").textContent = ""), STILL_MS);
-    };
     this.#listen();
   }
 

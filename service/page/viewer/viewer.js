@@ -5,13 +5,11 @@ import { latest } from "../parts.js";
 const MAX_ZOOM = 64; // pixels of the screen for a pixel of the picture
 const GRAB = 22; // pixels beside the divider where it is caught
 const SETTLED_MS = 120;
-const FOLLOWS_MS = 50; // within which a frame belongs to the same movement as the one before
-const [MIN_FRAMES, MAX_FRAMES] = [4, 30]; // averaged for the time of a frame
 
 /**
  * Shows `left` and `right`, each an ImageBitmap of the whole picture or null. `file` and `count` are the Gaussians that
  * the right one is drawn from; `draw` asks the worker for a view of them. `moved` is called when the zoom may be
- * another one, `timed` with the milliseconds from frame to frame of a movement.
+ * another one.
  */
 export class Viewer {
   #pointers = new Map();
@@ -19,12 +17,9 @@ export class Viewer {
   #frame = 0;
   #part = null; // what the worker has drawn: what was wanted, and its image
   #settling = 0;
-  #drawn = -Infinity; // when the last frame was finished
-  #last = 0; // its time
-  #frames = []; // milliseconds between those of a movement
 
   constructor(stage, canvas, divider, draw) {
-    Object.assign(this, { stage, canvas, divider, moved() {}, timed() {} });
+    Object.assign(this, { stage, canvas, divider, moved() {} });
     this.gpu = null;
     this.overlays = null; // the module, once one is wanted
     this.context = canvas.getContext("2d", { alpha: false });
@@ -113,15 +108,9 @@ export class Viewer {
 
   redraw() {
     if (this.#frame) return;
-    const follows = performance.now() - this.#drawn < FOLLOWS_MS;
-    this.#frame = requestAnimationFrame((now) => {
+    this.#frame = requestAnimationFrame(() => {
       this.#frame = 0;
       this.#draw();
-      this.#frames = follows ? [...this.#frames.slice(1 - MAX_FRAMES), now - this.#last] : [];
-      this.#last = now;
-      this.#drawn = performance.now();
-      if (this.#frames.length < MIN_FRAMES) return;
-      this.timed([...this.#frames].sort((one, other) => one - other)[this.#frames.length >> 1]);
     });
   }
 

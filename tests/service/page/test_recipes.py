@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 import io
 import json
-import os
 import re
 import shutil
-import sys
 import threading
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -116,26 +114,44 @@ def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium,
             server.shutdown()
 
 
+SHARP = """
+const image = new Proxy({}, { get: (_, name) => {
+  if (name === "metadata") return async () => ({ autoOrient: { width: 900, height: 1200 } });
+  const data = new Uint8Array(4 * 9 * 12).fill(255);
+  if (name === "toBuffer") return async () => ({ data, info: { width: 9, height: 12 } });
+  return () => image;
+} });
+export default () => image;
+"""
+ELEVENTY = """
+const { default: configure } = await import("./eleventy.config.mjs");
+const addShortcode = async (name, made) => console.log(await made("door.png", "A red door"));
+configure({ addPassthroughCopy() {}, addShortcode });
+"""
+
+
 @pytest.mark.thorough
-def test_eleventy(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", ["build", "serve"])
+def test_eleventy(tmp_path: Path, mode: str) -> None:
+    """With a stand-in for sharp. A development server gets no previews."""
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
-    for name, block in zip(("preview.mjs", "eleventy.config.mjs", "layout.html"), blocks("Eleventy"), strict=True):
-        (tmp_path / name).write_text(block)
-    shutil.copy(PHOTOGRAPH, tmp_path / "door.png")
-    script = """
-        const { default: configure } = await import("./eleventy.config.mjs");
-        const addShortcode = (name, made) => console.log(made("door.png", "A red door"));
-        configure({ addPassthroughCopy() {}, addShortcode });
-    """
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = run("node", "--input-type=module", "--eval", script, folder=tmp_path, PATH=path)
+    (tmp_path / "preview.mjs").write_text(blocks("Frameworks")[0])
+    (tmp_path / "eleventy.config.mjs").write_text(blocks("Eleventy")[0])
+    encoder = JAVASCRIPT / "encoder"
+    exports = f'export * from "{(encoder / "encoder.js").as_uri()}"; export * from "{(encoder / "uri.js").as_uri()}";'
+    for name, entry, code in (("sharp", ".", SHARP), ("sgmethod", "./encoder", exports)):
+        package = tmp_path / "node_modules" / name
+        package.mkdir(parents=True)
+        (package / "package.json").write_text(json.dumps({"type": "module", "exports": {entry: "./index.js"}}))
+        (package / "index.js").write_text(code)
+    done = run("node", "--input-type=module", "--eval", ELEVENTY, folder=tmp_path, ELEVENTY_RUN_MODE=mode)
     assert done.status == 0, done.stderr
-    image = r'<img src="/door.png" alt="A red door" width="128" height="96" loading="lazy" decoding="async">'
-    tag = rf'<sg-img preview="(\S+)">{image}</sg-img>\n'
-    found = re.fullmatch(tag, done.stdout)
+    image = r'<img src="/door.png" alt="A red door" width="900" height="1200" loading="lazy" decoding="async">'
+    found = re.fullmatch(rf'<sg-img preview="(\S*)">{image}</sg-img>\n', done.stdout)
     assert found
-    assert len(from_text(found[1])) <= 200
+    assert bool(found[1]) == (mode == "build")
+    assert not found[1] or len(from_text(found[1])) <= 200
 
 
 def test_fastapi() -> None:

@@ -191,29 +191,6 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     assert not page.is_seen("#contents")
 
 
-def test_the_time_of_a_frame(page: Chromium, web: Service) -> None:
-    page.open_page(web)
-    page.click("#figures-field summary")
-    # It is shown for a while only, and of frames without long pauses between them, which a busy machine may make.
-    text = wait_until(
-        lambda: page.run("""
-            return new Promise((done) => {
-                const stage = document.getElementById("stage");
-                const wheel = { deltaY: -30, clientX: 300, clientY: 300, cancelable: true };
-                const frame = (left) => {
-                    stage.dispatchEvent(new WheelEvent("wheel", wheel));
-                    if (left) requestAnimationFrame(() => frame(left - 1));
-                    else done(document.getElementById("frame").innerText);
-                };
-                frame(40);
-            });
-        """)
-    )
-    found = re.fullmatch(r"(\d+\.\d) ms a frame, (\d+) a second", text)
-    assert found
-    assert float(found[1]) * int(found[2]) == pytest.approx(1000, rel=0.5)
-
-
 def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) -> NDArray[np.int64]:
     """The whole picture of a file, [H, W, 3]."""
     width, height = sgmethod.open(data).pixels(scale=scale).shape[1::-1]

@@ -67,12 +67,6 @@ def duo(two_workers: Service) -> Iterator[Service]:
     two_workers.clear()
 
 
-def sandbox_of(service: Service) -> int:
-    """The process that forks."""
-    (number,) = [n for n, p in service.family().items() if p.is_a("sandbox") and p.parent == service.process.pid]
-    return number
-
-
 @contextlib.contextmanager
 def asleep(service: Service, job_id: str) -> Iterator[None]:
     """Stop the worker of a job's first attempt for a while, at a moment when it does not hold SQLite's lock, for which
@@ -187,7 +181,7 @@ def test_rules_4_and_5_whoever_is_killed(solo: Service, kind: Kind) -> None:
     its lease is over; requests wait for the successor of a sandbox, which costs no attempt."""
     job_id = solo.accepted_slow()
     encoder = running_encoder(job_id)
-    victim = sandbox_of(solo) if kind == "sandbox" else solo.ours(kind)[0]
+    victim = solo.ours(kind)[0]  # of sandboxes the first is not a fork
     os.kill(victim, signal.SIGKILL)
     assert solo.client.post("/decode", content=PICTURE).status_code == 200
     wait_until(lambda: encoder not in processes())

@@ -24,7 +24,7 @@ from benchmarks.harness.service import FAKE_CODEC, Service, StartService
 from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
 from tests.service.browser import Chromium
-from tests.service.s3_server import KeptS3Server
+from tests.service.s3_server import S3Server
 
 pytestmark = pytest.mark.thorough
 
@@ -53,14 +53,6 @@ def behind(proxied: tuple[Service, str]) -> Iterator[str]:
     service, root = proxied
     yield root
     service.clear()
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[KeptS3Server]:
-    """An empty store that keeps what it has when it is restarted."""
-    store = KeptS3Server(tmp_path / "store")
-    yield store
-    store.stop()
 
 
 def posted(root: str, query: str = "", image: bytes = SMALL) -> httpx.Response:
@@ -137,13 +129,13 @@ def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
 
 
 def test_everything_restarts(
-    tmp_path: Path, start_proxy: StartProxy, start_service: StartService, postgres: PostgresServer, store: KeptS3Server
+    tmp_path: Path, start_proxy: StartProxy, start_service: StartService, postgres: PostgresServer, own_s3: S3Server
 ) -> None:
     """While a client encodes in bulk, the database, the store, a web process and the worker end and come back: each
     picture is there in the end, once.
     """
-    shared = {"database_url": postgres.new_database(), "storage_url": store.new_storage(), "lease_s": 2}
-    shared |= {"trusted_proxies": "127.0.0.1", "extra": {**store.environment, **FAKE_CODEC}}
+    shared = {"database_url": postgres.new_database(), "storage_url": own_s3.new_storage(), "lease_s": 2}
+    shared |= {"trusted_proxies": "127.0.0.1", "extra": {**own_s3.environment, **FAKE_CODEC}}
     webs = [start_service(command, **shared) for command in ("serve", "web")]
     root = start_proxy([web.url for web in webs]).url
     rows: list[Row] = []
@@ -156,7 +148,7 @@ def test_everything_restarts(
     bulk = threading.Thread(target=encode)
     bulk.start()
     for trouble in (
-        lambda: (store.stop(), time.sleep(1), store.start()),
+        lambda: (own_s3.stop(), time.sleep(1), own_s3.start()),
         lambda: (postgres.stop("immediate"), time.sleep(1), postgres.start()),
         lambda: os.kill(webs[0].ours("worker")[0], signal.SIGKILL),
         lambda: os.kill(webs[0].ours("web")[0], signal.SIGKILL),

@@ -191,14 +191,6 @@ def test_a_storage_that_breaks(start_service: StartService) -> None:
     assert "Traceback" not in web.log.read_text()
 
 
-@pytest.fixture
-def own_s3() -> Iterator[S3Server]:
-    """An S3 server that a test may spoil."""
-    server = S3Server()
-    yield server
-    server.stop()
-
-
 def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
     """It accepts and never answers. Clients hear so within seconds, whatever the size of what they send or fetch."""
     settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}

@@ -4,13 +4,13 @@
 
 import { found } from "./growing.js";
 import { differentiate, errorOf, leave } from "./grid.js";
-import { FINEST, quantumOf, rounded } from "./integers.js";
+import { FINEST, codeOf, quantumOf, rounded } from "./integers.js";
 import { refined } from "./refining.js";
 import { payloadOf } from "./writing.js";
 
 const { abs, cos, exp, floor, log, max, min, PI, round, sign, sqrt } = Math;
 
-const STEPS = 200;
+const STEPS = 150;
 // Of a picture, as most steps see it, and the last ones and the search for integers: at most so many samples for each
 // Gaussian expected, and so many along the least l1.
 export const COARSE = [100, 2.5];
@@ -30,7 +30,7 @@ const [RATE, LAST_RATE, BETA1, BETA2, NEWTON_STEPS, FAINT] = [0.14, 0.5, 0.9, 0.
 const CURVATURE = [1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1];
 const REACH = 1.6; // of a centre beyond the picture, in scales
 const REFINE_WEIGHT = 0.35;
-const [TRIES, MIN_USED, QUANTUM_PER_SIZE] = [6, 0.985, 1.4];
+const [TRIES, MIN_USED, QUANTUM_PER_SIZE] = [4, 0.985, 1.4];
 
 /** About how many Gaussians a payload holds. */
 export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN), 1);
@@ -125,24 +125,24 @@ function steered(quantum, size, limit, at) {
 
 /** Code Gaussians with several quanta, refine each, and return the header of the best with its payload. */
 function searched(all, grid, header, limit, quantum) {
-  const at = (code) => coded(all, { ...header, code }, quantumOf(code));
-  const finer = (code, least) => {
-    while (code < FINEST && quantumOf(code) > least) code++;
-    return code;
+  const at = (n) => coded(all, { ...header, code: codeOf(n) }, quantumOf(n));
+  const finer = (n, least) => {
+    while (n < FINEST && quantumOf(n) > least) n++;
+    return n;
   };
-  let code = finer(0, quantum);
-  while (code > 0 && sizeOf(at(code)) > limit) code--;
-  while (code < FINEST && sizeOf(at(code + 1)) <= limit) code++;
+  let n = finer(0, quantum);
+  while (n > 0 && sizeOf(at(n)) > limit) n--;
+  while (n < FINEST && sizeOf(at(n + 1)) <= limit) n++;
   let [best, least] = [null, Infinity];
   for (let i = 0; i < TRIES; i++) {
-    const [own, symbols] = at(code);
+    const [own, symbols] = at(n);
     const price = REFINE_WEIGHT * priceOf(own.quantum) * grid.sx * grid.sy;
     const payload = refined(symbols, grid, own, price, limit);
     const error = errorOf(grid);
     if (error < least) [best, least] = [{ ...own, payload }, error];
     const used = payload.length / limit;
-    if (!used || used >= MIN_USED || code === FINEST) break;
-    code = finer(code + 1, own.quantum * used ** QUANTUM_PER_SIZE);
+    if (!used || used >= MIN_USED || n === FINEST) break;
+    n = finer(n + 1, own.quantum * used ** QUANTUM_PER_SIZE);
   }
   return best;
 }

@@ -58,6 +58,18 @@ function isPeak(plane, columns, rows, at, reach) {
   return true;
 }
 
+/** Append the places where a size gains most of all, and more than `worth`: gain, sample, size. */
+function addPeaks(places, gains, highest, { columns, rows }, worth, b, size) {
+  for (let at = 0; at < gains.length; at++) {
+    if (gains[at] <= worth || gains[at] < highest[at]) continue;
+    if (isPeak(highest, columns, rows, at, max(1, floor(b)))) places.push([gains[at], at, size]);
+  }
+}
+
+function raise(highest, gains) {
+  for (let at = 0; at < gains.length; at++) highest[at] = max(highest[at], gains[at]);
+}
+
 /** Find at most `most` Gaussians that each lower the squared error by `worth` and more, none narrower than `least`
  * pixels. They are taken off the grid. */
 export function found(grid, most, worth, least) {
@@ -67,15 +79,9 @@ export function found(grid, most, worth, least) {
   while (2 * sizes.at(-1) <= WIDEST * max(columns, rows)) sizes.push(2 * sizes.at(-1));
   const gains = sizes.map((b) => gainsOf(grid, b));
   const highest = new Float32Array(columns * rows);
-  for (const of of gains) for (let at = 0; at < of.length; at++) highest[at] = max(highest[at], of[at]);
+  for (const of of gains) raise(highest, of);
   const places = [];
-  gains.forEach((of, k) => {
-    const reach = max(1, floor(sizes[k]));
-    for (let at = 0; at < of.length; at++) {
-      const isHighest = of[at] > worth && of[at] === highest[at];
-      if (isHighest && isPeak(highest, columns, rows, at, reach)) places.push([of[at], at, k]);
-    }
-  });
+  sizes.forEach((b, k) => addPeaks(places, gains[k], highest, grid, worth, b, k));
   places.sort(([one], [other]) => other - one);
   const gaussians = [];
   for (const [, at, k] of places) {

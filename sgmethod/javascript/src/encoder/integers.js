@@ -5,15 +5,16 @@ import { log2, partBits, valuesOf } from "../payload.js";
 const { floor, log, max, min, round, sqrt } = Math;
 
 export const MAX_CLASS = 28;
-export const FINEST = 208; // code of a quantum
+export const FINEST = 223; // quantum, in order
 const MIN_CLASS = -4;
 const MAX_COLOUR = 2 ** 22;
 const FARTHEST = 65536; // cells along a side at most
 
 const clamp = (value, low, high) => min(max(value, low), high);
 
-/** The quantum of a short file's code, 0 to 255; the larger, the finer. */
-export const quantumOf = (code) => (1 + (((code & 15) << 4) | (code >> 4)) / 256) * 2 ** (3 - (code >> 4));
+/** The code of a short file's quantum, which are in order here, from the coarsest on; and the quantum. */
+export const codeOf = (n) => n ^ 15;
+export const quantumOf = (n) => (1 + ((codeOf(n & 15) << 4) | (n >> 4)) / 256) * 2 ** (3 - (n >> 4));
 
 /** How wide a class's cells are, in pixels, and how many of them lie along a side of the picture. */
 export const sideOf = (k) => 2 ** max(0, (k + 1) >> 1);

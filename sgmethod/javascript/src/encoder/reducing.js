@@ -48,15 +48,7 @@ export function averaged(picture, columns, rows) {
   const scale = (columns * rows) / (picture.columns * picture.rows);
   for (let y = 0; y < picture.rows; y++) {
     read(picture, y, row);
-    line.fill(0);
-    for (let x = 0; x < picture.columns; x++) {
-      const share = acrossShares[x];
-      const rest = 1 - share;
-      for (let from = 4 * x, to = 4 * across[x], end = to + 4; to < end; from++, to++) {
-        line[to] += share * row[from];
-        line[to + 4] += rest * row[from];
-      }
-    }
+    gather(row, across, acrossShares, line);
     const upper = scale * downShares[y];
     const lower = scale - upper;
     for (let i = 0, to = 4 * columns * down[y]; i < 4 * columns; i++, to++) {
@@ -65,6 +57,17 @@ export function averaged(picture, columns, rows) {
     }
   }
   return { means: means.subarray(0, 4 * columns * rows), columns, rows };
+}
+
+/** Sum a row's pixels by sample. */
+function gather(row, first, shares, line) {
+  line.fill(0);
+  for (let x = 0; x < first.length; x++) {
+    for (let from = 4 * x, to = 4 * first[x], end = to + 4; to < end; from++, to++) {
+      line[to] += shares[x] * row[from];
+      line[to + 4] += (1 - shares[x]) * row[from];
+    }
+  }
 }
 
 /** Read a row of a picture. */
