@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
 from sgmethod.cli import files, naming
 from sgmethod.cli.arguments import one_line
-from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli.files import CommandError
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.several import Figures, Outcome, convert_all, say_done, say_notes, without_existing
+from sgmethod.cli.several import Figures, convert_all, convert_one
 from sgmethod.cli.terminal import progress_line, redraw
 from sgmethod.many.manifest import Manifest
 from sgmethod.trace import TracePoint
@@ -34,7 +34,7 @@ def run_encode(arguments: argparse.Namespace) -> int:
     """Run sgmethod encode."""
     conversions = naming.encodes(arguments)
     traces = [] if arguments.trace is None else [files.output(arguments.trace)]
-    files.check_outputs([one.source for one in conversions], [*(one.target for one in conversions), *traces])
+    files.check_outputs([one.input for one in conversions], [*(one.target for one in conversions), *traces])
     budget = _only_budget(arguments)
     if arguments.server is not None:
         if arguments.seed != 0:
@@ -48,15 +48,8 @@ def run_encode(arguments: argparse.Namespace) -> int:
         with Manifest(arguments.output_dir, options) as manifest:
             return convert_all(conversions, _encode, "encoded", arguments, manifest)
     (conversion,) = conversions
-    out = sys.stderr if STREAM in (conversion.target, *traces) else sys.stdout
-    for wanted in without_existing(conversions, arguments, out):
-        outcome = _encode(wanted, arguments, arguments.began, shown=not arguments.quiet and os.isatty(2))
-        say_notes(outcome, arguments)
-        if arguments.json:
-            print(json.dumps(outcome.figures, allow_nan=False), file=out)
-        elif not arguments.quiet:
-            say_done(outcome, out)
-    return 0
+    encode = partial(_encode, began=arguments.began, shown=not arguments.quiet and os.isatty(2))
+    return convert_one(conversion, encode, arguments, traces)
 
 
 def _only_budget(arguments: argparse.Namespace) -> Budget:
@@ -74,10 +67,10 @@ def _summary(figures: Figures) -> str:
 
 def _encode(
     conversion: Conversion, arguments: argparse.Namespace, began: float | None = None, shown: bool = False
-) -> Outcome:
+) -> Conversion:
     """Read, encode and write one picture. began: value of perf_counter when the user's wait began, if before now."""
     began = time.perf_counter() if began is None else began
-    image = files.read(conversion.source)
+    image = files.read(conversion.input)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
         try:
@@ -90,7 +83,7 @@ def _encode(
         files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
     files.write(conversion.target, data)
     summary = "" if arguments.json else _summary(figures)
-    return Outcome.from_conversion(conversion, bytes=len(data), summary=summary, figures=figures, notes=notes)
+    return replace(conversion, bytes=len(data), summary=summary, figures=figures, notes=notes)
 
 
 Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # file, figures, trace, notes on anything dropped

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from sgmethod.cli import files
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.io import formats
+from sgmethod.many.manifest import Row
 
 SUFFIX = ".sg"
 PICTURES = formats.SUFFIXES
 
 
 @dataclass(frozen=True)
-class Conversion:
-    """Names of an input and its output."""
+class Conversion(Row):
+    """An input and its output; once it is made, its line in the manifest, and a summary."""
 
-    source: str
-    target: str
+    input: str
+    target: str = ""
+    summary: str = ""
+
+    @classmethod
+    def from_paths(cls, source: str, target: str) -> Conversion:
+        """Create the conversion of a path to another."""
+        return cls(Path(target).name, source, target=target)
 
 
 def sg_beside(source: str) -> str:
@@ -55,7 +62,7 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
         target = STREAM if source == STREAM else sg_beside(source)
     elif not (target.lower().endswith(SUFFIX) or files.is_device(target)):
         raise CommandError(f"the output {target} must end in .sg; to encode several pictures, use --output-dir out")
-    return [Conversion(source, target)]
+    return [Conversion.from_paths(source, target)]
 
 
 def decodes(arguments: argparse.Namespace) -> list[Conversion]:
@@ -65,7 +72,7 @@ def decodes(arguments: argparse.Namespace) -> list[Conversion]:
     source, target = _pair(arguments, "out.png")
     if target is None:
         raise CommandError("OUT is missing: name a picture, such as out.png, or use --output-dir out")
-    return [Conversion(source, target)]
+    return [Conversion.from_paths(source, target)]
 
 
 def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]:
@@ -90,13 +97,21 @@ def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callabl
     made: dict[str, Conversion] = {}
     for source in (one for name in arguments.names for one in files_of(name, known)):
         target = str(Path(arguments.output_dir) / Path(renamed(source)).name)
-        if target in made and Path(made[target].source).name != Path(source).name:
+        if target in made and Path(made[target].input).name != Path(source).name:
             target = str(Path(arguments.output_dir) / (Path(source).name + Path(target).suffix))
         if target in made:
-            raise CommandError(f"{made[target].source} and {source} would both become {target}")
-        made[target] = Conversion(source, target)
+            raise CommandError(f"{made[target].input} and {source} would both become {target}")
+        made[target] = Conversion.from_paths(source, target)
     files.make_folder(arguments.output_dir)
     return list(made.values())
+
+
+def kind_of(target: str, kinds: Mapping[str, str], of_devices: str) -> str:
+    """Return the format of an output by its extension. Raises CommandError for an unknown one."""
+    kind = of_devices if files.is_device(target) else kinds.get(Path(target).suffix.lower())
+    if kind is None:
+        raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(kinds)}")
+    return kind
 
 
 def files_of(name: str, known: set[str]) -> Iterator[str]:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 from io import BytesIO
 from itertools import cycle, groupby
-from pathlib import Path
 from typing import Any
 
 from sgmethod.cli import files
-from sgmethod.cli.arguments import one_line
-from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli.files import CommandError
+from sgmethod.cli.naming import Conversion, kind_of
+from sgmethod.cli.several import convert_one
 from sgmethod.errors import extra
 
 KINDS = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
@@ -23,20 +24,16 @@ Point = dict[str, Any]
 
 def run_plot(arguments: argparse.Namespace) -> int:
     """Run sgmethod plot."""
-    source, target = arguments.input, files.output(arguments.output)
-    kind = "svg" if files.is_device(target) else KINDS.get(Path(target).suffix.lower())
-    files.check_outputs([source], [target])
-    if kind is None:
-        raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(KINDS)}")
-    if arguments.no_clobber and target != STREAM and Path(target).is_file():
-        line = f"{target} already exists: skipped"
-    else:
-        points = _points(files.read(source), files.name_of(source))
-        files.write(target, _drawn(points, kind))
-        line = f"{files.name_of(source)} -> {target}: {len(points)} points, {points[-1]['seconds']:.1f} s"
-    if not arguments.quiet and target != STREAM:
-        print(one_line(line))
-    return 0
+    conversion = Conversion.from_paths(arguments.input, files.output(arguments.output))
+    files.check_outputs([conversion.input], [conversion.target])
+    kind_of(conversion.target, KINDS, "svg")  # fail before the work
+    return convert_one(conversion, _plot, arguments)
+
+
+def _plot(conversion: Conversion, _: argparse.Namespace) -> Conversion:
+    points = _points(files.read(conversion.input), files.name_of(conversion.input))
+    files.write(conversion.target, _drawn(points, kind_of(conversion.target, KINDS, "svg")))
+    return replace(conversion, summary=f"{len(points)} points, {points[-1]['seconds']:.1f} s")
 
 
 def _points(data: bytes, name: str) -> list[Point]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from sgmethod.cli import files, naming
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import PICTURES, Conversion
-from sgmethod.cli.several import SOME_FAILED, Outcome, convert_all, outcomes, say_notes, tasks_of
+from sgmethod.cli.several import SOME_FAILED, convert_all, outcomes, say_notes, tasks_of
 from sgmethod.cli.terminal import silent_stderr
 from sgmethod.errors import noted
 from sgmethod.many.manifest import Manifest
@@ -28,16 +29,16 @@ def run_preview(arguments: argparse.Namespace) -> int:
     _check(arguments)
     if arguments.output_dir is not None:
         conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside)
-        files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
+        files.check_outputs([one.input for one in conversions], [one.target for one in conversions])
         with Manifest(arguments.output_dir, {"preview": True, "bytes": arguments.bytes}) as manifest:
             return convert_all(conversions, _preview, "made", arguments, manifest)
     listed = ([name] if name == STREAM else naming.files_of(name, PICTURES) for name in arguments.names)
-    wanted = [Conversion(source, STREAM) for names in listed for source in names]
+    wanted = [Conversion.from_paths(source, STREAM) for names in listed for source in names]
     if len(wanted) > 1:
         if arguments.alt is not None:
             raise CommandError(f"--alt describes one picture, and {len(wanted)} were given")
-        print_in_turn = partial(_print_in_turn, arguments, [one.source for one in wanted], {})
-        tally = Run[Outcome]().finish(outcomes(tasks_of(wanted), _preview, arguments), print_in_turn)
+        print_in_turn = partial(_print_in_turn, arguments, [one.input for one in wanted], {})
+        tally = Run[Conversion]().finish(outcomes(tasks_of(wanted), _preview, arguments), print_in_turn)
         return SOME_FAILED if tally.failed else 0
     outcome = _preview(wanted[0], arguments)
     say_notes(outcome, arguments)
@@ -60,7 +61,11 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _print_in_turn(
-    arguments: argparse.Namespace, names: list[str], done: dict[str, list[Outcome]], outcome: Outcome, _tally: Tally
+    arguments: argparse.Namespace,
+    names: list[str],
+    done: dict[str, list[Conversion]],
+    outcome: Conversion,
+    _tally: Tally,
 ) -> None:
     """Print the outcomes whose turn it is, in the order of `names`. names, done: still to be printed, emptied here."""
     done.setdefault(outcome.input, []).append(outcome)
@@ -68,7 +73,7 @@ def _print_in_turn(
         _print(arguments, done[names.pop(0)].pop())
 
 
-def _print(arguments: argparse.Namespace, outcome: Outcome) -> None:
+def _print(arguments: argparse.Namespace, outcome: Conversion) -> None:
     """Print a line for one of several pictures, with its name; a failure on stderr."""
     say_notes(outcome, arguments)
     if outcome.error:
@@ -81,28 +86,26 @@ def _print(arguments: argparse.Namespace, outcome: Outcome) -> None:
         print(f"{one_line(outcome.input)}\t{outcome.summary}", flush=True)
 
 
-def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
+def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Conversion:
     """Read and encode one picture; write the file if there is an output folder."""
     from sgmethod.previews.preview import preview
 
-    image = files.read(conversion.source)
+    image = files.read(conversion.input)
     with silent_stderr(), noted() as notes:  # libtiff prints lines of its own
         made = preview(image, int(arguments.bytes))
     if conversion.target != STREAM:
         files.write(conversion.target, made.data)
     summary = _summary(made, conversion, arguments)
-    return Outcome.from_conversion(
-        conversion, bytes=len(made.data), summary=summary, figures=made.to_dict(), notes=notes
-    )
+    return replace(conversion, bytes=len(made.data), summary=summary, figures=made.to_dict(), notes=notes)
 
 
 def _summary(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:
     from sgmethod.previews.preview import quoted
 
     if arguments.html:
-        return made.html(quoted(conversion.source), arguments.alt or "")
+        return made.html(quoted(conversion.input), arguments.alt or "")
     if arguments.element:
-        return made.element(quoted(conversion.source), arguments.alt or "")
+        return made.element(quoted(conversion.input), arguments.alt or "")
     if conversion.target == STREAM:
         return made.text
     return f"{made.width} x {made.height} pixels, {len(made.data):,} bytes"

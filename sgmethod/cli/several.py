@@ -8,8 +8,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -21,7 +20,7 @@ from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.terminal import redraw, remaining
-from sgmethod.many.manifest import Manifest, Row
+from sgmethod.many.manifest import Manifest
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
 
 SOME_FAILED = 1
@@ -29,24 +28,10 @@ TICK_S = 1.0
 Figures = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Outcome(Row):
-    """The result of one conversion: its line in the manifest, its output, and a summary."""
-
-    input: str
-    target: str = ""
-    summary: str = ""
-
-    @classmethod
-    def from_conversion(cls, conversion: Conversion, **made: Any) -> Outcome:
-        """Create the result of a conversion."""
-        return cls(Path(conversion.target).name, conversion.source, target=conversion.target, **made)
+Convert = Callable[[Conversion, argparse.Namespace], Conversion]  # makes it
 
 
-Convert = Callable[[Conversion, argparse.Namespace], Outcome]
-
-
-def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
+def say_notes(outcome: Conversion, arguments: argparse.Namespace) -> None:
     """Print what was dropped from a picture, and warnings about its file."""
     if not arguments.quiet:
         figures = outcome.figures
@@ -55,10 +40,23 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
         files.print_lines("advice", outcome.input, filter(None, [figures.get("advice")]))
 
 
-def say_done(outcome: Outcome, out: TextIO) -> None:
-    """Print the names and the summary of a single conversion."""
-    names = f"{files.name_of(outcome.input)} -> {files.name_of(outcome.target, 'standard output')}"
-    print(f"{one_line(names)}: {outcome.summary}", file=out)
+def convert_one(
+    conversion: Conversion, convert: Convert, arguments: argparse.Namespace, others: Sequence[str] = ()
+) -> int:
+    """Make a single conversion unless --no-clobber keeps its output, and print its names and its summary.
+
+    others: further outputs. If any is standard output, the text goes to stderr.
+    """
+    out = sys.stderr if STREAM in (conversion.target, *others) else sys.stdout
+    for wanted in without_existing([conversion], arguments, out):
+        made = convert(wanted, arguments)
+        say_notes(made, arguments)
+        if getattr(arguments, "json", False):
+            print(json.dumps(made.figures, allow_nan=False), file=out)
+        elif not arguments.quiet:
+            names = f"{files.name_of(made.input)} -> {files.name_of(made.target, 'standard output')}"
+            print(f"{one_line(names)}: {made.summary}", file=out)
+    return 0
 
 
 def without_existing(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
@@ -86,9 +84,9 @@ def convert_all(
     """
     beside = sys.stderr if getattr(arguments, "json", False) else sys.stdout  # with --json, stdout has nothing else
     kept = without_existing(conversions, arguments, beside)
-    run = Run[Outcome](manifest, getattr(arguments, "resume", False))
+    run = Run[Conversion](manifest, getattr(arguments, "resume", False))
     wanted = list(run.rest(tasks_of(kept)))
-    report = _Report([one.picture.source for one in wanted], arguments)
+    report = _Report([one.row.input for one in wanted], arguments)
     try:
         tally = run.finish(outcomes(wanted, convert, arguments), report.show)
     except KeyboardInterrupt:
@@ -109,7 +107,7 @@ class _Report:
     """Printer of a line for each outcome, and of progress on a terminal, with the pictures that are being converted."""
 
     def __init__(self, pictures: list[str], arguments: argparse.Namespace) -> None:
-        self.failed: list[Outcome] = []
+        self.failed: list[Conversion] = []
         self.done = 0
         self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
         self._shown = not arguments.quiet and os.isatty(2)
@@ -128,12 +126,12 @@ class _Report:
             self._ticking.join()
             redraw(sys.stderr, "")
 
-    def show(self, outcome: Outcome, tally: Tally) -> None:
+    def show(self, outcome: Conversion, tally: Tally) -> None:
         """Print a line for an outcome."""
         with self._lock:
             self._show(outcome, tally)
 
-    def _show(self, outcome: Outcome, tally: Tally) -> None:
+    def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
         self._left -= Counter([outcome.input])
         pace = self._pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
@@ -164,16 +162,16 @@ class _Report:
             redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
 
 
-def tasks_of(conversions: list[Conversion]) -> list[Task[Outcome]]:
+def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:
     """Create a task for each conversion."""
-    return [Task(one, Outcome.from_conversion(one)) for one in conversions]
+    return [Task(one.input, one) for one in conversions]
 
 
-def outcomes(tasks: list[Task[Outcome]], convert: Convert, arguments: argparse.Namespace) -> Finished[Outcome]:
-    """Yield outcomes as they finish."""
+def outcomes(tasks: list[Task[Conversion]], convert: Convert, arguments: argparse.Namespace) -> Finished[Conversion]:
+    """Yield conversions as they are made."""
     make = partial(caught, partial(_converted, convert, arguments))
     return finish_locally(make, tasks, min(getattr(arguments, "jobs", 1), len(tasks)))
 
 
-def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Outcome]) -> Outcome:
-    return replace(convert(task.picture, arguments), key=task.row.key)
+def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Conversion]) -> Conversion:
+    return convert(task.row, arguments)

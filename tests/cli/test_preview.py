@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import sgmethod
+from sgmethod.cli.naming import Conversion
 from sgmethod.cli.previewing import _print_in_turn
-from sgmethod.cli.several import Outcome
 from sgmethod.many.run import Tally
 from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, run
 
@@ -67,9 +67,9 @@ def test_several(run: Run) -> None:
 def test_the_order_is_that_of_the_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     """Whichever process is done first."""
     arguments = argparse.Namespace(quiet=False, json=False, html=False, element=False)
-    names, done = ["a", "b", "a"], dict[str, list[Outcome]]()
+    names, done = ["a", "b", "a"], dict[str, list[Conversion]]()
     for name in ("b", "a", "a"):
-        outcome = Outcome(name, name, summary="text", error="bad" if name == "b" else None)
+        outcome = Conversion(name, name, summary="text", error="bad" if name == "b" else None)
         _print_in_turn(arguments, names, done, outcome, Tally())
     output = capsys.readouterr()
     assert (output.out, output.err) == ("a\ttext\na\ttext\n", "sgmethod: b: bad\n")
