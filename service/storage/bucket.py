@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import tempfile
 from collections.abc import Iterator
@@ -64,6 +65,10 @@ class BucketStorage:
     """
 
     def __init__(self, url: str) -> None:
+        # A secret made from a file may have a line end: the library would panic, or sign with it and get a 403.
+        for name, value in os.environ.items():
+            if name.startswith("AWS_") and value != value.strip():
+                raise OSError(errno.EINVAL, f"{name} begins or ends with a space or a line end")
         # Plain HTTP is used only if the endpoint says so.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}

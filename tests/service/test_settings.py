@@ -144,6 +144,7 @@ def test_a_data_folder_that_cannot_be_is_one_clear_line(
         ("AWS_ENDPOINT_URL", "store.example", "malformed AWS_ variable"),
         ("AWS_ENDPOINT_URL", "ftp://store.example", "GET ftp://store.example"),
         ("AWS_SESSION_TOKEN", "to\nken", "malformed AWS_ variable"),
+        ("AWS_SECRET_ACCESS_KEY", "key\n", "AWS_SECRET_ACCESS_KEY begins or ends with a space or a line end"),
         ("SSL_CERT_FILE", "/nowhere", "no certificates"),
     ],
 )
