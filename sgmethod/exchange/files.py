@@ -109,7 +109,7 @@ def read_ply(path: PathLike) -> Gaussians:
 
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
     """Read the vertices of a PLY file, with a field for each property."""
-    header = re.match(rb"ply\s.*?\nend_header[ \t]*\r?\n", data, re.DOTALL)
+    header = re.match(rb"ply[ \t]*(\r?\n|\r).*?\1end_header[ \t]*\1", data, re.DOTALL)
     elements = list[tuple[str, int, list[list[str]]]]()
     try:
         if header is None:
