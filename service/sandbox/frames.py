@@ -150,7 +150,7 @@ class EncodeFigures(Model):
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Figure | Sentence | list[Sentence]]
+    __pydantic_extra__: dict[str, Count | Figure | Sentence | list[Sentence]]
 
     bytes: Count
     width: Count

@@ -28,7 +28,8 @@ def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Vi
     """Visibility to the eye of errors in pixels [H, W, 3], times that of alpha if given."""
     s, (height, width) = settings, pixels.shape[:2]
     size = (-(-width // s.shrink), -(-height // s.shrink))
-    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) @ np.array(s.luma, np.float32)
+    reduced = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    small = np.einsum("ijk,k->ij", reduced, np.array(s.luma, np.float32))
     variance = np.maximum(_blurred(small * small, s) - np.square(_blurred(small, s)), 0)
     seen = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
     detail = np.sqrt(variance + 1)  # weights of the mean: there are more Gaussians where there is more detail
@@ -64,7 +65,7 @@ def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np
     total, color = 0.0, visibility.color.astype(np.float32)
     for row, (a, b) in enumerate(zip(decoded, source, strict=True)):
         e = a.astype(np.float32) - b
-        total += float(((e @ color) * e).sum(1) @ visibility.values[row].astype(np.float32))
+        total += float(np.einsum("na,ab,nb,n->", e, color, e, visibility.values[row].astype(np.float32)))
     return total / VISIBLE
 
 
@@ -89,4 +90,5 @@ class SeenShare:
             height, width = values.shape
             seen[here] = values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
         squares = np.maximum(np.square(colors).sum(1), 1e-20)
-        return np.asarray(seen / VISIBLE * ((colors @ self._color) * colors).sum(1) / squares, np.float32)
+        weighted = np.einsum("na,ab,nb->n", colors, self._color, colors)
+        return np.asarray(seen / VISIBLE * weighted / squares, np.float32)

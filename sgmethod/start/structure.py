@@ -37,7 +37,7 @@ class Structure:
 
 def analyse(image: FloatArray, regions: int, settings: StartSettings) -> Structure:
     """Analyse the structure of an image [H, W, 3] in [0, 1]. regions: number of superpixels requested from SLIC."""
-    grey = image @ _LUMA
+    grey = np.einsum("ijk,k->ij", image, _LUMA)  # not @: rounding would depend on the processor
     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gradient = np.hypot(gx, gy).astype(np.float32)

@@ -79,8 +79,7 @@ function addTexture(plane, texture, octave, level, { sx, sy, dx, dy }, gain) {
     between(((plane.left + i + 0.5) * side - dx) / sx, columns),
   );
   for (let j = 0, at = 0; j < plane.height; j++) {
-    const down = ((plane.top + j + 0.5) * side - dy) / sy;
-    const [above, below, share] = between(down, rows);
+    const [above, below, share] = between(((plane.top + j + 0.5) * side - dy) / sy, rows);
     const row = SIDE * ((plane.top + j) & (SIDE - 1));
     for (let i = 0; i < plane.width; i++, at += 3) {
       const [left, right, part] = across[i];
@@ -96,12 +95,9 @@ function addTexture(plane, texture, octave, level, { sx, sy, dx, dy }, gain) {
 /** The level of a view on which each octave is drawn, and its gain; octaves finer than the view are left out. */
 export function octavesOf({ sx, sy }) {
   const n = Math.floor(Math.log2(2 * sx * sy) / 2);
-  const found = [];
-  for (let octave = 0; octave < OCTAVES; octave++) {
-    const level = octave + n;
-    if (level >= 0) found.push({ octave, level, gain: n < 0 && level === 0 ? 0.75 : 1 });
-  }
-  return found;
+  const gain = n < 0 ? 0.75 : 1;
+  const all = Array.from({ length: OCTAVES }, (_, octave) => ({ octave, level: octave + n, gain: octave + n ? 1 : gain }));
+  return all.filter(({ level }) => level >= 0);
 }
 
 /** The first `count` Gaussians of a file as a picture: { width, height, data }, RGBA of 8 bits. Throws SgError. */
@@ -110,9 +106,9 @@ export function draw(file, { scale = 1, region = null, count = file.count, textu
   const octaves = texture && file.texture ? octavesOf(view) : [];
   const top = Math.max(...octaves.map(({ level }) => level), 0);
   const gaussians = Array.from({ length: count }, (_, i) => file.values.subarray(8 * i, 8 * i + 8));
-  const data = drawGaussians(gaussians, file.background, view, top, (plane, level) => {
-    for (const drawn of octaves) {
-      if (drawn.level === level) addTexture(plane, file.texture, drawn.octave, level, view, drawn.gain);
+  const data = drawGaussians(gaussians, file.background, view, top, (plane, now) => {
+    for (const { octave, level, gain } of octaves) {
+      if (level === now) addTexture(plane, file.texture, octave, level, view, gain);
     }
   });
   if (file.alpha) setAlpha(data, draw(file.alpha, { scale, region }).data);

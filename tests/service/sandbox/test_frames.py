@@ -68,6 +68,7 @@ def test_a_task_has_no_unknown_field() -> None:
 def test_messages_arrive_whole_and_in_order() -> None:
     reader, file = FrameReader(ENCODE), b"\xd3\xc2" + bytes(range(256)) * 100
     figures = frames.EncodeFigures(**{**FIGURES, "notes": ["alpha"], "bytes": len(file)})
+    assert '"gaussians":1,' in figures.model_dump_json()  # a whole number stays one
     sent = [Begun(), POINT, frames.Preview(file=b"so far"), Result[frames.EncodeFigures](figures=figures, file=file)]
     output = b"".join(map(packed, sent))
     assert [message for at in range(0, len(output), 7) for message in reader.take(output[at : at + 7])] == sent
