@@ -4,7 +4,7 @@ The layers, each of which holds without the others as far as it reaches:
 
     seccomp     only the system calls of filter.py
     Landlock    no file, no connection, no signal to another process
-    limits      memory, time, files
+    limits      memory, time, files, threads
     nobody      where the service runs as root, tasks run as this user
 
 Before that, a task has its file in memory, its descriptors closed and an environment without secrets. Two system calls
@@ -20,6 +20,7 @@ import platform
 import resource
 import signal
 import struct
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -32,6 +33,7 @@ LAYERS = ("Landlock", "seccomp", "a user other than root")  # the layers that a 
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of address space: libraries, stacks and arenas reserve more than they use
 PROBE_BYTES = 16 << 20  # for the fork of absent_layers()
+MAX_USER_THREADS, THREADS_STEP = 8192, 16  # all threads of the user; precision of the count
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
     *(resource.RLIMIT_MEMLOCK, resource.RLIMIT_MSGQUEUE),
@@ -68,13 +70,14 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
         os.kill(os.getpid(), number)
 
 
-def confine(memory_bytes: int, cpu_s: float, parent: int) -> list[str]:
+def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[str]:
     """Confine this process irreversibly. Returns the LAYERS that the system lacks.
 
-    memory_bytes: beyond its present size; cpu_s: seconds of a core until SIGPROF ends it; parent: process that it ends
-    with.
+    memory_bytes: beyond its present size; cpu_s: seconds of a core until SIGPROF ends it; threads: that it may start,
+    give or take THREADS_STEP; parent: process that it ends with.
     """
     is_other = os.geteuid() != 0 or _become_nobody()
+    most_threads = _threads_of_user() + threads
     pages = Path("/proc/self/statm").read_text().split()
     size, data = (int(pages[place]) * resource.getpagesize() for place in (0, 5))
     _libc.prctl(SET_NO_NEW_PRIVILEGES, 1, 0, 0, 0)
@@ -84,6 +87,7 @@ def confine(memory_bytes: int, cpu_s: float, parent: int) -> list[str]:
             resource.RLIMIT_DATA: data + memory_bytes,
             resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # memory of every kind
             resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for a task that blocks the timer's signal
+            resource.RLIMIT_NPROC: most_threads,  # else one task could use up the user's threads
             **dict.fromkeys(NOTHING, 0),
         }
     )
@@ -103,7 +107,7 @@ def absent_layers() -> list[str]:
     child = os.fork()
     if child == 0:
         try:
-            os.write(write_end, ", ".join(confine(PROBE_BYTES, 1.0, parent)).encode())
+            os.write(write_end, ", ".join(confine(PROBE_BYTES, 1.0, 0, parent)).encode())
             os._exit(0)
         finally:
             os._exit(1)
@@ -129,6 +133,25 @@ def check_layers(*, required: bool) -> list[str]:
     missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
     root = "the service runs as root" + "; the processes that read uploads run as nobody" * (LAYERS[-1] not in layers)
     return missing + [root] * (os.geteuid() == 0)
+
+
+def _threads_of_user() -> int:
+    """Return the number of threads of this process's user, or up to THREADS_STEP more.
+
+    The system limits threads by user, not by process, and reveals their number only by refusing the next one.
+    """
+    _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
+    end = MAX_USER_THREADS if hard == resource.RLIM_INFINITY else min(hard, MAX_USER_THREADS)
+    for limit in range(THREADS_STEP, end, THREADS_STEP):
+        resource.setrlimit(resource.RLIMIT_NPROC, (limit, hard))
+        one_more = threading.Thread(target=int)
+        try:
+            one_more.start()
+        except RuntimeError:
+            continue
+        one_more.join()
+        return limit
+    return end
 
 
 def _limit(limits: Mapping[int, int]) -> None:
