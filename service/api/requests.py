@@ -20,6 +20,7 @@ from service.pictures import MEDIA_TYPES, PictureFormat
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE = "multipart/form-data"
 LONGEST_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
+MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # old clients write the left-hand form
 # Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
@@ -62,7 +63,7 @@ def accepted_format(request: Request) -> PictureFormat:
     for entry in accept.split(","):
         name, *parameters = (part.strip().lower() for part in entry.split(";"))
         given = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        weights[name] = float(given) if _WEIGHT.fullmatch(given) else 1.0
+        weights[MEANT.get(name, name)] = float(given) if _WEIGHT.fullmatch(given) else 1.0
     best: PictureFormat = "png"
     most = 0.0
     for kind, own_type in MEDIA_TYPES.items():  # PNG comes first

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 HINTS = {
     "InvalidCertificate(": "its certificate is not trusted; name its authority's certificate in SSL_CERT_FILE "
     "(AWS_CA_BUNDLE is not read)",
-    "builder error": "no certificates of authorities were found; correct SSL_CERT_FILE and SSL_CERT_DIR, or install "
-    "ca-certificates",
+    "No CA certificates": "no certificates of authorities were found; correct SSL_CERT_FILE and SSL_CERT_DIR, or "
+    "install ca-certificates",
     "http://169.254.169.254/": "it has no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
 }
 # Clients wait, so a store that is silent for this long counts as unreachable.

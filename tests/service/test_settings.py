@@ -142,6 +142,7 @@ def test_a_data_folder_that_cannot_be_is_one_clear_line(
     ("name", "value", "words"),
     [
         ("AWS_ENDPOINT_URL", "store.example", "malformed AWS_ variable"),
+        ("AWS_ENDPOINT_URL", "ftp://store.example", "GET ftp://store.example"),
         ("AWS_SESSION_TOKEN", "to\nken", "malformed AWS_ variable"),
         ("SSL_CERT_FILE", "/nowhere", "no certificates"),
     ],

@@ -22,10 +22,12 @@ from service.pictures import MEDIA_TYPES
     ("accept", "kind"),
     [
         ("*/*", "png"),
+        ("*", "png"),
         ("image/*", "png"),
         ("image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8", "png"),
         ("image/avif,image/webp,*/*;q=0.8", "webp"),
         ("image/jpeg", "jpeg"),
+        ("image/jpg", "jpeg"),
         ("IMAGE/AVIF", "avif"),
         ("image/png;q=0, image/*", "jpeg"),
         ("image/webp;q=x", "webp"),
