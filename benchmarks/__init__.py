@@ -9,7 +9,6 @@ python -m benchmarks.speed        time and memory by size, and of the kernels; g
 python -m benchmarks.gpu          drawing, fits, batches and encodes on a GPU, and errors of the kernels there
 python -m benchmarks.ablation     the paper's ablations, and what its start and regularisation gain
 python -m benchmarks.robustness   hard pictures (stiff), extreme Gaussians and bad starts (extremes), under rules
-python -m benchmarks.mixture      a trial: sums of Gaussians against normalised mixtures of them
 python -m benchmarks.service      the service under load, attacked, and killed at random (chaos)
 python -m benchmarks.scenes       what easy and hard scenes need, and what each saving saves
 python -m benchmarks.report       tables and plots of docs/results and README.md from the JSON

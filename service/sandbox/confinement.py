@@ -33,7 +33,6 @@ LAYERS = ("Landlock", "seccomp", "a user other than root")  # the layers that a 
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of address space: libraries, stacks and arenas reserve more than they use
 PROBE_BYTES = 16 << 20  # for the fork of absent_layers()
-LIBRARIES = 4  # that may have a pool of threads each: the kernels, OpenCV, and PyTorch two
 MAX_USER_THREADS, THREADS_STEP = 8192, 16  # all threads of the user; precision of the count
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
@@ -74,11 +73,11 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
 def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[str]:
     """Confine this process irreversibly. Returns the LAYERS that the system lacks.
 
-    memory_bytes: beyond its present size; cpu_s: seconds of a core until SIGPROF ends it; threads: that it computes on,
-    so that it may start LIBRARIES times as many, and up to THREADS_STEP more; parent: process that it ends with.
+    memory_bytes: beyond its present size; cpu_s: seconds of a core until SIGPROF ends it; threads: that it may start,
+    give or take THREADS_STEP; parent: process that it ends with.
     """
     is_other = os.geteuid() != 0 or _become_nobody()
-    max_threads = _threads_of_user() + LIBRARIES * threads
+    most_threads = _threads_of_user() + threads
     pages = Path("/proc/self/statm").read_text().split()
     size, data = (int(pages[place]) * resource.getpagesize() for place in (0, 5))
     _libc.prctl(SET_NO_NEW_PRIVILEGES, 1, 0, 0, 0)
@@ -88,7 +87,7 @@ def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[
             resource.RLIMIT_DATA: data + memory_bytes,
             resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # memory of every kind
             resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for a task that blocks the timer's signal
-            resource.RLIMIT_NPROC: max_threads,  # else one task could use up those of the container
+            resource.RLIMIT_NPROC: most_threads,  # else one task could use up the user's threads
             **dict.fromkeys(NOTHING, 0),
         }
     )

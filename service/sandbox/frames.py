@@ -40,6 +40,7 @@ MAX_ENCODE_FRAMES, MAX_ENCODE_FRAMES_PER_S = 1000, 30
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
 PICTURE_THREADS = 2
+LIBRARIES = 4  # that may have a pool of threads each: the kernels, OpenCV, and PyTorch two
 
 Count = Annotated[int, Field(ge=0, le=2**53)]  # which every database and JSON can hold
 Sentence = Annotated[str, Field(max_length=MAX_SENTENCE_LENGTH)]
@@ -182,6 +183,11 @@ class Task(Model):
     def max_frames(self) -> int:
         """Number of frames that it may send."""
         return MAX_FRAMES
+
+    @property
+    def max_threads(self) -> int:
+        """Number of threads that it may start."""
+        return LIBRARIES * self.threads
 
     def check(self, result: Result[Any]) -> None:
         """Raise FrameError if this cannot be the result of the task."""

@@ -209,7 +209,7 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
         data = _whole(file)
         os.close(file)
         prepare(task)
-        missing = set(confine(task.memory_bytes, task.cpu_s, task.threads, parent)).difference(absent)
+        missing = set(confine(task.memory_bytes, task.cpu_s, task.max_threads, parent)).difference(absent)
         if missing:  # it failed for this task alone, as when memory is short
             raise SandboxError(f"it was not confined by {' and '.join(sorted(missing))}")
         set_threads(task.threads)

@@ -13,7 +13,7 @@ import secrets
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypedDict, Unpack
 from urllib.parse import urlsplit
 
 import httpx
@@ -30,6 +30,15 @@ PAGE = 200  # jobs in one answer
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
 WAIT_S = 50  # per request: less than the timeouts of proxies and of this client
+
+
+class Options(TypedDict, total=False):
+    """Options of an encode, as in sgmethod.encode(). priority: "bulk" waits for jobs that are "interactive"."""
+
+    tune: Tune | None
+    effort: AnyInt
+    time_limit_s: AnyFloat | None
+    priority: Priority
 
 
 @dataclass(frozen=True)
@@ -70,19 +79,16 @@ class Client:
         budget: Budget = DEFAULT_BUDGET,
         profile: Profile = DEFAULT_PROFILE,
         *,
-        tune: Tune | None = None,
-        effort: AnyInt = DEFAULT_EFFORT,
-        time_limit_s: AnyFloat | None = None,
-        priority: Priority = "interactive",
         on_progress: Progress | None = None,
         idempotency_key: str | None = None,
+        **options: Unpack[Options],
     ) -> RemoteEncoded:
         """Encode an image file (path or bytes) on the server, and remove the job afterwards in any case.
 
         Without on_progress, a single request fetches the bitstream if it is done soon enough. Interrupting that request
         leaves the job behind; the same request with the same idempotency_key finds it again.
         """
-        query = _query(budget, profile, tune, effort, time_limit_s, priority)
+        query = _query(budget, profile, options)
         try:
             wait_s = WAIT_S if on_progress is None else 0
             answer = self._submit("/encode", query, bytes_of(image, ServerError), wait_s, idempotency_key)
@@ -108,32 +114,20 @@ class Client:
         image: File,
         budget: Budget = DEFAULT_BUDGET,
         profile: Profile = DEFAULT_PROFILE,
-        *,
-        tune: Tune | None = None,
-        effort: AnyInt = DEFAULT_EFFORT,
-        time_limit_s: AnyFloat | None = None,
-        priority: Priority = "interactive",
+        **options: Unpack[Options],
     ) -> str:
         """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
-        query = _query(budget, profile, tune, effort, time_limit_s, priority)
+        query = _query(budget, profile, options)
         return _id_of(self._submit("/encode", query, bytes_of(image, ServerError)))
 
     def submit_again(
-        self,
-        job_id: str,
-        budget: Budget,
-        profile: Profile = DEFAULT_PROFILE,
-        *,
-        tune: Tune | None = None,
-        effort: AnyInt = DEFAULT_EFFORT,
-        time_limit_s: AnyFloat | None = None,
-        priority: Priority = "interactive",
+        self, job_id: str, budget: Budget, profile: Profile = DEFAULT_PROFILE, **options: Unpack[Options]
     ) -> str:
         """Submit the image of an existing job again, without another upload, and return the id of the new job.
 
         Raises ServerError once the server has deleted the image.
         """
-        query = _query(budget, profile, tune, effort, time_limit_s, priority)
+        query = _query(budget, profile, options)
         return _id_of(self._submit(f"/jobs/{job_id}/encode", query))
 
     def _submit(
@@ -213,17 +207,9 @@ class Client:
             self.remove(job_id)
 
 
-def _query(
-    budget: Budget,
-    profile: Profile,
-    tune: Tune | None,
-    effort: AnyInt,
-    time_limit_s: AnyFloat | None,
-    priority: Priority,
-) -> Json:
-    wanted: Json = {budget.kind: budget.value, "profile": profile, "tune": tune}
-    wanted |= {"priority": priority, "time_limit_s": time_limit_s, "effort": effort}
-    return {name: value for name, value in wanted.items() if value is not None}
+def _query(budget: Budget, profile: Profile, options: Options) -> Json:
+    wanted = {budget.kind: budget.value, "profile": profile, "effort": DEFAULT_EFFORT, "priority": "interactive"}
+    return {name: value for name, value in (wanted | {**options}).items() if value is not None}
 
 
 def _id_of(answer: httpx.Response) -> str:

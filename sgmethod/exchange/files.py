@@ -109,7 +109,8 @@ def read_ply(path: PathLike) -> Gaussians:
 
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
     """Read the vertices of a PLY file, with a field for each property."""
-    header = re.match(rb"ply\s.*?\nend_header[ \t]*\r?\n", data, re.DOTALL)
+    # Lines end in \n or \r\n; only if the first ends in a lone \r do the others, as data may begin with \n by chance.
+    header = re.match(rb"ply[ \t]*(?:\r?\n|(\r)).*?[\r\n]end_header[ \t]*(?(1)\r|\r?\n)", data, re.DOTALL)
     elements = list[tuple[str, int, list[list[str]]]]()
     try:
         if header is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -50,15 +51,15 @@ def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
 
 
 def test_files_are_as_good_as_those_of_the_kernels() -> None:
-    """Slow: four encodes on tensors. On average: fits with other last bits end some hundredths of a dB apart."""
+    """Slow: nine encodes on tensors. On average: fits with other last bits end a tenth of a dB apart."""
     gains = []
-    for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
+    for x, y in itertools.product((0, 40, 80), (0, 32, 64)):
         pixels = photo()[y : y + SIZE[1], x : x + SIZE[0]]
         files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), Tensors(torch.device("cpu")))]
         assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
         of_kernels, of_tensors = (psnr(decode(file), pixels) for file in files)
         gains.append(of_tensors - of_kernels)
-    assert np.mean(gains) > -0.05  # dB; seen: 0.006, and -0.08 to 0.07 each
+    assert np.mean(gains) > -0.1  # dB; seen: -0.01 with a standard error of 0.04, and -0.19 to 0.17 each
 
 
 def test_devices() -> None:

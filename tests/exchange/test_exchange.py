@@ -223,6 +223,7 @@ def with_element(*properties: str, rows: int = 2) -> list[str]:
         ([*PLAIN[:9], "obj_info x", "comment property float opacity", "", *PLAIN[9:]], b"", "\n"),
         (["\t ".join(line.split(" ")) + " \t" for line in PLAIN], b"", "\n"),
         (PLAIN, b"", "\r\n"),
+        (PLAIN, b"", "\r"),
         (with_element("float focal", "uchar lens"), bytes(10), "\n"),
         (with_element("list uchar short v", "float focal"), b"\2    ffff\0ffff", "\n"),
         (with_element(), b"", "\n"),

@@ -160,11 +160,11 @@ time.sleep(1000)
     with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], FAKE_CODEC) as (tasks, _), ExitStack() as held:
         for threads in (1, 10, 1):
             file = held.enter_context(file_of(program.encode()))
-            running = held.enter_context(tasks.start(task(threads=threads), file))
+            what = task(threads=threads)
+            running = held.enter_context(tasks.start(what, file))
             report = wait_until(lambda running=running: [m for m in running.read(0.1) if isinstance(m, Preview)])
-            own = confinement.LIBRARIES * threads
             # Threads of others come and go as they are counted.
-            assert own - 2 <= int(report[0].file) <= own + confinement.THREADS_STEP
+            assert what.max_threads - 2 <= int(report[0].file) <= what.max_threads + confinement.THREADS_STEP
 
 
 def test_a_task_that_is_not_confined_is_not_run() -> None:
