@@ -1,8 +1,8 @@
 """Version 2 of the file (profile rd): a header of a few bytes, perhaps texture and alpha, an entropy-coded payload.
 
 A file of up to SHORT_BYTES may be short: some fields of its header have fewer bits, its checksum is one byte, and its
-payloads have one state in place of two. The payload's models are native (sgmethod/native/rd/); docs/format.md describes
-everything in words.
+payloads use one coder state instead of two. The payload's models are native (sgmethod/native/rd/); docs/format.md
+describes everything in words.
 """
 
 from __future__ import annotations

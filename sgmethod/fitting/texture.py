@@ -1,8 +1,8 @@
 """Grain that Gaussians should not try to draw, and the strength of the texture that replaces it.
 
 Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a smooth area look
-broken. So what the fit does not reach of a cell's grain is removed from its target, and the decoder's noise has the
-energy that is then missing, up to a spread of a few levels.
+broken. So the part of a cell's grain that the fit does not reach is removed from its target. The decoder adds noise
+with the energy that is then missing, up to a spread of a few levels.
 """
 
 from __future__ import annotations

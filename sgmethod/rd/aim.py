@@ -1,4 +1,4 @@
-"""Rate control for a quality to reach in as few bytes as possible: a SSIMULACRA 2, or a PSNR."""
+"""Rate control that reaches a quality, in SSIMULACRA 2 or PSNR, in as few bytes as possible."""
 
 from __future__ import annotations
 

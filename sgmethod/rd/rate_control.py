@@ -1,11 +1,12 @@
 """Rate control: a budget becomes a quantum and a number of Gaussians, which the fit steers and the search refines.
 
 One number, the quantum, sets all quantiser steps and the price of a bit. Each kind of budget is a class that answers
-the same questions: RateControl here for a fixed quantum, and GaussianCount; byte_limit.py for bytes, aim.py for a
-SSIMULACRA 2 and for a PSNR, which both steer the quantum while the Gaussians are fitted.
+the same questions. RateControl (a fixed quantum) and GaussianCount are here. byte_limit.py has the class for bytes.
+aim.py has the classes for a SSIMULACRA 2 and for a PSNR, which steer the quantum while the Gaussians are fitted.
 
-Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth finds local maxima of a
-gain, and those that are best early are not best late. The surplus is given up step by step.
+Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth adds Gaussians at local
+maxima of the gain, and the best places early in the fit are not the best places at its end. The surplus is dropped step
+by step.
 """
 
 from __future__ import annotations
