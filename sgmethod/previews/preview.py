@@ -75,7 +75,7 @@ class Preview:
 
         The <img> is like html()'s, so its WebP is shown before the script has run, and without JavaScript. The styles
         also reserve the space; where a content security policy forbids them, the two rules in docs/previews.md do that.
-        Arguments as in html(); characters are those of the <img>.
+        Arguments as in html(); characters limits the <img>.
         """
         image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover", characters)
         return f'<sg-img preview="{self.text}" style="display:block">{image}</sg-img>'
@@ -122,7 +122,7 @@ def checked_bytes(bytes: AnyInt | str) -> int:
 
 
 def _softened(pixels: Pixels, bytes: int) -> RdSettings:
-    """Settings for a reduced picture, or for one that was small already, and so has smaller Gaussians."""
+    """Settings for a reduced picture, or for a picture that was small already and so needs smaller Gaussians."""
     small = math.sqrt(pixels.shape[0] * pixels.shape[1] / (PIXELS_PER_BYTE * bytes))
     optimiser, pyramid = RD.fit.optimiser, RD.pyramid
     least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), optimiser.min_scale_px)
