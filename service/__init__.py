@@ -3,7 +3,7 @@
 The packages and modules; each imports only from those above it:
 
     errors          errors that several packages share
-    keys            API keys, and links that replace one
+    keys            API keys, and links that work without a key
     logs            what the processes write to standard error
     settings        the operator's settings
     process/        the processes of a service, and how they end

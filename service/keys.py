@@ -1,4 +1,4 @@
-"""API keys, and links that replace one.
+"""API keys, and links that work without a key.
 
 A key is 192 random bits, so storing its plain SHA-256 is safe: it can be neither guessed nor reversed. A key's name
 owns the jobs that are submitted with it.

@@ -1,4 +1,4 @@
-"""Opens the job table and the storage that the settings name; the only place that knows which they are."""
+"""Opens the job table and the storage that the settings name; only this module knows which they are."""
 
 from __future__ import annotations
 

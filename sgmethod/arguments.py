@@ -1,4 +1,4 @@
-"""Checks of callers' numbers, which become Python's: NumPy's small integers overflow in sums and products."""
+"""Check callers' numbers, and convert them to Python's: NumPy's small integers overflow in sums and products."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Encoding: run a profile's pipeline (rd/encode.py or paper/encode.py) and measure the file.
 
-The file is decoded once, so the reported figures are those of the actual bytes.
+The file is decoded once, so the reported figures describe the actual bytes.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Encoded:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file completely, or raise OSError and leave the path as it was.
 
-        Raises SgError for a name like that of a picture, such as photo.jpg: no program would open it.
+        Raises SgError for the name of a picture, such as photo.jpg: no program would open the file.
         """
         target = checked_path(path)
         if target.suffix.lower() in SUFFIXES:

@@ -121,7 +121,7 @@ class SgFile:
 
     @quiet
     def gaussians(self) -> Gaussians:
-        """Return the Gaussians, the largest first in version 2, without those of alpha and without texture.
+        """Return the Gaussians of the colours, without alpha and texture. In version 2, the largest come first.
 
         >>> sgmethod.open("photo.sg").gaussians().means.dtype
         dtype('float32')

@@ -1,4 +1,4 @@
-"""Arithmetic that does not depend on what the caller has NumPy do about floating-point errors."""
+"""Arithmetic that ignores the caller's NumPy settings for floating-point errors."""
 
 from __future__ import annotations
 

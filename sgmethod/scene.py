@@ -23,7 +23,7 @@ class Gaussians:
     factors [N, 3]: (l1, l2, l3) in pixels of the lower triangular L, covariance = L L^T;
     colors [N, 3]: signed RGB weights, 1 being full white.
 
-    Two are equal if all their values are. They have no hash, since their arrays may change.
+    Two objects are equal if all their values are equal. They have no hash, since their arrays may change.
     """
 
     means: FloatArray

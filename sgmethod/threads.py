@@ -1,4 +1,4 @@
-"""The number of threads, on which NumPy, OpenCV and zlib run too: they release Python's lock while they compute."""
+"""The number of threads of the kernels, on which NumPy, OpenCV and zlib can run in parallel too."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def _resized(
 def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
     """Convert Gaussians cut off at sigma = cutoff to the closest ones cut off at new_cutoff.
 
-    Both are the cut-off of a file version, or NO_CUTOFF. The default is that of version 2.
+    Each is the cut-off of a file version, or NO_CUTOFF. The default is the cut-off of version 2.
     """
     new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:

@@ -63,7 +63,7 @@ async def jobs(
 
 
 async def job_within(request: Request, job: Job, seconds: int, context: Context, client: str) -> Job | None:
-    """Wait for the job to end; None after so many seconds. Raises ProblemError 409 if it is removed meanwhile."""
+    """Wait for the job to end; None if it takes longer. Raises ProblemError 409 if it is removed meanwhile."""
     with context.streams.one(client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 

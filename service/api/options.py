@@ -1,7 +1,7 @@
 """The options of an encode: one model for the form, the query and the OpenAPI document.
 
 Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the image. The encoder
-refuses them too, but it loads libraries that a web process does without.
+refuses them too, but it loads libraries that a web process does not need.
 """
 
 from __future__ import annotations

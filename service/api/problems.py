@@ -141,7 +141,7 @@ def _unreachable(what: str, reason: str, error: Exception) -> ProblemError:
 
 
 def _allowed_methods(request: Request) -> str:
-    """Return the methods of all routes at this path; the exception knows only those of the first."""
+    """Return the methods of all routes at this path; the exception knows only the first route's."""
 
     def is_allowed(method: str) -> bool:
         scope = {**request.scope, "method": method}

@@ -1,9 +1,9 @@
 """The engine that wakes workers on other machines: Procrastinate, in PostgreSQL beside the job table.
 
-A job of the engine is a token without a name: some row of the job table can be claimed. The table decides which one
-when a worker holds the token, because only the table knows priorities, turns and limits. So the engine may lose a token
-or have one too many: a token without a row ends at once, and every worker adds missing tokens, such as those of lost
-workers.
+A job of the engine is an anonymous token. It says only that some row of the job table can be claimed. When a worker
+holds the token, the table decides which row, because only the table knows priorities, turns and limits. So the engine
+may lose a token or have one too many: a token without a row ends at once, and every worker adds missing tokens, such as
+those of lost workers.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Confine a process that is about to read an upload.
 
-The layers, each of which holds without the others as far as it reaches:
+The layers, each of which works without the others:
 
     seccomp     only the system calls of filter.py
     Landlock    no file, no connection, no signal to another process
@@ -8,7 +8,7 @@ The layers, each of which holds without the others as far as it reaches:
     nobody      where the service runs as root, tasks run as this user
 
 Before that, a task has its file in memory, its descriptors closed and an environment without secrets. Two system calls
-are made directly, as no maintained library makes them.
+are made directly, because no maintained library wraps them.
 """
 
 from __future__ import annotations

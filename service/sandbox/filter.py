@@ -1,10 +1,10 @@
 """The system calls that a task may make, as a filter in the kernel's own small language (seccomp, classic BPF).
 
-What is not listed is refused: opening, naming or changing files, making processes, sockets and shared memory, and
-whatever concerns other processes. Nothing that a task needs is missing, as it has its file in memory and the codec
-imported. Where a number says which of many things a call does, that is checked too.
+A call that is not listed is refused: opening, naming or changing files, making processes, sockets and shared memory,
+and whatever concerns other processes. A task needs none of these, because its file is in memory and the codec is
+imported. If an argument selects one of several operations of a call, the filter checks the argument too.
 
-Both architectures are little-endian, and hand over all these arguments in the same order.
+Both architectures are little-endian, and pass all these arguments in the same order.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ class Moments:
         return Moments(self.first[index], self.second[index], self.bias[index])
 
     def with_more(self, count: int) -> Moments:
-        """Return these moments followed by those of `count` new Gaussians."""
+        """Return these moments followed by initial moments for `count` new Gaussians."""
         new = Moments.none(count)
         pairs = (self.first, new.first), (self.second, new.second), (self.bias, new.bias)
         return Moments(*(np.concatenate(pair) for pair in pairs))
@@ -196,7 +196,7 @@ class Backend(Protocol):
         """Move Gaussians in place by one step of Adam in each one's own frame, and update the moments.
 
         A mean moves by L d and a factor by L S with S lower triangular, so a rate is the same relative change for a
-        speck and for a wide ellipse. Steps are at most settings.newton_steps times those of Gauss-Newton with a
+        speck and for a wide ellipse. A step is at most settings.newton_steps times the Gauss-Newton step with a
         diagonal matrix. rate: factor on all rates of the settings; values: samples of the picture, over which the loss
         is a mean.
         """

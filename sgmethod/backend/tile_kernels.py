@@ -1,7 +1,7 @@
 """Triton kernels of backend/tiles.py, which explains them and launches them.
 
-A Gaussian is one of all in a batch, numbered through. Its record is x, y, 1 / q1, q2 / q1, 1 / q3 in samples of its
-level, and its colour there. Arithmetic is that of backend/pairs.py, in single precision.
+Gaussians are numbered through the whole batch. The record of a Gaussian is x, y, 1 / q1, q2 / q1, 1 / q3 in samples of
+its level, and its colour there. The kernels compute the same as backend/pairs.py, in single precision.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Drawing, gradients and the optimiser for batches on a GPU, by the Triton kernels of backend/tile_kernels.py.
 
-Values are those of backend/pairs.py, in single precision. To draw, each Gaussian is listed for the tiles of its level
-that its ellipse meets; one program sums the list of a tile, then adds the next level, enlarged. To differentiate, one
-program walks along the ellipse of a Gaussian and keeps its sums. The order of both sums is fixed. The lists have room
-for PAIRS tiles per Gaussian; what finds none there is added by atomic operations.
+The values are the same as in backend/pairs.py, in single precision. To draw, each Gaussian is listed for the tiles of
+its level that its ellipse meets; one program sums the list of a tile, then adds the next level, enlarged. To
+differentiate, one program walks along the ellipse of a Gaussian and keeps its sums. The order of both sums is fixed.
+The lists have room for PAIRS tiles per Gaussian, on average. Gaussians for which the lists have no room are added by
+atomic operations.
 
 Nothing is read back: sizes of all tensors follow from the number of Gaussians and the size of the picture.
 """

@@ -1,7 +1,8 @@
 """The texture part of a version 2 file: codes of strengths <-> bits (docs/format.md).
 
-A code is stored as its difference from the one on its left or, first in a row, from the one above. Small differences
-are likelier: 0, -1, 1, -2, ... become 0, 1, 2, 3, ... ones and a zero.
+A code is stored as its difference from the code on its left or, at the start of a row, from the code above. Small
+differences are likelier, so they take fewer bits: the differences 0, -1, 1, -2, ... become 0, 1, 2, 3, ... ones, and
+then a zero.
 """
 
 from __future__ import annotations

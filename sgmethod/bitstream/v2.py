@@ -1,8 +1,8 @@
 """Version 2 of the file (profile rd): a header of a few bytes, perhaps texture and alpha, an entropy-coded payload.
 
 A file of up to SHORT_BYTES may be short: some fields of its header have fewer bits, its checksum is one byte, and its
-payloads have one state in place of two. The payload's models are native (sgmethod/native/rd/); docs/format.md describes
-everything in words.
+payloads use one coder state instead of two. The payload's models are native (sgmethod/native/rd/); docs/format.md
+describes everything in words.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def coded_background(background: tuple[int, int, int], is_short: bool) -> tuple[
 
 
 def is_upright(factors: FloatArray, with_shear: bool) -> bool:
-    """Whether a payload leaves out shear: no factor [N, 3] has any, and none is asked for."""
+    """Whether a payload leaves out shear: no factor [N, 3] has shear, and the caller does not ask for it."""
     return not with_shear and not bool(factors[:, 1].any())
 
 
@@ -88,8 +88,8 @@ def is_upright(factors: FloatArray, with_shear: bool) -> bool:
 class InfoV2(Info):
     """Description of a version 2 file.
 
-    gaussians: includes those of alpha; texture, alpha: whether the file has any; short: whether it is a short file. The
-    other fields are those of StreamV2.
+    gaussians: includes the Gaussians of alpha; texture, alpha: whether the file has any; short: whether it is a short
+    file. The other fields are the same as in StreamV2.
     """
 
     quantum: float

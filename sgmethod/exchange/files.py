@@ -8,8 +8,8 @@
 | colours            | kept                    | f_dc, f_rest is 0; opacity     | f_dc times opacity              |
 |                    |                         | is 1                           |                                 |
 | order              | kept                    | kept                           | kept                            |
-| where one ends     | where those of files do | nowhere; the nearest such      | where those of files do; the    |
-|                    |                         | Gaussian is written            | nearest such Gaussian is taken  |
+| end of a Gaussian  | at sigma = 3, as in     | none; the nearest endless      | at sigma = 3; the nearest such  |
+|                    | .sg files               | Gaussian is written            | Gaussian is taken               |
 | others             | size and background are | size and background are left   | f_rest and all other properties |
 |                    | left out                | out                            | are left out                    |
 

@@ -46,13 +46,13 @@ def pack(
     True
 
     gaussians: NumPy arrays, tensors or nested lists. They add up on the background, and are drawn as
-    sgmethod.torch.render() draws them. Those that round to nothing, and those that no pixel sees, are left out.
-    bpp: bits per pixel of the file, at most; quantum: how coarsely everything is rounded, 2^-10 to 16, where encode()
-    takes about 0.15 at 0.25 bpp; one of the two.
+    sgmethod.torch.render() draws them. Gaussians that round to nothing or touch no pixel are left out.
+    bpp: maximum bits per pixel of the file; quantum: how coarsely everything is rounded, 2^-10 to 16 (encode() uses
+    about 0.15 at 0.25 bpp). Give exactly one of them.
     background: red, green and blue, 1 being full white, as a sequence, an array or a tensor; rounded to 8 bits.
     image: the picture, as encode() takes it. Rounded values are then refined one Gaussian at a time to be closer to it.
 
-    Raises GaussiansError for what no file can hold, BudgetError, and ImageError for a picture of another size.
+    Raises GaussiansError if no file can hold the Gaussians, BudgetError, and ImageError for a picture of another size.
     """
     width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
     own = seen(checked_gaussians(gaussians), (width, height))

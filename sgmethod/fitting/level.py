@@ -1,7 +1,7 @@
-"""The picture that Gaussians are fitted to, at its own size, half of it, and so on.
+"""The picture that Gaussians are fitted to, at full size, half size, and so on.
 
-A few Gaussians learn as much from a small picture. Means and factors stay in pixels of the whole picture on every
-level.
+While there are few Gaussians, they learn as much from a reduced picture. Means and factors stay in pixels of the whole
+picture on every level.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 Let e be the residual and w a round Gaussian of scale s at some place. Its best colour is <w, e> / <w, w>, which lowers
 the squared error by its gain, <w, e>^2 / <w, w>.
 
-The Gaussians of profile rd end at sigma = 3. Such a Gaussian is as wide as one without cut-off of scale b = 0.849 s.
-Its integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a normalised
-Gaussian of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
+The Gaussians of profile rd end at sigma = 3. Such a Gaussian is as wide as a Gaussian of scale b = 0.849 s that is not
+cut off. Its integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a
+normalised Gaussian of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
 
 A place qualifies if its gain is the largest of all scales within the Gaussian's own size, and exceeds the worth of its
 bits. Wide blurs are computed and searched on smaller pictures. Each size of the picture therefore needs two maps from
@@ -14,8 +14,8 @@ the others: the largest gain at coarser sizes, enlarged, and the largest of each
 Early in the fit, wide gains are everywhere and hide nearly all others: growth would find ten places for hundreds of
 Gaussians. So a setting limits the number of coarser sizes that can hide a place.
 
-If a side is odd, a coarser sample reaches out of the picture, where the residual counts as zero. If the last pixels
-were repeated instead, a bright or dark frame would promise impossible gains there, and hide all other places.
+If a side is odd, the last coarse sample reaches beyond the picture, where the residual counts as zero. If the last
+pixels were repeated instead, a bright or dark frame would promise impossible gains there, and hide all other places.
 
 The full size of a large picture is processed in bands of rows, to save memory.
 """

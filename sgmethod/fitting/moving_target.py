@@ -1,15 +1,15 @@
 """Targets that move during the fit, depending on the current error.
 
 The eye sees coarse errors better than fine ones. With K e the mean of an error e over small squares, (e + K e)^T V e is
-minimised instead of e^T V e. Its gradient, V (e + K e), is that of the error against a target that lies K e further
-away.
+minimised instead of e^T V e. Its gradient, V (e + K e), equals the gradient of e^T V e against a target that lies
+K e further away.
 
-The eye also sees whether detail is as strong as it should be. Let x be an octave of the source, y that of the picture,
-and s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient in y is
-proportional to x - s y, like that of a squared error against x / s. Squared error alone leaves detail too weak where
-Gaussians are few, except at its peaks. Fitted against x / s, it comes closer to the strength of the source.
+The eye also sees whether detail is as strong as it should be. Let x be an octave of the source, y the same octave of
+the picture, and s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient
+in y is proportional to x - s y, like that of a squared error against x / s. Squared error alone leaves detail too weak
+where Gaussians are few, except at its peaks. Fitted against x / s, it comes closer to the strength of the source.
 
-So the target is moved every few steps, and the kernels need not know.
+So only the target is moved, every few steps, and the kernels stay as they are.
 """
 
 from __future__ import annotations

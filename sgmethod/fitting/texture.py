@@ -1,8 +1,8 @@
 """Grain that Gaussians should not try to draw, and the strength of the texture that replaces it.
 
 Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a smooth area look
-broken. So what the fit does not reach of a cell's grain is removed from its target, and the decoder's noise has the
-energy that is then missing, up to a spread of a few levels.
+broken. So the part of a cell's grain that the fit does not reach is removed from its target. The decoder adds noise
+with the energy that is then missing, up to a spread of a few levels.
 """
 
 from __future__ import annotations
@@ -179,9 +179,9 @@ def _energies(plane: Plane) -> Iterator[Plane]:
 def _strengths(spread: Plane, settings: TextureSettings) -> NDArray[np.float64]:
     """Strengths of cells, between which the decoder interpolates, for the spread that is missing in each block.
 
-    A least-squares fit in which too much noise weighs more than too little, or foliage's noise would spill over the
-    sky beside it. It begins at a low quantile of a cell's blocks, and its steps multiply: a cell of which some blocks
-    only have noise gets none, and none falls below 0.
+    This is a least-squares fit in which too much noise weighs more than too little: otherwise, the noise of foliage
+    would spill over the sky beside it. The fit begins at a low quantile of a cell's blocks, and its steps multiply, so
+    a cell where only some blocks have noise gets none, and no strength falls below 0.
     """
     strengths: NDArray[np.float64] = np.quantile(_by_cell(spread), settings.quantile, axis=2).astype(np.float64)
     for _ in range(STEPS):

@@ -25,7 +25,7 @@ def of_alpha(alpha: NDArray[np.uint8]) -> Visibility:
 
 
 def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Visibility | None = None) -> Visibility:
-    """Visibility to the eye of errors in pixels [H, W, 3], times that of alpha if given."""
+    """Visibility to the eye of errors in pixels [H, W, 3], times the visibility under alpha if given."""
     s, (height, width) = settings, pixels.shape[:2]
     size = (-(-width // s.shrink), -(-height // s.shrink))
     reduced = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32)

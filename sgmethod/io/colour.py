@@ -2,8 +2,8 @@
 
 A file states its colours by the code points of H.273 (PNG's cICP, AVIF's and HEIC's nclx), by an ICC profile, or, only
 in PNG, by sRGB, gAMA and cHRM. Colours defined by curves and primaries are converted here, because Pillow's Little CMS
-takes only 8 bits, of which the dark ones of linear light are too few: it does the rest (CMYK, tables). Both are
-relative colorimetric: white becomes white.
+takes only 8 bits, which are too few for the dark levels of linear light. Little CMS converts the rest (CMYK, tables).
+Both conversions are relative colorimetric: white becomes white.
 """
 
 from __future__ import annotations

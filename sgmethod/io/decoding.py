@@ -24,7 +24,7 @@ class Picture:
     """A decoded picture, on its way from the file's form to upright sRGB.
 
     levels [H, W, C]: C is 1 for grey, 3 for RGB and 4 for CMYK; `white` is white; alpha [H, W, 1]: `opaque` is opaque;
-    None for an opaque picture. The rest is that of Opened: what remains to be undone, and warnings.
+    None for an opaque picture. The other fields are as in Opened: what remains to be undone, and warnings.
     """
 
     levels: npt.NDArray[Any]

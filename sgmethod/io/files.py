@@ -23,8 +23,8 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
     The data is written to a new file and synced, and only then renamed to the target, with the permissions and, if
     allowed, the owner of the file it replaces. The new file is created beside the target, or in the folder `unfinished`
     of the same file system, where a power cut may leave it to be cleaned up. Links are followed; devices and pipes are
-    written directly. Raises OSError after removing the new file; only if the disk fails in the last sync, that of the
-    folder, does the target already have the new data.
+    written directly. Raises OSError after removing the new file; only if the disk fails while the folder is
+    synced at the end does the target already have the new data.
     """
     # Checked before links are resolved: /dev/stdout and >(...) are links to pipes that have no path.
     if Path(path).exists() and not Path(path).is_file():

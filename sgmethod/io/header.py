@@ -1,4 +1,4 @@
-"""The first steps of reading a file: open it, and check all that needs no pixels."""
+"""The first steps of reading a file: open it, and check everything that needs no pixels."""
 
 from __future__ import annotations
 

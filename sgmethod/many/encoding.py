@@ -35,8 +35,8 @@ def encode_many(
     more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for
     paths, the picture's size and time; pictures in memory are known by name alone.
-    on_row: called with each finished picture's line of the manifest, and with the run so far.
-    options: of encode().
+    on_row: called with each finished picture's line of the manifest, and with the progress of the run.
+    options: keyword arguments of encode().
 
     A picture that cannot be encoded is recorded with its error; the rest continues. Raises SgError for a name that is
     invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.

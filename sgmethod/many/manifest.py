@@ -44,7 +44,10 @@ class Row:
 
 
 def text_of(options: Mapping[str, object]) -> str:
-    """Return options that decide the bytes as text. That of `stop` differs each time, as what it decides does."""
+    """Return the options that decide the bytes, as text.
+
+    `stop` counts as one: its text differs in every run, because what it decides may differ too.
+    """
     return repr(sorted(option for option in options.items() if option[0] not in CALLBACKS))
 
 

@@ -1,4 +1,7 @@
-"""A run over many pictures: resumes, notes each file or its error, counts. Callers bring tasks and what does them."""
+"""A run over many pictures: it resumes, records each file or its error, and counts.
+
+Callers supply the tasks, and the function that makes a file of each.
+"""
 
 from __future__ import annotations
 

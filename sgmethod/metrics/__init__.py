@@ -1,4 +1,4 @@
-"""Measures of likeness: PSNR and MS-SSIM (pixels.py), SSIMULACRA 2 (visual.py). advice.py finds better formats."""
+"""Measures of similarity: PSNR and MS-SSIM (pixels.py), SSIMULACRA 2 (visual.py). advice.py finds better formats."""
 
 from sgmethod.metrics.pixels import MS_SSIM_SIDE, ms_ssim, psnr
 from sgmethod.metrics.visual import ssimulacra2

@@ -1,6 +1,6 @@
 """Advice: pictures that Gaussians do not suit, and the file that suits them better.
 
-Text, screenshots, charts and line art are flat, and where they change they jump. No photograph is both.
+Text, screenshots, charts and line art consist of flat areas with sharp edges between them. Photographs do not.
 """
 
 from __future__ import annotations

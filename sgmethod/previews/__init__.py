@@ -1,5 +1,5 @@
 """Previews for web pages: a picture as a short text, to show until the picture has loaded.
 
-A picture of any size is reduced to what so few bytes can show, and encoded. The result has the text, the picture's own
-size, its average colour, and HTML that uses them.
+A picture of any size is reduced to as many pixels as the bytes can show, and encoded. The result has the text, the
+picture's own size, its average colour, and HTML that uses them.
 """

@@ -64,8 +64,8 @@ class Preview:
     def html(self, src: str, alt: str = "", characters: int = HTML_CHARACTERS) -> str:
         """Return an <img> that shows the picture as a small WebP until it has loaded, without JavaScript.
 
-        The <img> is as wide as its container. The WebP is the best for which the tag has at most so many characters; a
-        transparent picture has none, since it would show through.
+        The <img> is as wide as its container. The WebP is the best that keeps the tag within `characters`
+        characters. A transparent picture has none, since the WebP would show through.
         src: the picture's URL, already quoted; alt: its alternative text.
         """
         return self._img(src, alt, "width:100%;height:auto", characters)
@@ -75,7 +75,7 @@ class Preview:
 
         The <img> is like html()'s, so its WebP is shown before the script has run, and without JavaScript. The styles
         also reserve the space; where a content security policy forbids them, the two rules in docs/previews.md do that.
-        Arguments as in html(); characters are those of the <img>.
+        Arguments as in html(); characters limits the <img>.
         """
         image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover", characters)
         return f'<sg-img preview="{self.text}" style="display:block">{image}</sg-img>'
@@ -101,8 +101,8 @@ def preview(image: Input, bytes: AnyInt | str = DEFAULT_BYTES, *, limits: ImageL
     >>> made.width, made.height, len(made.text) <= 266
     (128, 96, True)
 
-    image: as for encode(); transparency is kept; bytes: of the file at most, 12 to 16,384 (three bytes become four
-    characters), or a text such as "1k"; limits: of image files.
+    image: as for encode(); transparency is kept; bytes: maximum size of the file, 12 to 16,384 (three bytes become
+    four characters), or a string such as "1k"; limits: limits on image files.
     Raises ImageError, BudgetError, OSError and MemoryError, and warns with ImageWarning, as encode() does.
     """
     bytes = checked_bytes(bytes)
@@ -122,7 +122,7 @@ def checked_bytes(bytes: AnyInt | str) -> int:
 
 
 def _softened(pixels: Pixels, bytes: int) -> RdSettings:
-    """Settings for a reduced picture, or for one that was small already, and so has smaller Gaussians."""
+    """Settings for a reduced picture, or for a picture that was small already and so needs smaller Gaussians."""
     small = math.sqrt(pixels.shape[0] * pixels.shape[1] / (PIXELS_PER_BYTE * bytes))
     optimiser, pyramid = RD.fit.optimiser, RD.pyramid
     least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), optimiser.min_scale_px)

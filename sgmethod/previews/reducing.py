@@ -41,7 +41,7 @@ def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tup
 
 
 def reduced_size(size: Size, pixels: int) -> Size:
-    """Size of about this many pixels at most, with the aspect ratio nearest to that of `size`.
+    """Size of about this many pixels at most, with the aspect ratio nearest to `size`.
 
     A strip keeps one pixel across, and is reduced along.
 

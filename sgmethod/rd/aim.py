@@ -1,4 +1,4 @@
-"""Rate control for a quality to reach in as few bytes as possible: a SSIMULACRA 2, or a PSNR."""
+"""Rate control that reaches a quality, in SSIMULACRA 2 or PSNR, in as few bytes as possible."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Aim(RateControl, ABC):
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
-        """Return the one that should just reach the quality, unless it was tried."""
+        """Return the quantum that should just reach the quality, or None if it was tried already."""
         found = self._nearer(tried) if len(tried) < self.tries else None
         known = {quantum_code(one.stream.quantum) for one in tried}
         return None if found is None or quantum_code(found) in known else found
@@ -102,7 +102,7 @@ class Aim(RateControl, ABC):
         return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
-        """Quality to aim at, in dB: about that of the best try, if a finer quantum hardly helps any more."""
+        """Quality to aim at, in dB: about the best quality tried, if a finer quantum hardly helps any more."""
         s, reached = self.settings.rate, self.reached
         best = max(map(reached, tried))
         if len(tried) < 2 or best >= self.aim_db:

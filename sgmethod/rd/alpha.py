@@ -1,7 +1,8 @@
-"""Alpha: a grey picture of its own in the file. Two requests in turn: alpha, then colours as far as it shows them.
+"""Alpha, a separate grey picture in the file: encode alpha first, then the colours that it leaves visible.
 
-An error e of a colour under alpha a is a e on any background, so it counts a^2: hidden pixels cost nothing. An
-error d of alpha is d times the colour less the background. A file's error is the mean over a white and a black one.
+Over any background, an error e of a colour under alpha a becomes an error a e of the picture. Its square therefore
+counts a^2 times, and hidden pixels cost nothing. An error d of alpha becomes an error d (colour - background). The
+error of a file is the mean of its errors over white and over black.
 """
 
 from __future__ import annotations

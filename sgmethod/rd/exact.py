@@ -1,8 +1,8 @@
-"""Exactly N Gaussians in floating point, from which no file is made.
+"""Fit exactly N Gaussians in floating point, without making a file.
 
-The method is that of encode.py: place, prune, densify, fit. What only a file needs is left out: steering, rounding, the
-search over integers, and the rounds that follow it. Gaussians come and go for most of the steps, and the last steps are
-for those that stay.
+The method is that of encode.py: place, prune, densify, fit. Steering, rounding, the search over integers and the rounds
+after it are left out, because only a file needs them. For most of the steps, Gaussians are added and dropped. The last
+steps only move the N that stay.
 """
 
 from __future__ import annotations

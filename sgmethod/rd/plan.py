@@ -118,8 +118,8 @@ def _in_time(
 ) -> tuple[RdSettings, Pyramid]:
     """Reduce settings and pyramid to the time left. most: the level of most steps.
 
-    The finest level is one whose gradient takes no longer than a step may. A coarser one must halve the time to be
-    worth the detail that it lacks.
+    Computing the gradient on the finest level takes no longer than a step may. A coarser level is used only if it
+    halves the time, because it lacks detail.
     """
     rate, deadline = request.rate, request.deadline
 

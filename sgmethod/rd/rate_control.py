@@ -1,11 +1,12 @@
 """Rate control: a budget becomes a quantum and a number of Gaussians, which the fit steers and the search refines.
 
 One number, the quantum, sets all quantiser steps and the price of a bit. Each kind of budget is a class that answers
-the same questions: RateControl here for a fixed quantum, and GaussianCount; byte_limit.py for bytes, aim.py for a
-SSIMULACRA 2 and for a PSNR, which both steer the quantum while the Gaussians are fitted.
+the same questions. RateControl (a fixed quantum) and GaussianCount are here. byte_limit.py has the class for bytes.
+aim.py has the classes for a SSIMULACRA 2 and for a PSNR, which steer the quantum while the Gaussians are fitted.
 
-Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth finds local maxima of a
-gain, and those that are best early are not best late. The surplus is given up step by step.
+Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth adds Gaussians at local
+maxima of the gain, and the best places early in the fit are not the best places at its end. The surplus is dropped step
+by step.
 """
 
 from __future__ import annotations
@@ -102,10 +103,10 @@ class Coded:
 
 @dataclass(frozen=True)
 class RateControl:
-    """Rate control at a fixed quantum. The kinds of budget override what they answer differently.
+    """Rate control at a fixed quantum. Each kind of budget overrides the methods that it answers differently.
 
-    pixels: size of the picture; quantum: the first one; is_short: the file is to be a short one; further_rounds: beyond
-    those of the effort, while the budget is missed. Times (`at`) are parts of a run of the schedule, 0 to 1.
+    pixels: size of the picture; quantum: the initial quantum; is_short: whether to write a short file; further_rounds:
+    rounds beyond the effort's, while the budget is missed. Times (`at`) are parts of a run of the schedule, 0 to 1.
     """
 
     settings: RdSettings
@@ -189,11 +190,11 @@ class RateControl:
         return min(self.settings.alpha.coarser * self.quantum, MAX_QUANTUM)
 
     def allows_alpha(self, error: float) -> bool:
-        """Whether alpha may make this mean squared error, that of a file with exact colours."""
+        """Whether alpha may cause this mean squared error in a file with exact colours."""
         return True
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
-        """Rate control for the colours beside a coded alpha plane, which alone makes this error."""
+        """Rate control for the colours of a file whose alpha plane is coded, and alone causes this error."""
         return self
 
     def missing_db(self, stream: StreamV2, source: Pixels) -> float:

@@ -22,8 +22,8 @@ HALVINGS = 8  # of the interval in which the first quantum lies
 def search(plan: Plan, state: State, rounds: int) -> Coded:
     """Code a fit with several quanta, and return the file that meets the budget best.
 
-    rounds: completed. For each after the first, a random half of the Gaussians is fitted again to what rounding the
-    others leaves, and all are refined again: refining alone finds no single change that helps.
+    rounds: number completed. For each round after the first, a random half of the Gaussians is fitted again, to make up
+    for the rounding of the other half. Then all are refined again: refining alone finds no single change that helps.
     """
     request, rate, s = plan.request, plan.request.rate, plan.settings.refine
 

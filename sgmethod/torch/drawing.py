@@ -51,11 +51,11 @@ def render(
     size: width and height of the picture in pixels.
     background: below the Gaussians, a number or [..., 3].
     scale: output pixels per pixel of the picture, 1/64 to 64.
-    pyramid: draw wide Gaussians on coarser levels, as files of version 2 do; without, sample every pixel of each.
+    pyramid: draw wide Gaussians on coarser levels, as files of version 2 do; else draw them at full size.
     The two differ by 0.002 on average in a fitted photograph (root mean square).
 
     Gaussians with a value that is not finite, with l1 or l3 <= 0, or with a covariance or an inverse of it that the
-    precision cannot hold, are not drawn, and get gradients of 0. On the CPU, a RuntimeWarning tells of values that are
+    precision cannot hold, are not drawn, and get gradients of 0. On the CPU, a RuntimeWarning warns of values that are
     not finite, unless compiled. Raises GaussiansError for other shapes, and ViewError for an invalid scale or size.
     """
     means, factors, colors, lead = _checked(means, factors, colors)

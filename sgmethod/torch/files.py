@@ -42,8 +42,8 @@ def decode(
     torch.Size([3, 96, 128])
 
     dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The other
-    arguments and errors are those of sgmethod.decode(), which draws the pixels, the same for every device.
-    Raises SgError for a device that is not there.
+    arguments and errors are the same as for sgmethod.decode(), which draws the pixels on the CPU, so they are equal on
+    every device. Raises SgError for a device that is missing.
     """
     found = checked_device(device)
     return _tensor(decoder.decode(file, max_pixels, view), dtype, layout).to(found)
@@ -74,8 +74,8 @@ def draw(file: File | SgFile, device: Device = None) -> Tensor:
     >>> draw("photo.sg").shape
     torch.Size([3, 96, 128])
 
-    Only the bits are read on the CPU. Texture and alpha are left out; some pixels are a level from those of decode().
-    Raises BitstreamError, OSError, and SgError for a device that is not there.
+    Only the bits are read on the CPU. Texture and alpha are left out; some pixels differ from decode() by one level.
+    Raises BitstreamError, OSError, and SgError for a device that is missing.
     """
     opened = file if isinstance(file, SgFile) else SgFile(file)
     means, factors, colors, background = gaussians(opened, device)
@@ -93,11 +93,11 @@ class SgDataset(Dataset[dict[str, Any]]):
     files: .sg files, in the order in which they are given; or a folder of fit_many(), or one of its shards.
     size: each item has "pixels" [3, height, width], uint8, without alpha: the middle of the picture, scaled
     to cover that width and height. Only for .sg files.
-    most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True where there is one; "size"
+    most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True for a Gaussian; "size"
     (width, height) and "background" [3]; and "cls" or "json", if it was fitted with a label. The first Gaussians, which
     are the largest, are taken, and zeros, which draw nothing, fill the rest.
-    Raises SgError for other values of the two, for a single .sg file in place of a list, and for a folder without
-    shards; OSError for one that cannot be read.
+    Raises SgError unless exactly one of size and most_gaussians is given, for a single .sg file instead of a list, and
+    for a folder without shards; OSError for a file that cannot be read.
     """
 
     def __init__(

@@ -65,19 +65,19 @@ def fit(
 
     images: [B, 3, H, W], sRGB, uint8 or floating point in [0, 1], which is rounded to 8 bits. The result is on their
     device, which also does the work.
-    gaussians: for each picture, at most as many as it has pixels. The largest come first.
+    gaussians: number for each picture, at most its number of pixels. The largest come first.
     steps: the default, 150 to 340 depending on the Gaussians per pixel, has about the PSNR of encode(gaussians=N).
     seed: random seed. A picture's result depends neither on the others nor on the number of threads.
     tune: only "psnr", which is squared error.
-    quantum: the price of bits, for a result that pack() with this quantum makes smaller. By default bits are free.
+    quantum: also minimise the bits that pack() will need with this quantum. By default, bits are free.
     stop: polled; once it returns True, the pictures that are left get few steps, in a quarter of the time so far, at
     most 3 s.
     on_progress: called with the share that is done, 0 to 1; if it raises, the fits are abandoned.
 
-    A batch of at least as many pictures as there are cores has one picture on each; a smaller one has all cores for one
-    picture after the other. On a GPU with Triton, pictures take their steps in one batch.
+    If a batch has at least as many pictures as there are cores, each core fits one picture at a time. In a smaller
+    batch, all cores fit one picture after the other. On a GPU with Triton, pictures take their steps in one batch.
 
-    Raises ImageError for anything that is no batch of pictures, and BudgetError.
+    Raises ImageError for anything but a batch of pictures, and BudgetError.
     """
     if tune != "psnr":
         raise BudgetError(f"fits of tensors can only be tuned for psnr, not {tune!r}")
@@ -149,7 +149,7 @@ def _backends(
 
 
 class _Watch:
-    """Fits in other threads, as their caller sees them. stopped: they shall hurry; abandoned: they shall end."""
+    """Fits in other threads, as their caller sees them. stopped: they must finish soon; abandoned: they must end."""
 
     def __init__(self, fits: int, stop: Stop | None, on_progress: OnProgress | None) -> None:
         self._shares, self._stop, self._on_progress = [0.0] * fits, stop, on_progress
