@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import certifi
 import pytest
 
 from benchmarks.harness.data import ROOT
@@ -153,7 +154,8 @@ def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
 ) -> None:
     """The library panicked, which is a traceback, or named no cause."""
     keys = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_ENDPOINT_URL": "http://127.0.0.1:1"}
-    settings = {"SG_STORAGE_URL": "s3://bucket", "SG_DATA_DIR": tmp_path, "SSL_CERT_DIR": "/nowhere", **keys}
+    certificates = {"SSL_CERT_DIR": "/nowhere", "SSL_CERT_FILE": certifi.where()}  # whatever this machine has
+    settings = {"SG_STORAGE_URL": "s3://bucket", "SG_DATA_DIR": tmp_path, **keys, **certificates}
     result = run_command("serve", **{**settings, name: value})
     assert result.status == 1
     assert re.fullmatch(f"cannot start: .*{words}.*\n", result.stderr)
