@@ -134,7 +134,8 @@ class _Report:
     def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
         self._left -= Counter([outcome.input])
-        pace = self._pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
+        rate = f"{tally.per_second:{'.3g' if tally.per_second < 100 else ',.0f'}}"
+        pace = self._pace = f", {rate} pictures/s{remaining(tally.seconds, done / self._whole)}"
         if self._shown:
             redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)

@@ -41,7 +41,7 @@ def test_many_files_are_decoded(run: Run) -> None:
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
     assert re.fullmatch(
-        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, [\d.]+ pictures/s, \d+ s left\)", done
+        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, [\d.,]+ pictures/s, \d+ s left\)", done
     )
     assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
     bad, missing = ran.err.splitlines()
@@ -106,7 +106,7 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     assert status == 0
     first, second, third, end = seen.decode().replace("\r\n", "\n").split("\r\x1b[K")[:4]
     assert first == "\r0 of 2: a.sg 0 s\x1b[K"
-    after = r"\r1 of 2, [\d.]+ pictures/s, \d+ s left: b\.sg 0 s\x1b\[K"
+    after = r"\r1 of 2, [\d.,]+ pictures/s, \d+ s left: b\.sg 0 s\x1b\[K"
     assert re.fullmatch(rf"a\.sg -> out/a\.png: .* bytes\n{after}", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
