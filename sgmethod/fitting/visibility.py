@@ -65,7 +65,8 @@ def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np
     total, color = 0.0, visibility.color.astype(np.float32)
     for row, (a, b) in enumerate(zip(decoded, source, strict=True)):
         e = a.astype(np.float32) - b
-        total += float(np.einsum("na,ab,nb,n->", e, color, e, visibility.values[row].astype(np.float32)))
+        weighted = np.einsum("na,ab->nb", e, color)  # apart: one einsum of four factors takes three times as long
+        total += float(np.einsum("nb,nb,n->", weighted, e, visibility.values[row].astype(np.float32)))
     return total / VISIBLE
 
 

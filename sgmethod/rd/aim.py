@@ -56,9 +56,7 @@ class Aim(RateControl, ABC):
             return quantum
         return float(quantum * min(max(ratio, 1 / self.steering_limit), self.steering_limit))
 
-    def first_quantum(
-        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
-    ) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Iterable[int]) -> float:
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:

@@ -103,9 +103,7 @@ class ByteBudget(ByteLimit):
         ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
-    def first_quantum(
-        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
-    ) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Iterable[int]) -> float:
         """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
 
         Bisection, at the place where the line through both ends meets the limit. The end that stays counts half each
@@ -120,7 +118,7 @@ class ByteBudget(ByteLimit):
             low, high = high, high + math.log(2)
         while (below := beyond(low)) < 0 and low > math.log(MIN_QUANTUM):
             low, high, above = low - math.log(2), low, below
-        for _ in halvings:
+        for _ in tries:
             if high - low < PRECISION:
                 break
             middle = low + (high - low) * min(max(below / max(below - above, 1e-9), 0.02), 0.98)

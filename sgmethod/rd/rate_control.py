@@ -154,12 +154,10 @@ class RateControl:
         """Whether the file may hold a texture."""
         return True
 
-    def first_quantum(
-        self, quantum: float, payload: Callable[[float], int], limit: int, halvings: Iterable[int]
-    ) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Iterable[int]) -> float:
         """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload.
 
-        halvings: as many as there is time for.
+        tries: as many as there is time for.
         """
         return self.quantum
 

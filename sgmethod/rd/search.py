@@ -16,7 +16,7 @@ from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
-HALVINGS = 8  # of the interval in which the first quantum lies
+QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
@@ -44,7 +44,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     refined = partial(_refined, plan, target, texture)
 
     tried: list[Coded] = []
-    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, request.deadline.tries(HALVINGS))
+    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, request.deadline.tries(QUANTUM_TRIES))
     for _ in request.deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break
@@ -74,8 +74,11 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
 def _report(plan: Plan, state: State, rounds: int, step: int, steps: int) -> None:
     """Report the progress of a search, unless another run of the schedule follows it."""
     if rounds >= plan.settings.effort.rounds[-1]:
-        decoded = plan.rounded(state.gaussians, state.quantum)
-        plan.request.recorder.report("search", step, steps, lambda: plan.error(decoded), len(decoded), state.size)
+
+        def decoded_error() -> float:
+            return plan.error(plan.rounded(state.gaussians, state.quantum))
+
+        plan.request.recorder.report("search", step, steps, decoded_error, len(state.gaussians), state.size)
 
 
 def _refined(
