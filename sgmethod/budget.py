@@ -96,7 +96,7 @@ class Budget:
 
 
 DEFAULT_BUDGET = Budget("bpp", 0.3)  # the default of pictures whose file is then within ...
-DEFAULT_MOST_BYTES = 20_000  # ... this size: from 0.53 megapixels on, files are as large as that and no larger
+DEFAULT_MOST_BYTES = 50_000  # ... this size: from 1.33 megapixels on, no file is larger
 
 
 def default_budget(width: int, height: int, least: int) -> Budget:

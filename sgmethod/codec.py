@@ -157,7 +157,7 @@ def encode(
     bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
     warning.
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
-    0.3 bpp, but at most 20,000 bytes.
+    0.3 bpp, but at most 50,000 bytes.
     profile: "rd" or "paper".
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
     profiles support only "psnr".

@@ -60,7 +60,7 @@ Number = float | SkipJsonSchema[None]
 class EncodeOptions(BaseModel):
     """The options of an encode.
 
-    Give at most one budget. The default is 0.3 bits per pixel, but at most 20,000 bytes.
+    Give at most one budget. The default is 0.3 bits per pixel, but at most 50,000 bytes.
 
     Raises ValidationError, BudgetError, or ProblemError 422.
     """

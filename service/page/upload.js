@@ -39,8 +39,8 @@ const LEAST = 100;
 const bytesAt = (place) => Number((LEAST * 1e4 ** (place / 100)).toPrecision(2));
 const placeOf = (bytes) => (100 * Math.log(bytes / LEAST)) / Math.log(1e4);
 
-/** The size that the service takes unless asked for another: 0.3 bits per pixel, but at most 20 kB. */
-const usual = (item) => Math.max(Math.min(item?.size ? Math.floor((0.3 * item.size[0] * item.size[1]) / 8) : 2e4, 2e4), LEAST);
+/** The size that the service takes unless asked for another: 0.3 bits per pixel, but at most 50 kB. */
+const usual = (item) => Math.max(Math.min(item?.size ? Math.floor((0.3 * item.size[0] * item.size[1]) / 8) : 5e4, 5e4), LEAST);
 const isMoved = () => "sgmethod-slider" in local;
 const bytes = (item) => (isMoved() ? bytesAt($("slider").value) : usual(item));
 

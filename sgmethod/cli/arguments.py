@@ -36,7 +36,7 @@ ENCODE = (
 converted to sRGB.
 
 examples:
-  sgmethod encode photo.jpg                        writes photo.sg, of at most 20 kB
+  sgmethod encode photo.jpg                        writes photo.sg, of at most 50 kB
   sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --quality web <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
