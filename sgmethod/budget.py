@@ -95,10 +95,12 @@ class Budget:
         return int(self.value)
 
 
-DEFAULT_BUDGET = Budget("bpp", 0.3)
+DEFAULT_BUDGET = Budget("bpp", 0.3)  # the default of pictures whose file is then within ...
+DEFAULT_MOST_BYTES = 50_000  # ... this size: from 1.33 megapixels on, no file is larger
 
 
 def default_budget(width: int, height: int, least: int) -> Budget:
-    """Return a picture's default budget: DEFAULT_BUDGET, or `least` bytes if no file is that small."""
+    """Return a picture's default budget: DEFAULT_BUDGET, but at most DEFAULT_MOST_BYTES, and at least `least` bytes."""
     asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
-    return DEFAULT_BUDGET if asked >= least else Budget("bytes", least)
+    size = max(min(asked, DEFAULT_MOST_BYTES), least)
+    return DEFAULT_BUDGET if size == asked else Budget("bytes", size)

@@ -157,7 +157,7 @@ def encode(
     bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
     warning.
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
-    0.3 bpp.
+    0.3 bpp, but at most 50,000 bytes.
     profile: "rd" or "paper".
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
     profiles support only "psnr".
@@ -224,7 +224,7 @@ class _Asked:
         return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed)
 
     def with_default_for(self, pixels: Pixels) -> _Asked:
-        """Raise the default budget to the smallest file that a tiny picture [H, W, C] can have."""
+        """Replace the default budget by what it is for a picture [H, W, C]."""
         if self.budget is not DEFAULT_BUDGET:
             return self
         height, width, channels = pixels.shape

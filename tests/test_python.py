@@ -83,6 +83,7 @@ def test_pictures_of_pillow_are_taken_as_they_are_seen() -> None:
 
 def test_budgets() -> None:
     assert sgmethod.encode(PIXELS).data == sgmethod.encode(PIXELS, bpp=0.3).data
+    assert 49_000 < len(sgmethod.encode(np.tile(PIXELS, (12, 12, 1)), effort=1).data) <= 50_000
     assert sgmethod.encode(PIXELS, Budget("bytes", 500)).data == encoded(PIXELS)
 
 

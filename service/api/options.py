@@ -58,7 +58,9 @@ Number = float | SkipJsonSchema[None]
 
 
 class EncodeOptions(BaseModel):
-    """The options of an encode. Give at most one budget; the default is 0.3 bits per pixel.
+    """The options of an encode.
+
+    Give at most one budget. The default is 0.3 bits per pixel, but at most 50,000 bytes.
 
     Raises ValidationError, BudgetError, or ProblemError 422.
     """
@@ -122,7 +124,7 @@ class EncodeOptions(BaseModel):
         return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
-        """Return the budget. The default is raised to the smallest possible file for a tiny image."""
+        """Return the budget: if none was given, the default for the image."""
         budget = self.budget
         if budget is DEFAULT_BUDGET:
             return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))

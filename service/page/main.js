@@ -167,7 +167,7 @@ async function give(files) {
         if (!item.original && COMMON.includes(format)) {
           const words = `This ${format} is damaged, or too large for this browser.`;
           item.update({ state: "failed", words, isUnread: true });
-        } else if (items.includes(item)) item.encode(budget());
+        } else if (items.includes(item)) item.encode(budget(item));
       }
     } catch (error) {
       item.update({ state: "failed", words: `The file cannot be opened: ${error.message}` });
@@ -183,7 +183,7 @@ async function again() {
   item.state = "sending"; // so that a second click has no effect
   show(item);
   await item.setOriginal(source);
-  if (item.busy) item.encode(budget());
+  if (item.busy) item.encode(budget(item));
 }
 
 /** Show the picture in the address. */
@@ -249,7 +249,7 @@ $("key-field").addEventListener("submit", (event) => {
   event.preventDefault();
   if (current.state !== "failed") return;
   if (current.id) current.resume(current.id);
-  else if (current.source) current.encode(budget());
+  else if (current.source) current.encode(budget(current));
 });
 $("stop").addEventListener("click", () => current.stop());
 $("cancel").addEventListener("click", () => current.cancel());

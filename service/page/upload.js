@@ -34,45 +34,47 @@ export function listen(given) {
   });
 }
 
-/** The slider's bits per pixel: 0.05 to 2, each step 3.8 % more. */
-const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
+/** The slider's bytes: 100 to 1,000,000, each step 4.7 % more. */
+const LEAST = 100;
+const bytesAt = (place) => Number((LEAST * 1e4 ** (place / 100)).toPrecision(2));
+const placeOf = (bytes) => (100 * Math.log(bytes / LEAST)) / Math.log(1e4);
+
+/** The size that the service takes unless asked for another: 0.3 bits per pixel, but at most 50 kB. */
+const usual = (item) => Math.max(Math.min(item?.size ? Math.floor((0.3 * item.size[0] * item.size[1]) / 8) : 5e4, 5e4), LEAST);
+const isMoved = () => "sgmethod-slider" in local;
+const bytes = (item) => (isMoved() ? bytesAt($("slider").value) : usual(item));
 
 /** SSIMULACRA 2, 5 to 95. */
-const quality = () => Math.round(5 + 0.9 * Number($("bpp").value));
+const quality = () => (isMoved() ? Math.round(5 + 0.9 * Number($("slider").value)) : 50);
 const QUALITIES = [[80, "hardly different from the original"], [60, "good beside the original"], [30, "good on its own"], [0, "a preview"]];
 
-export function budget() {
+export function budget(item) {
   const timeLimit = Number($("time-limit").value) || null;
-  const kind = $("aim").value;
-  const value = kind === "bpp" ? rate() : kind === "quality" ? quality() : Number($("aim-value").value) || AIMS[kind][1];
-  return { kind, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
+  const aim = $("aim").value;
+  const value = aim === "size" ? bytes(item) : aim === "quality" ? quality() : Number($("aim-value").value) || AIMS[aim][1];
+  return { kind: aim === "size" ? "bytes" : aim, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
 }
 
 /** Describe the slider's value for a picture, or in general. */
 export function sayRate(item) {
   const byQuality = $("aim").value === "quality";
   $("rate-name").textContent = byQuality ? "How good" : "File size";
-  $("bpp").setAttribute("aria-label", $("rate-name").textContent);
+  const most = bytes(item);
+  if (!isMoved()) $("slider").value = byQuality ? 50 : placeOf(most);
   if (byQuality) {
     $("rate").textContent = `${quality()} of 100`;
-    $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
     $("rate-words").textContent = `SSIMULACRA 2, ${QUALITIES.find(([least]) => quality() >= least)[1]}, in as few bytes as that takes.`;
-    return;
-  }
-  const bpp = rate();
-  if (item?.size && item.originalBytes) {
-    const bytes = Math.round((bpp * item.size[0] * item.size[1]) / 8);
-    $("rate").textContent = `about ${size(bytes)}`;
-    $("rate-words").textContent = `Estimated: ${smaller(item.originalBytes, bytes)}, ${expected(bytes)}.`;
   } else {
-    $("rate").textContent = `${size(Math.round((bpp / 8) * 1e6))} a megapixel`;
-    $("rate-words").textContent = `${bpp.toFixed(2)} bits per pixel.`;
+    $("rate").textContent = `at most ${size(most)}`;
+    const less = item?.originalBytes ? `${smaller(item.originalBytes, most)}, ` : "";
+    $("rate-words").textContent = `Estimated: ${less}${expected(most)}.`;
   }
-  $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
+  $("slider").setAttribute("aria-label", $("rate-name").textContent);
+  $("slider").setAttribute("aria-valuetext", $("rate").textContent);
 }
 
 export function rememberBudget(changed) {
-  for (const id of ["bpp", "aim", "tune", "effort", "time-limit"]) remembered($(id), local);
+  for (const id of ["slider", "aim", "tune", "effort", "time-limit"]) remembered($(id), local);
   remembered($("key"), session);
   $("key-field").hidden = !$("key").value;
   const name = () => `sgmethod-aim-${$("aim").value}`;
@@ -85,6 +87,6 @@ export function rememberBudget(changed) {
   };
   $("aim").addEventListener("change", () => { showAim(); changed(); });
   $("aim-value").addEventListener("input", () => (local[name()] = $("aim-value").value));
-  $("bpp").addEventListener("input", changed);
+  $("slider").addEventListener("input", changed);
   showAim();
 }

@@ -11,7 +11,7 @@ from sgmethod.errors import SgError
 
 BAD_INPUT = 2
 BUDGET_HELP = {
-    "bpp": ("F", "maximum size in bits per pixel (default: {default})"),
+    "bpp": ("F", "maximum size in bits per pixel (default: {default}, but at most {most} bytes)"),
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
     "quality": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
@@ -36,7 +36,7 @@ ENCODE = (
 converted to sRGB.
 
 examples:
-  sgmethod encode photo.jpg                        writes photo.sg, at most 0.3 bits per pixel
+  sgmethod encode photo.jpg                        writes photo.sg, of at most 50 kB
   sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --quality web <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
@@ -196,14 +196,15 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
-    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET
+    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, DEFAULT_MOST_BYTES
 
+    default = {"default": DEFAULT_BUDGET.value, "most": f"{DEFAULT_MOST_BYTES:,}"}
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
         # Whole numbers are read as floats too, so that Budget reports what is wrong with 1.5 bytes.
         read = {"bytes": _size, "quality": _quality}.get(kind, float)
-        budget.add_argument(f"--{kind}", type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
+        budget.add_argument(f"--{kind}", type=read, metavar=metavar, help=text.format(**default))
 
 
 def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:

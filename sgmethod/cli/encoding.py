@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
+from sgmethod.budget import BUDGET_KINDS, Budget
 from sgmethod.cli import files, naming
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import CommandError
@@ -52,9 +52,9 @@ def run_encode(arguments: argparse.Namespace) -> int:
     return convert_one(conversion, encode, arguments, traces)
 
 
-def _only_budget(arguments: argparse.Namespace) -> Budget:
+def _only_budget(arguments: argparse.Namespace) -> Budget | None:
     given = [Budget(kind, value) for kind in BUDGET_KINDS if (value := getattr(arguments, kind)) is not None]
-    return given[0] if given else DEFAULT_BUDGET
+    return given[0] if given else None
 
 
 def _summary(figures: Figures) -> str:

@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 import httpx
 
 from sgmethod.arguments import AnyFloat, AnyInt
-from sgmethod.budget import DEFAULT_BUDGET, Budget
+from sgmethod.budget import Budget
 from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
 from sgmethod.errors import ServerError
 from sgmethod.io.files import File, bytes_of
@@ -76,7 +76,7 @@ class Client:
     def encode(
         self,
         image: File,
-        budget: Budget = DEFAULT_BUDGET,
+        budget: Budget | None = None,
         profile: Profile = DEFAULT_PROFILE,
         *,
         on_progress: Progress | None = None,
@@ -112,7 +112,7 @@ class Client:
     def submit(
         self,
         image: File,
-        budget: Budget = DEFAULT_BUDGET,
+        budget: Budget | None = None,
         profile: Profile = DEFAULT_PROFILE,
         **options: Unpack[Options],
     ) -> str:
@@ -121,7 +121,7 @@ class Client:
         return _id_of(self._submit("/encode", query, bytes_of(image, ServerError)))
 
     def submit_again(
-        self, job_id: str, budget: Budget, profile: Profile = DEFAULT_PROFILE, **options: Unpack[Options]
+        self, job_id: str, budget: Budget | None = None, profile: Profile = DEFAULT_PROFILE, **options: Unpack[Options]
     ) -> str:
         """Submit the image of an existing job again, without another upload, and return the id of the new job.
 
@@ -207,9 +207,11 @@ class Client:
             self.remove(job_id)
 
 
-def _query(budget: Budget, profile: Profile, options: Options) -> Json:
-    wanted = {budget.kind: budget.value, "profile": profile, "effort": DEFAULT_EFFORT, "priority": "interactive"}
-    return {name: value for name, value in (wanted | {**options}).items() if value is not None}
+def _query(budget: Budget | None, profile: Profile, options: Options) -> Json:
+    wanted: Json = {"profile": profile, "effort": DEFAULT_EFFORT, "priority": "interactive", **options}
+    if budget is not None:
+        wanted[budget.kind] = budget.value
+    return {name: value for name, value in wanted.items() if value is not None}
 
 
 def _id_of(answer: httpx.Response) -> str:

@@ -12,7 +12,6 @@ from threading import Thread
 from typing import Any
 
 from sgmethod.arguments import AnyInt, checked_integer
-from sgmethod.budget import DEFAULT_BUDGET
 from sgmethod.client.client import Client
 from sgmethod.errors import ServerError
 from sgmethod.io.files import bytes_of
@@ -39,7 +38,7 @@ def encode_many(
     hours for a long run. Jobs of a run that was killed are found again by the next one into the same folder.
     """
     threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
-    options = {"budget": DEFAULT_BUDGET, "priority": "bulk", **options}
+    options = {"priority": "bulk", **options}
 
     def make(folder: Path, task: Task[Row]) -> Made:
         image = bytes_of(task.picture, ServerError)

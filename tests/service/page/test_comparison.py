@@ -95,7 +95,7 @@ def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Servi
     assert "too few for more than a rough idea" in page.text("#rate-words")
     assert page.text("#outcome") == ""
     job_id = page.queued(PHOTOGRAPH, "coffee.webp")
-    page.says("about 2,800 Gaussians.", "#rate-words")
+    page.says("about 2,700 Gaussians.", "#rate-words")
     web.publish(job_id, COFFEE)
     page.says("times smaller than the original; ", "#outcome")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):

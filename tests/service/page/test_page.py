@@ -35,9 +35,9 @@ def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> 
     assert page.run("return location.hash") == f"#{job['id']}"
     assert not page.is_seen("#work")
     lines = page.run("return [...document.querySelectorAll('pre')].map((one) => one.textContent)")
-    assert "-F image=@my_disc.png -F bpp=0.3" in lines[0]
+    assert "-F image=@my_disc.png -F bytes=" in lines[0]
     assert "-F effort=1" in lines[0]
-    assert 'sgmethod.encode("my_disc.png", bpp=0.3' in lines[1]
+    assert 'sgmethod.encode("my_disc.png", bytes=' in lines[1]
     both = page.settled()
     page.press("divider", "Home")
     wait_until(lambda: not np.array_equal(page.settled(), both))
