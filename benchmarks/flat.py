@@ -12,8 +12,8 @@ Row = dict[str, Any]
 AVERAGED = ("image", "picture", "seed")  # over these
 # The columns that identify a line; they come first.
 KEYS = (
-    *("codec", "max_bpp", "quality", "kind", "megapixels", "max_bytes", "method", "setting", "what", "asked", "job"),
-    *("isa", "threads", "table", "without", "set", "case", "rule", "value", "attack", "database"),
+    *("codec", "anchor", "max_bpp", "quality", "kind", "megapixels", "max_bytes", "method", "setting", "what", "asked"),
+    *("job", "isa", "threads", "table", "without", "set", "case", "rule", "value", "attack", "database"),
 )
 
 

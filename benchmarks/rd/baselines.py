@@ -180,6 +180,49 @@ class AvifForPsnr(TunedAvif):
     name, subsampling, advanced = "avif tune=psnr", "4:4:4", {"tune": "psnr"}
 
 
+class LibvipsAvif(TunedAvif):
+    """AVIF of libvips, which can write 10 bits; 4:4:4, on every core, by default at speed 4."""
+
+    qualities = range(1, 100)
+    bits, tune = 10, "psnr"
+
+    def __init__(self, speed: int = 4) -> None:
+        self.settings = {"speed": speed}
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        wide = np.rint(pixels * (1023 / 255)).astype(np.uint16) << 6  # of 16 bits, the highest 10 are written
+        values, kind = (pixels, "srgb") if self.bits == 8 else (wide, "rgb16")
+        how = {"bitdepth": self.bits, "tune": self.tune, "effort": 9 - self.settings["speed"]}
+        how |= {"compression": "av1", "subsample_mode": "off", "keep": "none"}  # no metadata
+        picture = package("pyvips").Image.new_from_array(values, interpretation=kind)
+        return bytes(picture.heifsave_buffer(Q=int(quality), **how))
+
+    def decode(self, data: bytes) -> Pixels:
+        decoded = super().decode(data)
+        return decoded if self.bits == 8 else np.asarray(cv2.convertScaleAbs(decoded, alpha=255 / 1023), np.uint8)
+
+
+class AvifOf10BitsForPsnr(LibvipsAvif):
+    """AVIF in 10 bits for the highest PSNR."""
+
+    name = "avif tune=psnr 10 bits"
+
+
+class AvifOf10BitsForEyes(LibvipsAvif):
+    """AVIF in 10 bits with the tuning that is the default of libavif and libheif."""
+
+    name, tune = "avif tune=iq 10 bits", "iq"
+
+
+class AvifOfSharp(LibvipsAvif):
+    """AVIF as sharp writes it by default since 0.35: tune=iq, 8 bits, 4:4:4, effort 4, which is speed 5."""
+
+    name, bits, tune = "avif sharp", 8, "iq"
+
+    def __init__(self) -> None:
+        super().__init__(speed=5)
+
+
 class ReducedAvif(AvifForPsnr):
     """AVIF of a picture that is reduced first, as people do for few bytes: its sides by two, or by more until
     MIN_BPP bits are left for each pixel. Times include the reducing; decoding enlarges."""
@@ -241,19 +284,20 @@ class JpegXl(Baseline):
         return np.asarray(imagecodecs().jpegxl_decode(data, numthreads=native.thread_count()))
 
 
-class PatientAvif(AvifForPsnr):
+class PatientAvif(AvifOf10BitsForPsnr):
     """The slowest speed, some seconds for a photograph: what effort 9 of profile rd competes with."""
 
-    name = "avif tune=psnr speed 0"
+    name = "avif tune=psnr 10 bits speed 0"
 
     def __init__(self) -> None:
         super().__init__(speed=0)
 
 
-USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes)
-SELDOM = (PatientAvif, AvifWithGrain)
+AVIFS = (AvifForPsnr, AvifForEyes, AvifOf10BitsForPsnr, AvifOf10BitsForEyes)
+USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, *AVIFS)
+SELDOM = (PatientAvif, AvifOfSharp, AvifWithGrain)
 BASELINES: dict[str, Callable[[], Baseline]] = {baseline.name: baseline for baseline in (*USUAL, *SELDOM)}
-PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
+PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif", "pyvips")
 
 
 def package(name: str) -> Any:
@@ -279,5 +323,6 @@ def versions() -> list[str]:
         *(name for name in imagecodecs().version().split(", ") if name.startswith(wanted)),
         "mozjpeg-4.0.3",
         f"libavif-{features.version('avif')} of Pillow",
+        f"libvips-{'.'.join(str(package('pyvips').version(k)) for k in range(3))}",
         f"libheif-{heif['libheif']} ({heif['HEIF']})",
     ]

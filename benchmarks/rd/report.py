@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
-from benchmarks.tables import mean
+from benchmarks.tables import mean, standard_error
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,22 @@ class Row:
         return self.codec, self.aim, self.image
 
 
+@dataclass(frozen=True)
+class BdRate:
+    """BD-rates over pictures, in percent, and the mean over pictures of the bits per pixel that they compare."""
+
+    pictures: int
+    mean: float
+    standard_error: float | None  # None for one picture
+    least: float
+    most: float
+    from_bpp: float
+    to_bpp: float
+
+
 Point = tuple[float, float]  # bits per pixel, PSNR or another figure
 Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
+AVIF = ("avif tune=psnr 10 bits", "avif tune=psnr")  # for the highest PSNR, the better one first
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
 FIGURES = ("bytes", "bpp", "psnr", "ms_ssim", *SEEN, "gaussians", "encode_s", "decode_ms")
@@ -76,6 +92,19 @@ def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
     """
     gap = _mean_gap(*([(db, math.log10(rate)) for rate, db in sorted(points)] for points in (anchor, test)))
     return None if gap is None else 100 * (10**gap - 1)
+
+
+def shared(anchor: Sequence[Point], test: Sequence[Point]) -> tuple[float, float]:
+    """The least and the greatest figure that both curves reach."""
+    ends = [(min(values), max(values)) for values in ([value for _, value in points] for points in (anchor, test))]
+    return max(low for low, _ in ends), min(high for _, high in ends)
+
+
+def compared(anchor: Sequence[Point], test: Sequence[Point]) -> tuple[float, float]:
+    """The lowest and the highest rate of either curve in the range of quality that both reach."""
+    ends = shared(anchor, test)
+    rates = [np.interp(ends, *np.array(sorted((db, bpp) for bpp, db in points)).T) for points in (anchor, test)]
+    return float(min(low for low, _ in rates)), float(max(high for _, high in rates))
 
 
 def bd_psnr(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
@@ -120,22 +149,27 @@ def curve(average: Means, codec: str, figure: str = "psnr") -> list[Point]:
     return [(bpp, value) for bpp, value in found if bpp is not None and value is not None]
 
 
-def against(rows: Sequence[Row], codec: str, anchor: str) -> float | None:
-    """The mean over pictures of the BD-rate of a codec. None where a picture that both have has no such rate."""
+def against(rows: Sequence[Row], codec: str, anchor: str) -> BdRate | None:
+    """The BD-rates of a codec. None where a picture that both have has no such rate."""
     images = dict.fromkeys(row.image for row in rows if row.codec == anchor)
-    return mean_rate({image: points(rows, anchor, image) for image in images}, rows, codec)
+    return _over_pictures({image: points(rows, anchor, image) for image in images}, rows, codec)
 
 
-def against_cool_chic(rows: Sequence[Row], codec: str) -> float | None:
+def against_cool_chic(rows: Sequence[Row], codec: str) -> BdRate | None:
     """Like against(), for the points that Cool-Chic published for each picture."""
     images = dict.fromkeys(row.image for row in rows)
-    return mean_rate({image: published.cool_chic().get(Path(image).stem, []) for image in images}, rows, codec)
+    return _over_pictures({image: published.cool_chic().get(Path(image).stem, []) for image in images}, rows, codec)
 
 
-def mean_rate(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str) -> float | None:
-    """The mean of BD-rates against points by picture."""
+def _over_pictures(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str) -> BdRate | None:
+    """BD-rates against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
-    return mean([bd_rate(anchors[image], points(rows, codec, image)) for image in images])
+    curves = [(anchors[image], points(rows, codec, image)) for image in images]
+    rates = [rate for pair in curves if (rate := bd_rate(*pair)) is not None]
+    if not rates or len(rates) < len(curves):
+        return None
+    low, high = (statistics.fmean(ends) for ends in zip(*(compared(*pair) for pair in curves), strict=True))
+    return BdRate(len(rates), statistics.fmean(rates), standard_error(rates), min(rates), max(rates), low, high)
 
 
 def points(rows: Sequence[Row], codec: str, image: str) -> list[Point]:
@@ -145,10 +179,20 @@ def points(rows: Sequence[Row], codec: str, image: str) -> list[Point]:
     return list(dict.fromkeys((row.bpp, row.psnr) for row in mine if row.psnr is not None))
 
 
-def against_quoted(average: Means, codec: str, other: str) -> float | None:
-    """The BD-rate of means over pictures against a published curve of means. None where the two average in different
-    ways."""
+def against_quoted(average: Means, codec: str, other: str) -> BdRate | None:
+    """The BD-rate of means over pictures against a published curve of means: as of one picture. None where the two
+    average in different ways."""
     quoted = published.kodak()[other]
     if ("one rate" in quoted["averaged"]) is (ONE_QUALITY in codec):
         return None
-    return bd_rate([(p["bpp"], p["psnr"]) for p in quoted["points"]], curve(average, codec))
+    pair = [(p["bpp"], p["psnr"]) for p in quoted["points"]], curve(average, codec)
+    rate = bd_rate(*pair)
+    return None if rate is None else BdRate(1, rate, None, rate, rate, *compared(*pair))
+
+
+def bd_rates(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Every BD-rate against AVIF, for the JSON."""
+    codecs = dict.fromkeys(row.codec for row in rows)
+    pairs = [(codec, anchor) for anchor in AVIF if anchor in codecs for codec in codecs if codec != anchor]
+    found = [(pair, against(rows, *pair)) for pair in pairs]
+    return [{"codec": pair[0], "anchor": pair[1], **asdict(rate)} for pair, rate in found if rate]

@@ -30,6 +30,7 @@ FIGURE = re.compile(r"(\S*)<!-- ([\w-]+\.[\w.-]+) -->")
 TABLES: dict[str, Callable[[], str]] = {
     "readme": rate.readme_table,
     "rate": rate.codecs_table,
+    "quoted": rate.quoted_table,
     "speed": speed.sizes_table,
     "within-small": partial(speed.within_table, 0.4),
     "within-large": partial(speed.within_table, 12),

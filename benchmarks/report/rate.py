@@ -11,9 +11,11 @@ import numpy as np
 
 from benchmarks import published
 from benchmarks.rd.report import (
+    AVIF,
     ONE_QUALITY,
     SEEN,
     TITLES,
+    BdRate,
     Means,
     Row,
     against,
@@ -21,11 +23,12 @@ from benchmarks.rd.report import (
     against_quoted,
     curve,
     means,
+    shared,
 )
 from benchmarks.report import results
 from benchmarks.report.plots import style
-from benchmarks.report.results import load, percent
-from benchmarks.tables import number, table
+from benchmarks.report.results import load
+from benchmarks.tables import MISSING, number, table
 
 NAMES = {
     "rd": "`rd`, tuned for PSNR",
@@ -33,7 +36,11 @@ NAMES = {
     "rd visual": "`rd`, tuned for the eye (the default)",
     "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
     "avif tune=psnr speed 0": "AVIF, 4:4:4, speed 0, `tune=psnr`",
+    "avif tune=psnr 10 bits": "AVIF, 10 bits, 4:4:4, speed 4, `tune=psnr`",
+    "avif tune=psnr 10 bits speed 0": "AVIF, 10 bits, 4:4:4, speed 0, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
+    "avif tune=iq 10 bits": "AVIF, 10 bits, 4:4:4, speed 4, `tune=iq`",
+    "avif sharp": "AVIF, 4:4:4, speed 5, `tune=iq` (the default of sharp 0.35)",
     "heic": "HEIC, x265, 4:2:0, `tune=psnr`",
     "jpeg2000": "JPEG 2000",
     "webp": "WebP, method 6",
@@ -41,22 +48,16 @@ NAMES = {
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
 }
-AVIF, AVIF_VISUAL = "avif tune=psnr", "avif tune=iq"
+AVIF_VISUAL = ("avif tune=iq 10 bits", "avif tune=iq")  # the better one first, as in AVIF
 BPP = 0.25  # of the tables
 MAX_BPP = 0.5  # of the plot
-PLOTTED = ("rd", "rd visual", AVIF, AVIF_VISUAL, "heic", "jpegxl", "webp", "jpeg")
+PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
 ANCHOR = "GaussianImage"
 # Published codecs, and their names in marks. Cool-Chic is compared picture by picture.
 QUOTED = {"vtm": "VTM", "elic": "ELIC", "cheng": "Cheng 2020, attention", "hm": "HM", "av1": "AV1 (libaom)"}
 
-# README's columns: the codec tuned for PSNR, and for the eye; they differ only where a codec can be tuned.
-README_CODECS = {
-    "sgmethod": ("rd", "rd visual"),
-    "AVIF": (AVIF, AVIF_VISUAL),
-    "JPEG XL": ("jpegxl", "jpegxl"),
-    "WebP": ("webp", "webp"),
-    "JPEG": ("jpeg", "jpeg"),
-}
+RANGES = ("over pictures", "over bits per pixel")  # titles of differences()
+
 # README's rows: column of the JSON, its format, what picks the best, which of the two codecs is measured, and a factor.
 README_ROWS = {
     "PSNR, dB ↑": ("psnr", ".1f", max, 0, 1),
@@ -66,7 +67,7 @@ README_ROWS = {
     "Encoding, ms ↓": ("encode_s", ",.0f", min, 1, 1000),
     "Size, kB": ("bytes", ".1f", None, 1, 1e-3),
 }
-LIBRARIES = ("libavif-", "libjxl-", "libwebp-", "libjpeg_turbo-")
+LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-")  # and AVIF's
 
 
 @cache
@@ -81,54 +82,102 @@ def average() -> Means:
     return means(rows())
 
 
+def avif() -> tuple[str, str]:
+    """The codecs that are compared with as AVIF, for PSNR and for the eye: the best that have been measured."""
+    for_psnr, for_eyes = (next(name for name in names if (name, BPP) in average()) for names in (AVIF, AVIF_VISUAL))
+    return for_psnr, for_eyes
+
+
+def readme_codecs() -> dict[str, tuple[str, str]]:
+    """README's columns: the codec tuned for PSNR, and for the eye; they differ only where a codec can be tuned."""
+    untuned = {"JPEG XL": "jpegxl", "WebP": "webp", "JPEG": "jpeg"}
+    return {"sgmethod": ("rd", "rd visual"), "AVIF": avif(), **{title: (name, name) for title, name in untuned.items()}}
+
+
 def codecs_table() -> str:
     """At BPP, the best PSNR first; bits are those for the same PSNR over all rates."""
-    found = {codec: average()[codec, BPP] for codec in NAMES}
+    found = {codec: average()[codec, BPP] for codec in NAMES if (codec, BPP) in average()}
+    anchor = avif()[0]
     forms = {"bpp": ".3f", "psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
-        bits = percent(against(rows(), codec, AVIF)) if codec != AVIF else ""
+        bits = differences(against(rows(), codec, anchor)) if codec != anchor else ["", "", ""]
         above = f" (over the limit on {m['above']:g} of {m['images']:g})" if m["above"] else ""
-        lines.append([NAMES[codec] + above, *(number(m[name], form) for name, form in forms.items()), bits])
+        lines.append([NAMES[codec] + above, *(number(m[name], form) for name, form in forms.items()), *bits])
     titles = [f"codec, at most {BPP:g} bits per pixel", *(TITLES.get(name, name) for name in forms)]
-    return table(" | ".join([*titles, f"bits for the same PSNR, against {NAMES[AVIF]}"]), lines)
+    return table(" | ".join([*titles, f"bits for the same PSNR, against {NAMES[anchor]}", *RANGES]), lines)
+
+
+def quoted_table() -> str:
+    """The bits of profile rd for the same PSNR against published figures, most first."""
+    names = QUOTED | {"cool-chic": "Cool-Chic 5.0.1", "gaussianimage": ANCHOR}
+    found = sorted(((names[mark], rate) for mark, rate in quoted().items() if rate), key=lambda pair: -pair[1].mean)
+    lines = [[name, *differences(rate)] for name, rate in found]
+    return table(" | ".join(["published codec", "bits of `rd` for the same PSNR", *RANGES]), lines)
+
+
+def differences(rate: BdRate | None) -> list[str]:
+    """The cells of a BD-rate: mean and standard error, least and most, and the rates that were compared."""
+    if rate is None:
+        return [MISSING] * 3
+    error = "" if rate.standard_error is None else f" ± {rate.standard_error:.1f}"
+    ends = MISSING if rate.pictures == 1 else f"{number(rate.least, '+.0f')} to {number(rate.most, '+.0f')} %"
+    return [f"{number(rate.mean, '+.1f')}{error} %", ends, f"{rate.from_bpp:.2f} to {rate.to_bpp:.2f}"]
 
 
 def readme_table() -> str:
     """The README's table at BPP, with the best of each row in bold, and the versions of other codecs."""
     lines = []
+    columns = readme_codecs()
     for title, (name, form, best_of, tuned, factor) in README_ROWS.items():
-        values = [average()[codecs[tuned], BPP][name] or 0 for codecs in README_CODECS.values()]
+        values = [average()[codecs[tuned], BPP][name] or 0 for codecs in columns.values()]
         best = best_of(values) if best_of else None
         cells = [number(value * factor, form) for value in values]
         lines.append([title, *(f"**{c}**" if v == best else c for c, v in zip(cells, values, strict=True))])
-    # The last libavif, Pillow's, is the one that made these files.
+    # AVIF's files are of libvips, or in 8 bits of the last libavif, which is Pillow's.
+    bits, avif_library = (10, "libvips-") if "10 bits" in avif()[0] else (8, "libavif-")
     named = load("rd/kodak")["settings"]["codecs"]
-    versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith(LIBRARIES))
+    versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith((*LIBRARIES, avif_library)))
     codecs = ", ".join(f"{library.replace('_', '-')} {version}" for library, version in sorted(versions.items()))
-    return f"{table(' | '.join(['', *README_CODECS]), lines)}\n\nMeasured with {codecs}."
+    return f"{table(' | '.join(['', *columns]), lines)}\n\nMeasured with {codecs}. AVIF has {bits} bits."
 
 
 def figures() -> dict[str, float | None]:
     """The figures of sentences, by mark."""
     found: dict[str, float | None] = {}
-    for mark, codec in {"avif": AVIF, "heic": "heic", "webp": "webp"}.items():  # at equal PSNR
-        found[f"rate.fewer-than-{mark}"] = -(against(rows(), "rd", codec) or 0)
-    for mark, codec in {"rd": "rd visual", "avif": AVIF_VISUAL, "grain": "avif grain"}.items():
+    for mark, codec in {"avif": avif()[0], "heic": "heic", "webp": "webp"}.items():  # at equal PSNR
+        found |= of_rate(mark, against(rows(), "rd", codec))
+    for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif()[1])}.items():
+        found |= of_rate(mark, rate)
+    found["rate.psnr-lpips"] = average()["rd", BPP]["lpips"]
+    for mark, codec in {"rd": "rd visual", "avif": avif()[1], "grain": "avif grain"}.items():
         found |= {f"rate.{mark}-{name}": average()[codec, BPP][name] for name in SEEN}
-    sizes = [average()[codec, BPP]["bpp"] or 0 for codec in ("rd", AVIF)]
+    sizes = [average()[codec, BPP]["bpp"] or 0 for codec in ("rd", avif()[0])]
     found["rate.avif-unused"] = 100 * (1 - sizes[1] / sizes[0])
-    found["rate.avif-filled-psnr"] = value_at(average(), AVIF, "rd", "psnr")
-    found["rate.avif-filled-ssimulacra2"] = value_at(average(), AVIF_VISUAL, "rd visual", "ssimulacra2")
-    by_image = [against([row for row in rows() if row.image == i], "rd", AVIF) for i in {row.image for row in rows()}]
-    found["rate.most-fewer"], found["rate.least-fewer"] = (-f(r for r in by_image if r is not None) for f in (min, max))
-    one_quality = means([Row(**row) for row in results.rows("rd/quality")])
-    for mark, codec in QUOTED.items():
-        found[f"rate.more-than-{mark}"] = more = against_quoted(one_quality, f"rd {ONE_QUALITY}", codec) or 0
-        found[f"rate.fewer-than-{mark}"] = -more
-    found["rate.more-than-cool-chic"] = against_cool_chic(rows(), "rd")
-    found["rate.times-gaussianimage"] = 100 / (100 + (against_quoted(average(), "rd", ANCHOR) or 0))
+    found["rate.avif-filled-psnr"] = value_at(average(), avif()[0], "rd", "psnr")
+    found["rate.avif-filled-ssimulacra2"] = value_at(average(), avif()[1], "rd visual", "ssimulacra2")
+    theirs = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"]]
+    found["rate.gaussianimage-from-db"], found["rate.gaussianimage-to-db"] = shared(theirs, curve(average(), "rd"))
+    found["rate.times-gaussianimage"] = 100 / (100 + (found["rate.more-than-gaussianimage"] or 0))
     return found
+
+
+def quoted() -> dict[str, BdRate | None]:
+    """BD-rates of profile rd against published figures, by mark: of means, or picture by picture for Cool-Chic."""
+    one_quality = means([Row(**row) for row in results.rows("rd/quality")])
+    found = {mark: against_quoted(one_quality, f"rd {ONE_QUALITY}", codec) for mark, codec in QUOTED.items()}
+    found["cool-chic"] = against_cool_chic(rows(), "rd")
+    found["gaussianimage"] = against_quoted(average(), "rd", ANCHOR)
+    return found
+
+
+def of_rate(mark: str, rate: BdRate | None) -> dict[str, float | None]:
+    """The figures of a BD-rate, by mark."""
+    if rate is None:
+        return {}
+    figures = {"more-than": rate.mean, "fewer-than": -rate.mean, "error": rate.standard_error}
+    figures |= {"least": -rate.most, "most": -rate.least, "from": rate.from_bpp, "to": rate.to_bpp}
+    return {f"rate.{name}-{mark}": value for name, value in figures.items()}
 
 
 def value_at(average: Means, codec: str, other: str, figure: str) -> float | None:
@@ -142,7 +191,7 @@ def value_at(average: Means, codec: str, other: str, figure: str) -> float | Non
 
 def draw(axes: Any, figure: str) -> None:
     """PSNR or SSIMULACRA 2 against bits per pixel, the best codec first."""
-    codecs = sorted(PLOTTED, key=lambda codec: -(average()[codec, BPP]["psnr"] or 0))
+    codecs = sorted((*PLOTTED, *avif()), key=lambda codec: -(average()[codec, BPP]["psnr"] or 0))
     for k, codec in enumerate(codecs):
         how = style(k) | {"label": NAMES[codec].replace("`", "")}
         axes.plot(*zip(*sorted(curve(average(), codec, figure)), strict=True), **how)

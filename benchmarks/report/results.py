@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from benchmarks.machine import RESULTS, threads_of
-from benchmarks.tables import MISSING, number
+from benchmarks.tables import number
 
 Row = dict[str, Any]
 LINKS = "../../benchmarks/results"  # from docs/results
@@ -41,11 +41,6 @@ def sources(names: Sequence[str]) -> str:
         f"{'; '.join(machines)}, commit {', '.join(commits)}. The JSON files also record the versions of all "
         "libraries.</sub>"
     )
-
-
-def percent(rate: float | None) -> str:
-    """A difference in rate, with its sign."""
-    return MISSING if rate is None else number(rate, "+.1f") + " %"
 
 
 def seconds(value: float) -> str:

@@ -79,13 +79,14 @@ def test_a_command_measures(command: str, tmp_path: Path, small: Path) -> None:
 
 
 def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:
-    for name in ("imagecodecs", "jpeglib", "pillow_heif"):
+    for name in ("imagecodecs", "jpeglib", "pillow_heif", "pyvips"):
         pytest.importorskip(name)
     out = tmp_path / "rd.json"
     arguments = ("--images", str(PHOTOGRAPHS), "--most", "1", "--profiles", "", "--bpp", "1,4", "--baselines")
     run("rd", out, *arguments)
     rows = {(row["codec"], row["max_bpp"]): row for row in json.loads(out.read_text())["rows"]}
     names = ["jpeg", "mozjpeg", "jpeg2000", "webp", "jpegxl", "heic", "avif tune=psnr", "avif tune=iq"]
+    names += ["avif tune=psnr 10 bits", "avif tune=iq 10 bits"]
     assert list(rows) == [(name, bpp) for name in names for bpp in (1, 4)]
     for (name, bpp), row in rows.items():
         assert row["bytes"] <= bpp * 96 * 128 / 8 or name == "jpeg"  # whose headers alone are 600 bytes

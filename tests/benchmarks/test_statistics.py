@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.ablation.report import worth
 from benchmarks.machine import kept_rows, origin
-from benchmarks.rd.report import Row, against, bd_psnr, bd_rate, means
+from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates, means
 from benchmarks.report.previews import times_our_bytes
 from benchmarks.report.rate import value_at
 from benchmarks.tables import mean, number
@@ -36,8 +36,17 @@ def test_differences_in_rate_and_quality() -> None:
 def test_a_rate_is_the_mean_over_pictures() -> None:
     third = [(bpp / 4, db) for bpp, db in ANCHOR]
     both = rows("old", "a", ANCHOR) + rows("old", "b", ANCHOR) + rows("new", "a", ANCHOR) + rows("new", "b", third)
-    assert against(both, "new", "old") == pytest.approx(-37.5)  # of 0 and -75 %
-    assert against(both[:-4], "new", "old") == pytest.approx(0)  # of the pictures that both have
+    rate = against(both, "new", "old")
+    assert rate is not None
+    assert (rate.mean, rate.least, rate.most, rate.standard_error) == pytest.approx((-37.5, -75, 0, 37.5))
+    assert (rate.from_bpp, rate.to_bpp) == pytest.approx(((0.1 + 0.025) / 2, 0.8))  # of the new one, and of the old one
+    only_a = against(both[:-4], "new", "old")  # of the pictures that both have
+    assert only_a is not None
+    assert (only_a.mean, only_a.standard_error) == (pytest.approx(0), None)
+    assert [(rate["codec"], rate["pictures"]) for rate in bd_rates([*both, *rows(AVIF[0], "a", ANCHOR)])] == [
+        ("old", 1),
+        ("new", 1),
+    ]
     assert against(both[:-3], "new", "old") is None  # one has no curve: no mean hides that
 
 
