@@ -19,6 +19,7 @@ import numpy as np
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
+del sys.path[0]  # this folder, whose benchmarks are tests of those that are imported here
 sys.path.append(str(ROOT))  # behind all else, so that sgmethod is the installed one
 
 import sgmethod  # noqa: E402

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.version import Version
 
 from benchmarks.harness.data import ROOT
 
@@ -14,6 +16,13 @@ pytestmark = pytest.mark.thorough
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WHEELS = PROJECT["tool"]["cibuildwheel"]
+
+
+def test_python_npm_and_the_changelog_state_one_version() -> None:
+    npm = json.loads((ROOT / "sgmethod" / "javascript" / "package.json").read_text())["version"]
+    changes = re.findall(r"^## (\d\S*) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert PROJECT["project"]["version"] == changes[0]
+    assert Version(npm) == Version(changes[0])
 
 
 def test_wheels_are_made_for_every_python_that_the_project_names() -> None:

@@ -1,7 +1,7 @@
 """Parts of textured pictures side by side, for looking at.
 
     python -m benchmarks.perceptual.sheet --images KODAK [--bpp 0.25] [--out FILE]
-    python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif,jpeg \\
+    python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif \\
         --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
     python -m benchmarks.perceptual.sheet --images KODAK PHOTOGRAPHS/measured --blind 7 --bpp 0.2 --out FILE
 
@@ -47,7 +47,7 @@ BASELINES = {codec.name: codec for codec in (Avif, JpegXl, Jpeg)}
 COLUMNS = ("source", "visual", *BASELINES)
 LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
-MARGIN = 22  # pixels of the sheet, for words
+MARGIN = 30  # pixels of the sheet, for words
 
 Column = tuple[str, str, Pixels]  # its name, its label, and the whole picture
 
@@ -101,7 +101,7 @@ def main() -> None:
         key.append(f"{row + 1:02} {name}: {', '.join(f'{label} {column}' for column, label, _ in shown[1:])}")
         for at, (_, label, pixels) in enumerate(shown):
             corner = at * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
-            ImageDraw.Draw(sheet).text((corner[0] + 4, corner[1] + 3), label, "black", ImageFont.load_default(13))
+            ImageDraw.Draw(sheet).text((corner[0] + 4, corner[1] + 3), label, "black", ImageFont.load_default(20))
             part = Image.fromarray(np.ascontiguousarray(pixels[int(y) :, int(x) :][:HEIGHT, :WIDTH]))
             large = part.resize((ZOOM * WIDTH, ZOOM * HEIGHT), Image.Resampling.LANCZOS)
             sheet.paste(large, (corner[0], corner[1] + MARGIN))

@@ -203,7 +203,7 @@ def test_info(run: Run, name: str, parts: str, lines: dict[str, str]) -> None:
 @pytest.mark.parametrize("module", [True, False])
 def test_version(module: bool) -> None:
     out, err = start("--version", module=module, stdout=subprocess.PIPE, stderr=subprocess.PIPE).communicate()
-    assert re.fullmatch(r"sgmethod \d+\.\d+\.\d+\n", out)
+    assert re.fullmatch(r"sgmethod \d+\.\d+\.\d+(rc\d+)?\n", out)
     assert err == ""
 
 

@@ -147,3 +147,26 @@ def test_bad_arguments() -> None:
         refined(parameters, values, target[:, :-1].copy())
     with pytest.raises(ValueError, match="one row per Gaussian"):
         refined(parameters, Gaussians(values.means[:-1].copy(), values.factors, values.colors), target)
+
+
+@pytest.mark.parametrize("size", [3.0, 40.0], ids=["pixels", "coarse level"])
+@pytest.mark.parametrize("seen", [False, True])
+@pytest.mark.parametrize("direction", [0, 1, 2, 3, 4, 5, 7, 8, 9])  # with 6, a smaller Gaussian, two integers change
+def test_one_step_of_any_integer_is_found(direction: int, size: float, seen: bool) -> None:
+    """Only steps that look promising are tried on pixels. Seen: no error is left."""
+    parameters = native.RdParameters(*SIZE, 0.4)
+
+    def decoded(change: float = 0.0) -> Gaussians:
+        by = np.zeros(5)
+        by[direction // 2] = change if direction % 2 else -change
+        x, y, u, v, r = by
+        l1, l3 = 1.2 * size * math.exp(u + v), size * math.exp(u - v)
+        one = gaussians([[70 + size * x, 35 + size * y]], [[l1, (0.4 + r) * l3, l3]], [[0.3, 0.2, 0.4]])
+        return Gaussians(*native.rd_decode(parameters, encoded(parameters, one)))
+
+    before = decoded()
+    after = next(g for k in range(1, 1000) if not np.array_equal(rows(g := decoded(0.001 * k)), rows(before)))
+    target = target_of(picture(after))
+    visibility = np.full(SIZE[::-1], native.VISIBLE // 2, np.int16) if seen else None
+    left = error(parameters, refined(parameters, before, target, sweeps=1, visibility=visibility), target)
+    assert left < 0.02 * error(parameters, encoded(parameters, before), target)

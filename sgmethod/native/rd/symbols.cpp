@@ -9,7 +9,6 @@
 namespace sg {
 namespace {
 
-constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in u
 constexpr double kMinScaleFloat = static_cast<float>(kMinScale);
 // Cells beyond each edge of the picture. A centre further out is moved into the outermost of them. So is one that a
 // 16-bit coordinate does not reach: this happens to the smallest classes at the far end of sides above 65,531 pixels.

@@ -24,6 +24,7 @@
 namespace sg {
 
 constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
+constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in u
 
 // What the integers may be. The range of v and r ends at values that do not depend on the steps: a slanted needle in a
 // fine file is what it is in a coarse one. Steps are no finer than single precision can use.

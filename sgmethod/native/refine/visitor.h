@@ -1,7 +1,7 @@
 // A visit of one Gaussian. Rounding each Gaussian alone ignores that they overlap, and that their rounding errors add
 // up. A visit compares candidates against the residual of all other Gaussians, and takes the cheapest: the Gaussian
-// unchanged; one of its integers one up or one down; each of these with the then best colour; and no Gaussian at all.
-// The cost is squared error plus price times bits.
+// unchanged; one of its integers one up or one down, where that may gain (outlook.h); each of these with the then best
+// colour; and no Gaussian at all. The cost is squared error plus price times bits.
 //
 // Let e be the residual of the others, w the weights of a candidate and c its colour. The squared error is |e|^2 - 2 c
 // <w, e> + |c|^2 <w, w>, so four sums over the candidate's pixels give the error for every colour. For a Gaussian of a
@@ -17,6 +17,7 @@
 #include "raster/levels.h"
 #include "rd/models.h"
 #include "refine/gram.h"
+#include "refine/outlook.h"
 #include "refine/refine.h"
 
 namespace sg {
@@ -113,30 +114,7 @@ class Visitor {
     if (outside_) return Outcome::kOutside;
     Candidate best{};  // no Gaussian
     best.cost = 0;
-    consider(now, best);
-    const Steps steps(s);
-    const Parts parts = parts_of(s, steps);
-    for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
-      // One step of u may lead to another size class, so the Gaussian is scaled and rounded again.
-      const float grow = std::exp(static_cast<float>(sign * 0.34657359 * power_of_two(-steps.u_bits())));
-      const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
-      Candidate c;
-      if (quantised(now.mean, grown, now.color, c)) consider(c, best);
-      for (int which = 0; which < 4 && !outside_; ++which) {
-        if (which == 1 && state_.p.upright) continue;
-        Symbols moved = s;
-        if (which == 0) moved.v += sign;
-        else if (which == 1) moved.r += sign;
-        else if (which == 2) moved.px += sign;
-        else moved.py += sign;
-        if (!steps.allow(std::abs(moved.v), std::abs(moved.r))) continue;
-        if (moved.px >> parts.x_bits || moved.py >> parts.y_bits) continue;
-        c = state_.decoded(moved);
-        // Another shape divides the cell differently, so the mean is rounded again.
-        if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
-        consider(c, best);
-      }
-    }
+    try_steps(now, best);
     if (outside_) {  // restore the residual
       add(now, -1.0f);
       return Outcome::kOutside;
@@ -185,6 +163,85 @@ class Visitor {
     return f;
   }
 
+  // Compares a Gaussian, and those of its steps that may gain, with the best so far.
+  void try_steps(const Candidate& now, Candidate& best) {
+    float products[4];
+    project(now, products);
+    if (products[3] <= 0.0f) return;
+    double ideal = state_.settings.price * state_.bits(now.symbols);
+    const Outlook outlook = outlook_of(now, products, ideal);
+    compare(now, products, best);
+    for (int sign = -1; sign <= 1 && !outside_; sign += 2)
+      for (int step = 0; step < Outlook::kSteps && !outside_; ++step) {
+        Candidate c;
+        if (ideal + outlook.least_change(step, sign) < best.cost && stepped(now, step, sign, c)) consider(c, best);
+      }
+  }
+
+  // What steps may gain. Lowers the cost `ideal` by what the Gaussian itself gains in its best colour. Uses the spans,
+  // and on coarse levels the patch, of the last project().
+  Outlook outlook_of(const Candidate& now, const float* products, double& ideal) {
+    const Levelled g(now.place, now.shape, now.level);
+    const Footprint f = footprint(g.mean, g.factor);
+    if (now.level == 0) patch_.draw(f, state_.floor, spans_);
+    float color[3], seen[3], square = 0;
+    for (int k = 0; k < 3; ++k) seen[k] = color[k] = products[k] / products[3];
+    if (state_.visibility != nullptr) state_.settings.seen.weigh(seen);
+    for (int k = 0; k < 3; ++k) square += seen[k] * color[k];
+    const double energy = square * products[3];
+    ideal -= energy;
+    for (float& c : seen) c *= g.gain;
+    Outlook outlook(seen, square * g.gain * g.gain, state_.floor);
+    for (const Span& span : spans_) outlook.add(f, span, samples(span, now.level));
+    const float scale = std::ldexp(1.0f, -now.level);
+    outlook.finish(now.symbols, now.factor, scale * now.shape[0] / g.factor[0], scale * now.shape[2] / g.factor[2],
+                   energy);
+    return outlook;
+  }
+
+  SpanSamples samples(const Span& span, int level) {
+    const int x = span.strip * kTileWidth, y = span.first_row;
+    const int row = y - patch_.y(), column = x - patch_.x();
+    SpanSamples s{patch_.weights(row) + column, nullptr, patch_.columns(), nullptr, 0, 0, nullptr};
+    if (level == 0) {
+      s.product = s.weights;
+      s.residual = state_.left.row(span.strip, y);
+      s.residual_stride = 3 * kTileWidth;
+      s.color_stride = kTileWidth;
+      if (state_.visibility != nullptr)
+        s.visibility = state_.visibility + (static_cast<int64_t>(span.strip) * state_.left.height + y) * kTileWidth;
+    } else {
+      s.product = patch_.product(row) + column;
+      s.residual = state_.reduced->at(level, x, y);
+      s.residual_stride = state_.reduced->at(level, x, y + 1) - s.residual;
+      s.color_stride = state_.reduced->stride(level);
+    }
+    return s;
+  }
+
+  // Sets c to a Gaussian with one of its integers one up or down. False if there is none.
+  bool stepped(const Candidate& now, int step, int sign, Candidate& c) const {
+    const Symbols& s = now.symbols;
+    const Steps steps(s);
+    if (step == Outlook::kU) {  // may lead to another size class, so the Gaussian is scaled and rounded again
+      const float grow = std::exp(static_cast<float>(sign * kClassWidth * power_of_two(-steps.u_bits())));
+      const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
+      return quantised(now.mean, grown, now.color, c);
+    }
+    if (step == Outlook::kR && state_.p.upright) return false;
+    Symbols moved = s;
+    if (step == Outlook::kV) moved.v += sign;
+    if (step == Outlook::kR) moved.r += sign;
+    if (step == Outlook::kX) moved.px += sign;
+    if (step == Outlook::kY) moved.py += sign;
+    const Parts parts = parts_of(s, steps);
+    if (!steps.allow(std::abs(moved.v), std::abs(moved.r))) return false;
+    if (moved.px >> parts.x_bits || moved.py >> parts.y_bits) return false;
+    c = state_.decoded(moved);
+    if (step == Outlook::kX || step == Outlook::kY) return true;
+    return quantised(now.mean, c.factor, c.color, c);  // another shape divides the cell differently
+  }
+
   bool quantised(const float* mean, const float* factor, const float* color, Candidate& c) const {
     Symbols s{};
     if (!in_range(factor, color) || !quantise(state_.p, mean, factor, color, s)) return false;
@@ -207,12 +264,15 @@ class Visitor {
     return state_.change(c, products, -2.0) + state_.settings.price * state_.bits(c.symbols);
   }
 
-  // Compares c with the best so far, first with its own colour, then with the best colours for its geometry.
-  void consider(Candidate c, Candidate& best) {
+  void consider(const Candidate& c, Candidate& best) {
     if (c.level != level_) return;
     float products[4];
     project(c, products);
-    if (products[3] <= 0.0f) return;
+    if (products[3] > 0.0f) compare(c, products, best);
+  }
+
+  // Compares c with the best so far, first with its own colour, then with the best colours for its geometry.
+  void compare(Candidate c, const float* products, Candidate& best) {
     c.cost = cost(c, products);
     if (c.cost < best.cost) best = c;
     Candidate ideal = c;  // with the unrounded colour of least error
