@@ -1,7 +1,7 @@
-"""Encode a folder by a service: python bulk_client.py http://127.0.0.1:8000 PHOTOS OUT
+"""Encode a folder through a service: python bulk_client.py http://127.0.0.1:8000 PHOTOS OUT
 
-Killed and run again, it goes on where it was: jobs that the service has taken are not submitted twice. A service with
-API keys wants one in SG_API_KEY.
+If it is stopped and run again, it continues where it was; jobs that the service has accepted are not submitted twice.
+If the service has API keys, set SG_API_KEY to one.
 """
 
 import os

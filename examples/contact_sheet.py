@@ -1,7 +1,7 @@
 """Draw a folder of photographs as one sheet: python contact_sheet.py PHOTOS SHEET.png
 
-Each photograph becomes an .sg file of at most 6 kB beside the sheet, and the sheet is drawn from these files alone.
-Run it again with more photographs, and only the new ones are encoded.
+Each photograph becomes an .sg file of at most 6 kB in the folder SHEET, and the sheet is drawn from these files alone.
+When you run it again with more photographs, only the new ones are encoded.
 """
 
 import sys
@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageOps
 
 import sgmethod
 
-CELL, GAP, COLUMNS = 240, 12, 4  # pixels, pixels
+CELL, GAP, COLUMNS = 240, 12, 4  # pixels, pixels, cells
 
 
 def contact_sheet(photos: Path, sheet: Path) -> None:

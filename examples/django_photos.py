@@ -1,7 +1,7 @@
 """A Django site in one file, whose photographs have previews: python django_photos.py DATA [PHOTO ...]
 
-pip install 'django>=5.2'. Without photographs, the site is served at http://127.0.0.1:8080; with some, it only adds
-them. In a project of several files, Photo is what goes into models.py, and PAGE into a template.
+Needs pip install 'django>=5.2'. With photographs, it adds them to the site in the folder DATA; without, it serves the
+site at http://127.0.0.1:8080. In a real project, Photo goes into models.py, and PAGE into a template.
 """
 
 import sys

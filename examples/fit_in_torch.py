@@ -1,7 +1,7 @@
-"""Fit Gaussians to a photograph, and train on through the renderer: python fit_in_torch.py PHOTO OUT.sg
+"""Fit Gaussians to a photograph, then continue training with another loss: python fit_in_torch.py PHOTO OUT.sg
 
-Needs pip install 'sgmethod[torch]'. fit() minimises the squared error; the steps after it minimise the absolute one,
-as any loss of yours could be, by PyTorch's own optimiser.
+Needs pip install -e '.[torch]' in a checkout. fit() minimises the squared error. The steps after it minimise the
+absolute error with one of PyTorch's optimisers; any other loss works the same way.
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""Write a page of photographs that shows something at once: python static_page.py PHOTOS SITE
+"""Write a page of photographs with previews: python static_page.py PHOTOS SITE
 
-Any host of files can serve SITE, and so can python -m http.server. Each photograph is a WebP that loads lazily, and
-until then a preview of 200 bytes, which is part of the page itself.
+Any static host can serve SITE, and so can python -m http.server. Each photograph is a WebP that loads lazily. Until it
+has loaded, the page shows a preview of at most 200 bytes, which is part of its HTML.
 """
 
 import html

@@ -1,6 +1,6 @@
 """Make thumbnails with Pillow alone: python thumbnails.py PHOTOS THUMBNAILS
 
-Importing sgmethod teaches Pillow the format, so code that saves WebP today needs another suffix and little else.
+Importing sgmethod teaches Pillow the format, so code that saves WebP today needs little more than another suffix.
 """
 
 import sys

@@ -9,11 +9,11 @@ import { countInPart, readFile } from "./file.js";
 export { SgError } from "./header.js";
 
 /**
- * The picture in a file, or a view of it: { width, height, data }, data being RGBA of 8 bits, row by row.
+ * The picture in a file, or a view of it: { width, height, data }, where data is 8-bit RGBA, row by row.
  *
  * bytes: a Uint8Array; region: [x, y, width, height] in pixels of the picture; scale: output pixels for a pixel of the
- * picture, 1/64 to 64; or width, height: what the output fits into; prefix: the part of the file that may be used, above
- * 0 to 1; texture: whether it is drawn. Throws SgError.
+ * picture, 1/64 to 64; or width, height: pixels into which the output fits; prefix: the part of the file that may be
+ * used, above 0 to 1; texture: whether to draw it. Throws SgError; TypeError or RangeError for wrong options.
  */
 export function decode(bytes, { scale, width, height, region = null, prefix = 1, texture = true, ...others } = {}) {
   for (const name in others) throw new TypeError(`decode() has no option ${name}`);
@@ -26,7 +26,7 @@ export function decode(bytes, { scale, width, height, region = null, prefix = 1,
   return draw(file, { scale, region, count: countInPart(file, prefix), texture });
 }
 
-/** What a file holds: size in pixels, Gaussians, whether it has alpha and texture. Throws SgError. */
+/** What a file contains: size in pixels, Gaussians, whether it has alpha and texture. Throws SgError. */
 export function info(bytes) {
   const { width, height, count, alpha, texture } = readFile(bytes);
   return { width, height, gaussians: count + (alpha?.count ?? 0), alpha: Boolean(alpha), texture: Boolean(texture) };

@@ -100,7 +100,7 @@ export function octavesOf({ sx, sy }) {
   return all.filter(({ level }) => level >= 0);
 }
 
-/** The first `count` Gaussians of a file as a picture: { width, height, data }, RGBA of 8 bits. Throws SgError. */
+/** The first `count` Gaussians of a file as a picture: { width, height, data }, 8-bit RGBA. Throws SgError. */
 export function draw(file, { scale = 1, region = null, count = file.count, texture = true } = {}) {
   const view = viewOf(file, scale, region);
   const octaves = texture && file.texture ? octavesOf(view) : [];

@@ -27,7 +27,7 @@ const ALPHA = 8;
 export const OCTAVES = 2;
 export const CELL = 64; // pixels along a side of a cell of texture
 
-/** A file that cannot be decoded; if `unknown`, it may be a good one of a kind that this decoder does not know. */
+/** A file that cannot be decoded; if `unknown`, it may be valid, but of a kind that this decoder does not know. */
 export class SgError extends Error {
   name = "SgError";
 }

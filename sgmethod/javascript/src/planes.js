@@ -100,8 +100,8 @@ function addEnlarged({ left, top, width, height, samples }, coarse, out, stride)
   }
 }
 
-/** Draw Gaussians in a view, on a background: RGBA of 8 bits, row by row. addTo(plane, level) adds what else there is
- * on a level, up to `highest`; samples are in levels of 8 bits. */
+/** Draw Gaussians in a view, on a background: 8-bit RGBA, row by row. addTo(plane, level) adds what else there is on a
+ * level, up to `highest`; samples are in levels of 8 bits. */
 export function drawGaussians(gaussians, background, view, highest = 0, addTo) {
   const drawn = gaussians.map((values) => placed(values, view));
   for (const g of drawn) highest = max(highest, g[8]);

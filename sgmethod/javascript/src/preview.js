@@ -6,8 +6,8 @@ import { drawGaussians, rounded, setAlpha } from "./planes.js";
 
 export { SgError } from "./header.js";
 
-/** The picture that a text holds, `size` pixels along its longer side: an ImageData, or in Node an object like it.
- * Throws an Error for a text that holds none. */
+/** The picture in a text, `size` pixels along its longer side: an ImageData, or in Node an object like it. Throws an
+ * Error if the text is damaged. */
 export function decodePreview(text, size = 256) {
   const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
   const again = btoa(binary).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");

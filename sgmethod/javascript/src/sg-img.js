@@ -1,6 +1,6 @@
 // <sg-img preview="wo0a..."><img src="photo.avif" width height></sg-img>: draws the preview over the photograph, and
-// fades it out once that has loaded. Without an <img> within, src, alt and so on on the element itself work as on one.
-// All that is drawn is in the element's shadow tree: nothing is written to the page's own elements.
+// fades it out once that has loaded. Without an <img> inside, the element takes src, alt and so on itself, as an <img>
+// does. It draws in its shadow tree, and does not change the page's own elements.
 
 import { decodePreview } from "./preview.js";
 
@@ -17,7 +17,7 @@ div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inh
 ::slotted(picture) { display: contents }
 canvas { position: absolute; pointer-events: none }
 @media print { canvas { display: none } }`;
-// For what ::slotted() does not reach. The page's own rules win, since they are in no layer.
+// For what ::slotted() does not reach. The page's own rules win, because they are in no layer.
 const PAGE_STYLE = `@layer { sg-img > picture > img {
   grid-area: 1 / 1; width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
 

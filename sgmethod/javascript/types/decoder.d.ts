@@ -5,14 +5,14 @@ export * from "./preview.js";
 export interface View {
   /** Output pixels for a pixel of the picture, 1/64 to 64; 1 by default. */
   scale?: number;
-  /** Instead of a scale: pixels into which the output fits. */
+  /** Instead of a scale: the output is as large as fits into so many pixels. Give either or both. */
   width?: number;
   height?: number;
   /** x, y, width and height in pixels of the picture; the whole picture by default. */
   region?: [x: number, y: number, width: number, height: number] | null;
   /** The part of the file that may be used, above 0 to 1; 1 by default. */
   prefix?: number;
-  /** Whether texture is drawn; true by default. */
+  /** Whether to draw texture; true by default. */
   texture?: boolean;
 }
 
@@ -29,12 +29,12 @@ export interface Info {
 /**
  * Draw an .sg file of version 2, of any size.
  *
- * @throws SgError; TypeError for an option that does not exist
+ * @throws SgError; TypeError for an unknown option, or a scale beside a width or height; RangeError for a wrong prefix
  */
 export function decode(bytes: Uint8Array, view?: View): Picture;
 
 /**
- * Read what a file holds, without drawing it.
+ * Read what a file contains, without drawing it.
  *
  * @throws SgError
  */

@@ -1,5 +1,5 @@
 export interface Preview {
-  /** For an attribute of a page; decodePreview() and <sg-img> draw it. */
+  /** For an attribute in HTML; decodePreview() and <sg-img> draw it. */
   text: string;
   /** The .sg file. */
   bytes: ReturnType<Uint8ArrayConstructor["of"]>;
@@ -16,10 +16,10 @@ export interface Preview {
  * A picture as a small WebP or PNG in a data URI, for pages without scripts and for next/image.
  *
  * @param rgba as for encodePreview()
- * @param options characters: of the URI at most, 400 by default; sharp: the module, which makes the best WebP; without
- * it, there is a PNG of at most 32 pixels a side, which looks about 1 dB worse
- * @returns "" if nothing fits, and for a picture with transparency, since it would show through
- * @throws TypeError for arguments that are no picture
+ * @param options characters: maximum length of the URI, 400 by default; sharp: the module, for the best WebP; without
+ * it, the URI holds a PNG of at most 32 pixels a side, which is about 1 dB worse
+ * @returns the URI; "" if nothing fits, or if the picture has transparency, because the placeholder would show through
+ * @throws TypeError if rgba does not fit width and height, or for an unknown option
  */
 export function dataUri(
   rgba: Uint8Array | Uint8ClampedArray,
@@ -31,9 +31,9 @@ export function dataUri(
 /**
  * Encode a picture in a few hundred bytes; alpha is kept.
  *
- * @param rgba 4 numbers of 8 bits for each pixel, row by row, as sharp's raw output or the data of an ImageData
- * @param options bytes: of the file at most, 16 to 1,024; three become four characters of text; 200 by default
- * @throws TypeError or RangeError for arguments that are no picture
+ * @param rgba 8-bit RGBA, row by row, as sharp's raw output after ensureAlpha(), or the data of an ImageData
+ * @param options bytes: maximum size of the file, 16 to 1,024, 200 by default; three become four characters of text
+ * @throws TypeError if rgba does not fit width and height, or for an unknown option; RangeError for wrong bytes
  */
 export function encodePreview(
   rgba: Uint8Array | Uint8ClampedArray,

@@ -1,11 +1,11 @@
-/** RGBA of 8 bits, row by row: what the constructor of ImageData takes. */
+/** 8-bit RGBA, row by row, as the constructor of ImageData takes it. */
 export interface Picture {
   width: number;
   height: number;
   data: ReturnType<Uint8ClampedArrayConstructor["of"]>;
 }
 
-/** An ImageData where there is such a thing. */
+/** An ImageData where the type exists. */
 export type Drawn = typeof globalThis extends { ImageData: { prototype: infer T } } ? T : Picture;
 
 /** A text or a file that cannot be decoded. */
@@ -17,6 +17,6 @@ export class SgError extends Error {}
  * @param text what encodePreview() returns, `sgmethod preview` prints and `POST /preview` answers
  * @param size pixels of the longer side of the picture that is returned; 256 by default
  * @returns an ImageData; where there is none, as in Node, an object with the same `width`, `height` and `data`
- * @throws SgError, or a DOMException for characters that atob() refuses
+ * @throws SgError, or a DOMException if atob() refuses the text
  */
 export function decodePreview(text: string, size?: number): Drawn;

@@ -9,7 +9,7 @@
 // refining.js   their integers
 // integers.js   Gaussians and integers
 // writing.js    integers and bytes
-// uri.js        beside these: a placeholder that needs no script
+// uri.js        apart from these: a placeholder that needs no script
 
 import { COARSE, FINE, expectedIn, fitted } from "./fitting.js";
 import { newGrid } from "./grid.js";
@@ -28,10 +28,10 @@ const UNSEEN = 1 / 512; // half a level of 8 bits
 
 /** A preview of a picture.
  *
- * rgba: 4 numbers of 8 bits for each of width x height pixels, row by row, as in an ImageData; alpha is kept. bytes: of
- * the file at most, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and
- * average colour, "#rrggbb", and whether white text on that is easier to read than black. Throws a TypeError or a
- * RangeError for arguments that are no picture. */
+ * rgba: 8-bit RGBA of width x height pixels, row by row, as in an ImageData; alpha is kept. bytes: maximum size of the
+ * file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and average
+ * colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba does not fit
+ * width and height, or for an unknown option, and RangeError for wrong bytes. */
 export function encodePreview(rgba, width, height, options = {}) {
   const { bytes = 200, ...others } = options;
   for (const name in others) throw new TypeError(`encodePreview() has no option ${name}, only bytes`);
@@ -103,7 +103,7 @@ function encoded(pictures, [width, height], average, alpha, least, bytes) {
 const fiveBits = (level) => min(max(round((255 * level - 3.5) / 8.26), 0), 31);
 const levelOf = (code) => (8 * code + (code >> 2)) / 255;
 
-/** Grids with what Gaussians are to add to a background. value(at, c, means): that wanted of a channel. */
+/** Grids with what Gaussians are to add to a background. value(at, c, means): what a channel should be. */
 function gridsOf(pictures, { width, height, background }, value) {
   return pictures.map(({ means, columns, rows }) => {
     const target = new Float32Array(3 * columns * rows);

@@ -6,8 +6,8 @@ const { ceil, exp, floor, max, min, sqrt } = Math;
 
 const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
-// Of the Gaussians that were covered: exp(-sigma) of their samples, and four numbers for each of their rows. Numbers below
-// have a line each, because engines make an object of every fraction elsewhere.
+// Of the Gaussians that were covered: exp(-sigma) of their samples, and four numbers for each of their rows. Below,
+// each number has a declaration of its own, because engines allocate an object for each fraction in an array.
 let [weights, spans] = [new Float32Array(0), new Float64Array(0)];
 const START = [0, 0, 0, 0];
 

@@ -22,7 +22,7 @@ export function reducedSize(width, height, pixels) {
   return width < height ? best : best.reverse();
 }
 
-/** A picture of RGBA of 8 bits, as averaged() takes it. Throws a TypeError. */
+/** A picture of 8-bit RGBA, as averaged() takes it. Throws TypeError. */
 export function pictureOf(rgba, width, height) {
   if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
     throw new TypeError("rgba must have 4 numbers for each of width x height pixels");

@@ -12,9 +12,9 @@ const PNG_SIDES = [4, 32]; // least and most
 const [COLOURS, PASSES] = [8, 8]; // docs/notebook/service.md
 const OPAQUE = 1 - 1 / 512;
 
-/** A data URI of at most so many characters that shows a picture, a promise; "" if there is none, as of a picture that
- * can be seen through. rgba, width, height: as for encodePreview(); sharp: the module, if there is one: it makes the best
- * WebP. Without it, there is a PNG of eight colours and at most 32 pixels a side. */
+/** A promise of a data URI of at most so many characters that shows a picture; "" if nothing fits, or if the picture
+ * has transparency. rgba, width, height: as for encodePreview(); sharp: the module, for the best WebP. Without it, the URI
+ * holds a PNG of eight colours and at most 32 pixels a side. */
 export async function dataUri(rgba, width, height, options = {}) {
   const { characters = 400, sharp, ...others } = options;
   for (const name in others) throw new TypeError(`dataUri() has no option ${name}, only characters and sharp`);
@@ -29,7 +29,7 @@ export async function dataUri(rgba, width, height, options = {}) {
 const sizeWithin = (width, height, longest) =>
   [width, height].map((side) => max(round(side * min(longest / max(width, height), 1)), 1));
 
-/** A picture as RGB of 8 bits. */
+/** A picture as 8-bit RGB. */
 function reduced({ means, columns, rows }, longest) {
   const [width, height] = sizeWithin(columns, rows, longest);
   const small = averaged({ means, columns, rows }, width, height).means;
