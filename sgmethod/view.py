@@ -176,12 +176,17 @@ def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) 
     new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
         return gaussians
+    wider, gain = recut_factors(cutoff, new_cutoff)
+    return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))
+
+
+def recut_factors(cutoff: float, new_cutoff: float) -> tuple[float, float]:
+    """Return what recut() multiplies factors and colours by."""
     # Least-squares widening for cut-off CUTOFF_V2 at the same integral. The root mean square of the difference is 5 %
     # and 6 % of the Gaussian's.
     wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, NO_CUTOFF: 1.108}
     wider = wider_by[cutoff] / wider_by[new_cutoff]
-    gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
-    return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))
+    return wider, _integral(cutoff) / (_integral(new_cutoff) * wider**2)
 
 
 def _integral(cutoff: float) -> float:

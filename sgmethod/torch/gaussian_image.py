@@ -7,7 +7,9 @@ from torch import Tensor
 
 from sgmethod.arguments import AnyInt
 from sgmethod.errors import GaussiansError
+from sgmethod.native import native
 from sgmethod.torch.drawing import checked_size
+from sgmethod.view import NO_CUTOFF, recut_factors
 
 BOUND = (0.5, 0.0, 0.5)  # that GaussianImage adds to l1, l2 and l3
 
@@ -23,8 +25,8 @@ def from_gaussian_image(
     xyz [N, 2]: means before tanh, which takes them to [-1, 1]; cholesky [N, 3]: l1, l2, l3 in pixels without the bound
     of 0.5, 0, 0.5; features [N, 3]: colours; size: width and height of the picture in pixels.
 
-    GaussianImage's pixel centres lie at whole numbers, so half a pixel is added. Shapes and colours are kept: render()
-    ends Gaussians sooner and draws a darker picture, unless factors are multiplied by 1.108 and colours by 1.017.
+    GaussianImage's pixel centres lie at whole numbers, so half a pixel is added. render() ends Gaussians sooner, so each
+    becomes the closest of the same integral: 1.108 times as wide, its colour times 1.017.
     Raises GaussiansError for other shapes or types, and ViewError for sizes that no picture has.
     """
     lasts = ((xyz, 2), (cholesky, 3), (features, 3))
@@ -38,4 +40,5 @@ def from_gaussian_image(
     l1, l2, l3 = (cholesky + torch.tensor(BOUND, dtype=cholesky.dtype, device=cholesky.device)).unbind(1)
     # A negative l1 or l3 makes the same covariance as a positive one.
     factors = torch.stack([l1.abs(), torch.where(l1 < 0, -l2, l2), l3.abs()], 1)
-    return half * (torch.tanh(xyz) + 1) + 0.5, factors, features
+    wider, gain = recut_factors(NO_CUTOFF, native.CUTOFF_V2)
+    return half * (torch.tanh(xyz) + 1) + 0.5, wider * factors, gain * features

@@ -32,8 +32,12 @@ function later(turn) {
 function takeTurns() {
   const until = performance.now() + SLICE_MS;
   for (const turn of waiting) {
-    turn();
-    waiting.delete(turn);
+    waiting.delete(turn); // first: one that throws must not be in the way of the others
+    try {
+      turn();
+    } catch (error) {
+      reportError(error);
+    }
     if (performance.now() > until) break;
   }
   if (waiting.size) setTimeout(takeTurns);
@@ -41,7 +45,7 @@ function takeTurns() {
 
 function sheetsOf(page) {
   if (!sheets.has(page)) {
-    const { CSSStyleSheet } = page.defaultView;
+    const { CSSStyleSheet } = page.defaultView ?? window; // a document without a window draws nothing
     const made = [SHADOW_STYLE, PAGE_STYLE].map((text) => {
       const sheet = new CSSStyleSheet();
       sheet.replaceSync(text);

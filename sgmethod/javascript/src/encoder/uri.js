@@ -18,6 +18,7 @@ const OPAQUE = 1 - 1 / 512;
 export async function dataUri(rgba, width, height, options = {}) {
   const { characters = 400, sharp, ...others } = options;
   for (const name in others) throw new TypeError(`dataUri() has no option ${name}, only characters and sharp`);
+  if (!(characters > 0)) throw new RangeError("characters must be a number above 0");
   const picture = averaged(pictureOf(rgba, width, height), ...sizeWithin(width, height, JUDGED_SIDE));
   for (let at = 3; at < picture.means.length; at += 4) if (picture.means[at] < OPAQUE) return "";
   const prefix = `data:image/${sharp ? "webp" : "png"};base64,`;
