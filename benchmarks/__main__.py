@@ -43,7 +43,7 @@ FULL = {
     "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --baselines",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
-    "--baselines 'avif tune=psnr 10 bits speed 0' 'avif sharp' 'avif grain'",
+    "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",

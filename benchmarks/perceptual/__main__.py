@@ -2,9 +2,9 @@
 
     python -m benchmarks.perceptual --images FOLDER --weights FOLDER [--bpp 0.1,0.25]
 
-For each picture and rate: a file tuned for the eye, and AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, libavif's default)
-at the best quality that takes no more bytes, if there is one. Prints means of each as CSV. Needs the extra "benchmark",
-and weights (python -m benchmarks.perceptual.weights FOLDER).
+For each picture and rate: a file tuned for the eye, and AVIF (libvips, speed 4, 4:4:4, tune=iq) at the best quality
+that takes no more bytes, if there is one. Prints means of each as CSV. Needs the extra "benchmark", and weights
+(python -m benchmarks.perceptual.weights FOLDER).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from benchmarks.perceptual.local import local_statistics
 from benchmarks.perceptual.networks import Networks
 from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
-from benchmarks.rd.baselines import Avif
+from benchmarks.rd.baselines import AvifOf8BitsForEyes
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
@@ -32,7 +32,7 @@ def decoded(pixels: Pixels, bpp: float) -> Iterator[tuple[str, int, float, Pixel
     """Kind, bytes, the part of them that is texture, and pixels."""
     visual = encode(pixels, bpp=bpp, tune="visual").data
     yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
-    avif = Avif()
+    avif = AvifOf8BitsForEyes()
     data = avif.best(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1])).data
     if len(data) <= len(visual):
         yield "avif", len(data), 0.0, avif.decode(data)

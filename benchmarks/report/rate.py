@@ -39,6 +39,7 @@ NAMES = {
     "avif tune=psnr 10 bits": "AVIF, 10 bits, 4:4:4, speed 4, `tune=psnr`",
     "avif tune=psnr 10 bits speed 0": "AVIF, 10 bits, 4:4:4, speed 0, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
+    "avif tune=iq 4:4:4": "AVIF, 4:4:4, speed 4, `tune=iq`",
     "avif tune=iq 10 bits": "AVIF, 10 bits, 4:4:4, speed 4, `tune=iq`",
     "avif sharp": "AVIF, 4:4:4, speed 5, `tune=iq` (the default of sharp 0.35)",
     "heic": "HEIC, x265, 4:2:0, `tune=psnr`",
@@ -48,7 +49,7 @@ NAMES = {
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
 }
-AVIF_VISUAL = ("avif tune=iq 10 bits", "avif tune=iq")  # the better one first, as in AVIF
+AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq")
 BPP = 0.25  # of the tables
 MAX_BPP = 0.5  # of the plot
 PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
@@ -82,22 +83,26 @@ def average() -> Means:
     return means(rows())
 
 
-def avif() -> tuple[str, str]:
-    """The codecs that are compared with as AVIF, for PSNR and for the eye: the best that have been measured."""
-    for_psnr, for_eyes = (next(name for name in names if (name, BPP) in average()) for names in (AVIF, AVIF_VISUAL))
-    return for_psnr, for_eyes
+def avif(figure: str = "psnr") -> str:
+    """AVIF as it is compared: the better of its settings for PSNR, or the best for the eye by another figure."""
+    names = [name for name in (AVIF if figure == "psnr" else AVIF_VISUAL) if (name, BPP) in average()]
+    if figure not in SEEN:
+        return names[0]
+    sign = -1 if figure == "ssimulacra2" else 1
+    return min(names, key=lambda name: sign * (average()[name, BPP][figure] or 0))
 
 
-def readme_codecs() -> dict[str, tuple[str, str]]:
-    """README's columns: the codec tuned for PSNR, and for the eye; they differ only where a codec can be tuned."""
+def readme_codecs(figure: str) -> dict[str, tuple[str, str]]:
+    """README's columns in the row of a figure: the codec tuned for PSNR and for the eye, if it can be tuned."""
     untuned = {"JPEG XL": "jpegxl", "WebP": "webp", "JPEG": "jpeg"}
-    return {"sgmethod": ("rd", "rd visual"), "AVIF": avif(), **{title: (name, name) for title, name in untuned.items()}}
+    tuned = {"sgmethod": ("rd", "rd visual"), "AVIF": (avif(), avif(figure))}
+    return tuned | {title: (name, name) for title, name in untuned.items()}
 
 
 def codecs_table() -> str:
     """At BPP, the best PSNR first; bits are those for the same PSNR over all rates."""
     found = {codec: average()[codec, BPP] for codec in NAMES if (codec, BPP) in average()}
-    anchor = avif()[0]
+    anchor = avif()
     forms = {"bpp": ".3f", "psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
@@ -128,34 +133,34 @@ def differences(rate: BdRate | None) -> list[str]:
 def readme_table() -> str:
     """The README's table at BPP, with the best of each row in bold, and the versions of other codecs."""
     lines = []
-    columns = readme_codecs()
     for title, (name, form, best_of, tuned, factor) in README_ROWS.items():
-        values = [average()[codecs[tuned], BPP][name] or 0 for codecs in columns.values()]
+        values = [average()[codecs[tuned], BPP][name] or 0 for codecs in readme_codecs(name).values()]
         best = best_of(values) if best_of else None
         cells = [number(value * factor, form) for value in values]
         lines.append([title, *(f"**{c}**" if v == best else c for c, v in zip(cells, values, strict=True))])
     # AVIF's files are of libvips, or in 8 bits of the last libavif, which is Pillow's.
-    bits, avif_library = (10, "libvips-") if "10 bits" in avif()[0] else (8, "libavif-")
+    bits, avif_library = (10, "libvips-") if "10 bits" in avif() else (8, "libavif-")
     named = load("rd/kodak")["settings"]["codecs"]
     versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith((*LIBRARIES, avif_library)))
     codecs = ", ".join(f"{library.replace('_', '-')} {version}" for library, version in sorted(versions.items()))
-    return f"{table(' | '.join(['', *columns]), lines)}\n\nMeasured with {codecs}. AVIF has {bits} bits."
+    return f"{table(' | '.join(['', *readme_codecs('psnr')]), lines)}\n\nMeasured with {codecs}. AVIF has {bits} bits."
 
 
 def figures() -> dict[str, float | None]:
     """The figures of sentences, by mark."""
     found: dict[str, float | None] = {}
-    for mark, codec in {"avif": avif()[0], "heic": "heic", "webp": "webp"}.items():  # at equal PSNR
+    for mark, codec in {"avif": avif(), "heic": "heic", "webp": "webp"}.items():  # at equal PSNR
         found |= of_rate(mark, against(rows(), "rd", codec))
-    for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif()[1])}.items():
+    for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif("lpips"))}.items():
         found |= of_rate(mark, rate)
     found["rate.psnr-lpips"] = average()["rd", BPP]["lpips"]
-    for mark, codec in {"rd": "rd visual", "avif": avif()[1], "grain": "avif grain"}.items():
+    for mark, codec in {"rd": "rd visual", "grain": "avif grain"}.items():
         found |= {f"rate.{mark}-{name}": average()[codec, BPP][name] for name in SEEN}
-    sizes = [average()[codec, BPP]["bpp"] or 0 for codec in ("rd", avif()[0])]
+    found |= {f"rate.avif-{name}": average()[avif(name), BPP][name] for name in SEEN}
+    sizes = [average()[codec, BPP]["bpp"] or 0 for codec in ("rd", avif())]
     found["rate.avif-unused"] = 100 * (1 - sizes[1] / sizes[0])
-    found["rate.avif-filled-psnr"] = value_at(average(), avif()[0], "rd", "psnr")
-    found["rate.avif-filled-ssimulacra2"] = value_at(average(), avif()[1], "rd visual", "ssimulacra2")
+    found["rate.avif-filled-psnr"] = value_at(average(), avif(), "rd", "psnr")
+    found["rate.avif-filled-ssimulacra2"] = value_at(average(), avif("ssimulacra2"), "rd visual", "ssimulacra2")
     theirs = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"]]
     found["rate.gaussianimage-from-db"], found["rate.gaussianimage-to-db"] = shared(theirs, curve(average(), "rd"))
     found["rate.times-gaussianimage"] = 100 / (100 + (found["rate.more-than-gaussianimage"] or 0))
@@ -191,7 +196,7 @@ def value_at(average: Means, codec: str, other: str, figure: str) -> float | Non
 
 def draw(axes: Any, figure: str) -> None:
     """PSNR or SSIMULACRA 2 against bits per pixel, the best codec first."""
-    codecs = sorted((*PLOTTED, *avif()), key=lambda codec: -(average()[codec, BPP]["psnr"] or 0))
+    codecs = sorted((*PLOTTED, avif(), avif("ssimulacra2")), key=lambda codec: -(average()[codec, BPP]["psnr"] or 0))
     for k, codec in enumerate(codecs):
         how = style(k) | {"label": NAMES[codec].replace("`", "")}
         axes.plot(*zip(*sorted(curve(average(), codec, figure)), strict=True), **how)
