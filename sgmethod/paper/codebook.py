@@ -1,4 +1,4 @@
-"""Residual vector quantisation of colours, two stages of eight entries (GaussianImage; paper, section III-C)."""
+"""Residual vector quantisation of colours, two stages of eight entries (GaussianImage; paper, section IV-A)."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ class _Quantise(torch.autograd.Function):
         dv^/dv = 1,  dv^/dv_max = q/Q - u/Q,  dv^/dv_min = u/Q - q/Q,  dv^/db = 2^B ln2 / Q (v - v^),
 
     where u = (v - Z) / s. Out of range, q is 0 or Q whatever v and B are: dv^/dv_max = q/Q, dv^/dv_min = 1 - q/Q,
-    dv^/dv = dv^/db = 0. The paper prints q for v^ in the last term in range, and the last term of -s q out of range
-    (equation 7); both contradict finite differences (tests/paper/test_quantise.py). `printed` selects them.
+    dv^/dv = dv^/db = 0. In dv^/db, the paper prints v - q in range in place of v - v^, and -s q out of range (equation
+    7). Both contradict finite differences (tests/paper/test_quantise.py). `printed` selects them.
     """
 
     @staticmethod

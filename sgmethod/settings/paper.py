@@ -25,8 +25,8 @@ class PaperSettings:
     tune_rate: float = 0.5  # factor on the optimiser's rates
     bits_rate: float = 0.02
     range_rate: float = 0.003  # in multiples of the range's width
-    # A factor's range starts at these quantiles, 0 for the least and the largest value. Our optimiser makes a few
-    # Gaussians wider than the picture, whose range would make the steps of all others coarse.
+    # The ranges of l1, l2 and l3 start at these quantiles; 0 means the smallest and the largest value, as in
+    # GaussianImage. Our optimiser makes a few Gaussians wider than the picture, which would make all steps coarse.
     range_quantile: float = 0.01
     patience: float = 0.3  # a phase has converged after this part of the schedule without progress
 

@@ -1,4 +1,5 @@
 """Initial Gaussians: from a picture and their number.
 
-Where the picture has structure, there are more of them, and they are smaller (paper, section III-B).
+Where the picture has structure, there are more of them (paper, section III-B); in profile rd, they are smaller there,
+too.
 """
