@@ -19,20 +19,20 @@ serve: $(VENV)/.service ## set up, then run the service on http://127.0.0.1:8000
 
 # What needs neither PyTorch nor a service: reading pictures, coding, decoding.
 QUICK = tests/start/test_superpixels.py tests/fitting/test_texture.py tests/bitstream tests/io tests/test_decoder.py tests/test_view.py
-quick: $(VENV)/.quick ## for a first change, within three minutes and without PyTorch: lint, format, types, tests of the codec
+quick: $(VENV)/.quick ## a first check in three minutes, without PyTorch: lint, format, types, tests of the codec
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy --package sgmethod.bitstream --package sgmethod.rd --package sgmethod.io
 	$(PYTEST) -m "not thorough" $(QUICK)
 
-test: $(VENV)/.test ## set up, then check lint, format and types, build for npm if it is there, and run the tests
+test: $(VENV)/.test ## set up, then check lint, format and types, build the npm package if npm is installed, and run the tests
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
 	if command -v npm >/dev/null; then $(MAKE) npm; fi
 	$(PYTEST) -m "not thorough"
 
-thorough: $(VENV)/.test sanitize versions ## what a release needs beside `make test`: the slow tests, sanitizers, the newest Python at hand
+thorough: $(VENV)/.test sanitize versions ## what a release needs besides `make test`: slow tests, sanitizers, another Python
 	$(PYTEST) -m "thorough or hypothesis" --hypothesis-profile thorough
 
 coverage: $(VENV)/.test ## report which lines and branches the tests of `make test` run
@@ -43,7 +43,7 @@ sanitize: $(VENV)/.test ## run the kernels under sanitizers: their own tests, ev
 	$(BIN)/python -m tests.native.sanitize --mutations $(MUTATIONS) $(if $(SEED),--seed $(SEED))
 
 VERSIONS ?= newest
-versions: ## check what needs no PyTorch on VERSIONS="3.12 3.13", or the newest at hand
+versions: ## run tests that need no PyTorch on VERSIONS="3.12 3.13", or on the newest Python found
 	.ci/versions $(VERSIONS)
 
 MINUTES ?= 5
@@ -60,7 +60,7 @@ wheel: $(VENV)/.test ## build the source archive and a wheel in dist, check both
 	build/wheel/bin/python -m pip install --quiet --no-compile dist/*.whl
 	build/wheel/bin/python tests/smoke.py
 
-npm: ## build the package for browsers in dist; needs npm
+npm: ## build the npm package in dist, for browsers and Node
 	mkdir -p build/npm dist
 	cp -r sgmethod/javascript/. LICENSE build/npm/
 	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent build \
@@ -80,7 +80,7 @@ lock: $(VENV)/.service ## renew versions and hashes of what the image installs, 
 	echo '$(TORCH)+cpu' | $(LOCK) - pyproject.toml --extra torch --constraint $(LOCKED)/slim.txt \
 	  --find-links $(TORCH_WHEELS) --emit-find-links --output-file $(LOCKED)/torch.txt
 
-bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or FULL=yes [IMAGES=folder WEIGHTS=folder]
+bench: $(VENV)/.benchmark ## some measurements in ten minutes, or nearly all with FULL=yes IMAGES=KODAK WEIGHTS=FOLDER
 	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS))
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch, which the service

@@ -15,7 +15,7 @@ BUDGET_HELP = {
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
     "quality": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
-    "gaussians": ("N", "number of Gaussians"),
+    "gaussians": ("N", "number of Gaussians; with profile rd, at most this many"),
 }
 MAX_SEED = 2**32 - 1
 
@@ -33,7 +33,7 @@ each command has its own examples: sgmethod encode --help"""
 ENCODE = (
     "Encode pictures as .sg files.",
     """Reads PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF, PPM and QOI; HEIC and JPEG XL need an extra package. Colours are
-converted to sRGB.
+converted to sRGB. Give at most one of --bpp, --bytes, --quality, --psnr and --gaussians.
 
 examples:
   sgmethod encode photo.jpg                        writes photo.sg, of at most 50 kB
@@ -55,9 +55,9 @@ examples:
   sgmethod decode *.sg --output-dir out            writes out/NAME.png for each""",
 )
 PREVIEW = (
-    "Print pictures as short texts, which a page shows until they have loaded.",
-    """Prints the text alone, or NAME, a tab and the text for each of several pictures. The text is an .sg file in
-base64url: 4 characters for 3 bytes. decode and info read it too, in a file or from stdin.
+    "Print each picture as a short text, from which a page draws a preview until the picture has loaded.",
+    """Prints the text alone, or NAME, a tab and the text for each of several pictures. The text is an .sg file without
+its first byte, in base64url: 4 characters for 3 bytes. decode and info read it too, in a file or from stdin.
 
 examples:
   sgmethod preview photo.jpg
@@ -138,7 +138,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
     Only commands named in argv get arguments: a decode need not import every profile for the arguments of encode.
     """
-    whole = _Parser(prog="sgmethod", description="An image codec of 2D Gaussians.", epilog=EXAMPLES)
+    whole = _Parser(prog="sgmethod", description="Store photographs as 2D Gaussians.", epilog=EXAMPLES)
     whole.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = whole.add_subparsers(metavar="COMMAND", required=True)
 
