@@ -139,11 +139,12 @@ def readme_table() -> str:
         cells = [number(value * factor, form) for value in values]
         lines.append([title, *(f"**{c}**" if v == best else c for c, v in zip(cells, values, strict=True))])
     # AVIF's files are of libvips, or in 8 bits of the last libavif, which is Pillow's.
-    bits, avif_library = (10, "libvips-") if "10 bits" in avif() else (8, "libavif-")
+    is_wide = any("10 bits" in avif(figure) for figure in ("psnr", *SEEN))
+    bits, avif_library = ("8 or 10 bits, whichever is better", "libvips-") if is_wide else ("8 bits", "libavif-")
     named = load("rd/kodak")["settings"]["codecs"]
     versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith((*LIBRARIES, avif_library)))
     codecs = ", ".join(f"{library.replace('_', '-')} {version}" for library, version in sorted(versions.items()))
-    return f"{table(' | '.join(['', *readme_codecs('psnr')]), lines)}\n\nMeasured with {codecs}. AVIF has {bits} bits."
+    return f"{table(' | '.join(['', *readme_codecs('psnr')]), lines)}\n\nMeasured with {codecs}. AVIF has {bits}."
 
 
 def figures() -> dict[str, float | None]:

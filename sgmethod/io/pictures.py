@@ -20,7 +20,8 @@ from sgmethod.io.png import Compress, encode_png, zlib_compress
 
 SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WebP", ".avif": "AVIF", ".ppm": "PPM"}
 OPAQUE = ("JPEG", "PPM")
-MAX_SIDES = {"JPEG": 65_500, "WebP": 16_383}  # of libjpeg, which prints a line of its own, and of the format
+# Of libjpeg, which prints a line of its own; of the format; and for libavif, which reads no side above 32,768.
+MAX_SIDES = {"JPEG": 65_500, "WebP": 16_383, "AVIF": 16_384}
 OPTIONS: dict[str, dict[str, Any]] = {
     "JPEG": {"quality": 95, "subsampling": "4:4:4"},
     "WebP": {"quality": 95},

@@ -96,7 +96,7 @@ def test_every_format_but_ppm_says_srgb() -> None:
     assert b"colrnclx\0\1\0\r" in encode_picture(pixels, "AVIF")  # the code points of sRGB: 1 and 13
 
 
-@pytest.mark.parametrize(("kind", "most"), [("JPEG", 65_500), ("WebP", 16_383)])
+@pytest.mark.parametrize(("kind", "most"), [("JPEG", 65_500), ("WebP", 16_383), ("AVIF", 16_384)])
 def test_a_picture_that_a_format_cannot_hold(kind: str, most: int, capfd: pytest.CaptureFixture[str]) -> None:
     for height, width in ((1, most), (most, 1)):
         size = Image.open(io.BytesIO(encode_picture(np.zeros((height, width, 3), np.uint8), kind))).size

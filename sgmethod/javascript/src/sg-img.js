@@ -45,7 +45,7 @@ function takeTurns() {
 
 function sheetsOf(page) {
   if (!sheets.has(page)) {
-    const { CSSStyleSheet } = page.defaultView ?? window; // a document without a window draws nothing
+    const { CSSStyleSheet } = page.defaultView;
     const made = [SHADOW_STYLE, PAGE_STYLE].map((text) => {
       const sheet = new CSSStyleSheet();
       sheet.replaceSync(text);
@@ -98,6 +98,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       delete this[name];
       this[name] = value;
     }
+    if (!this.ownerDocument.defaultView) return; // a document without a window draws nothing
     const [shadowSheet, pageSheet] = sheetsOf(this.ownerDocument);
     this.shadowRoot.adoptedStyleSheets = [shadowSheet];
     const page = this.getRootNode();
