@@ -25,9 +25,9 @@ def from_gaussian_image(
     xyz [N, 2]: means before tanh, which takes them to [-1, 1]; cholesky [N, 3]: l1, l2, l3 in pixels without the bound
     of 0.5, 0, 0.5; features [N, 3]: colours; size: width and height of the picture in pixels.
 
-    GaussianImage's pixel centres lie at whole numbers, so half a pixel is added. render() ends Gaussians sooner, so each
-    becomes the closest of the same integral: 1.108 times as wide, its colour times 1.017.
-    Raises GaussiansError for other shapes or types, and ViewError for sizes that no picture has.
+    GaussianImage's pixel centres lie at whole numbers, so half a pixel is added. render() ends Gaussians sooner, so
+    each becomes the closest one with the same integral: 1.108 times as wide, its colour times 1.017. Raises
+    GaussiansError for other shapes or types, and ViewError for sizes that no picture has.
     """
     lasts = ((xyz, 2), (cholesky, 3), (features, 3))
     for values, _ in lasts:

@@ -19,7 +19,7 @@ export interface Preview {
  * @param options characters: maximum length of the URI, 400 by default; sharp: the module, for the best WebP; without
  * it, the URI holds a PNG of at most 32 pixels a side, which is about 1 dB worse
  * @returns the URI; "" if nothing fits, or if the picture has transparency, because the placeholder would show through
- * @throws TypeError if rgba does not fit width and height, or for an unknown option
+ * @throws TypeError if rgba does not fit width and height, or for an unknown option; RangeError for wrong characters
  */
 export function dataUri(
   rgba: Uint8Array | Uint8ClampedArray,
