@@ -1,4 +1,4 @@
-# Two images: "whole", and "slim" without PyTorch, for profile rd alone (docker build --target slim .).
+# Two images: "whole", the default, and "slim", without PyTorch and profile paper: docker build --target slim .
 ARG PYTHON_IMAGE=python:3.12.14-slim-bookworm@sha256:782412e85d0f0984994c290652577d4018aff08145c85b262bb63dc0c7522254
 
 FROM ${PYTHON_IMAGE} AS build
@@ -11,7 +11,7 @@ RUN python -m venv /opt/build && python -m venv --without-pip /opt/sgmethod
 ENV PIP="/opt/build/bin/pip --disable-pip-version-check --no-cache-dir"
 ENV INSTALL="${PIP} --python /opt/sgmethod/bin/python install --only-binary :all:"
 WORKDIR /source
-# Whatever is downloaded must have the hash of its lock file, which `make lock` renews.
+# Every download must match its hash in the lock files, which `make lock` renews.
 COPY service/requirements service/requirements
 RUN ${PIP} install --require-hashes --requirement service/requirements/build.txt \
     && ${INSTALL} --require-hashes --requirement service/requirements/slim.txt
@@ -23,7 +23,7 @@ RUN ${PIP} wheel --no-deps --no-build-isolation --wheel-dir /wheels . \
     && find /opt/sgmethod -type d -name tests -prune -exec rm -r {} +
 
 FROM build AS build-torch
-# A quarter of PyTorch is its own tests, and headers for extensions.
+# A quarter of PyTorch is tests, and headers for extensions.
 RUN ${INSTALL} --require-hashes --requirement service/requirements/torch.txt \
     && torch=$(echo /opt/sgmethod/lib/python3*/site-packages/torch) \
     && rm -r "$torch/include" "$torch/test" \
@@ -34,8 +34,8 @@ FROM ${PYTHON_IMAGE} AS runtime
 RUN groupadd --gid 10001 sgmethod \
     && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
-# Whoever publishes the port decides who reaches it. Without API keys the service answers under localhost and addresses
-# alone; SG_HOST_NAMES lists other names.
+# It listens on all addresses: who can reach it depends on how the port is published. Without API keys, it answers only
+# requests for localhost, an IP address, or a name in SG_HOST_NAMES.
 ENV PATH=/opt/sgmethod/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONSAFEPATH=1 \
@@ -47,10 +47,10 @@ USER 10001:10001
 WORKDIR /data
 VOLUME /data
 EXPOSE 8000
-# Never through HTTP_PROXY.
+# The request ignores HTTP_PROXY.
 HEALTHCHECK --interval=10s --timeout=5s --start-period=20s --retries=3 \
     CMD ["python", "-c", "import os, urllib.request as r; r.build_opener(r.ProxyHandler({})).open('http://127.0.0.1:' + os.environ['SG_PORT'] + '/livez', timeout=4)"]
-# Web process and workers in one container; "web" or "worker" in place of "serve" runs one of them alone.
+# "serve" runs the web process and workers in one container; "web" or "worker" runs only that.
 ENTRYPOINT ["python", "-m", "service"]
 CMD ["serve"]
 

@@ -41,7 +41,7 @@ PARAMETERS: list[dict[str, Any]] = [
     {
         "name": "Idempotency-Key",
         "in": "header",
-        "description": "the same key again answers with the job it first made",
+        "description": "repeating a request with the same key returns its first job; another request gets 422",
         "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
     },
     *({"name": name, "in": "query", "schema": schema} for name, schema in OPTION_SCHEMAS.items()),
@@ -83,7 +83,8 @@ async def encode(
     """Submit an image for encoding, with at most one budget.
 
     With `wait`, the response is the finished file (or the decoded picture, if the Accept header asks for one) when the
-    job is done in time; otherwise 202 and the job as JSON.
+    job is done in time. If it fails in that time, 422 if the codec refused the image, else 500. Otherwise 202 and the
+    job as JSON.
     """
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):

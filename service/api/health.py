@@ -25,14 +25,14 @@ PATIENCE_S = 2.0  # a table that takes longer counts as unavailable
 
 
 async def live() -> models.HealthView:
-    """Return 200 while the web process answers."""
+    """Return 200 while the web process runs."""
     return models.HealthView(status="ok", version=VERSION)
 
 
 async def ready(context: UseContext) -> models.HealthView:
     """Return 200 if jobs are accepted and processed.
 
-    The job table and the storage respond, the sandbox does tasks, and workers take jobs.
+    The job table and the storage accept writes, the disk has room, the sandbox does tasks, and workers take jobs.
     """
     counts = await _counts(context)
     if counts is None:

@@ -137,7 +137,10 @@ async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
 async def links(
     job: KnownJob, context: UseContext, response: Response, query: Annotated[LinksQuery, Query()]
 ) -> models.LinksView:
-    """Create links to the picture and the bitstream that anyone can open until they expire."""
+    """Create links to the picture and the bitstream that anyone can open until they expire.
+
+    404 if the operator has not enabled links.
+    """
     response.headers.update(NEVER_STORED)
     secret = context.settings.link_secret.get_secret_value()
     if not secret:
@@ -155,8 +158,8 @@ async def links(
 async def stop(job: KnownJob, context: UseContext, response: Response) -> models.AcceptedView:
     """Finish a running job early and keep its result, which stays within the budget.
 
-    This takes about a quarter of the time spent until then. A finished job is unchanged; 409 for a queued or failed
-    one, which has no result to keep.
+    This takes up to a quarter of the time spent until then, at most 3 s. A finished job is unchanged; 409 for a queued
+    or failed one, which has no result to keep.
     """
     view = models.accepted(job, context.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})

@@ -48,7 +48,7 @@ EXAMPLE_JOB: dict[str, Any] = {
 class AcceptedView(BaseModel):
     """The answer to POST /encode."""
 
-    id: str = Field(description="32 hexadecimal digits; without API keys, anyone who knows them can read the job")
+    id: str = Field(description="32 hexadecimal digits; without API keys, anyone who knows the id can read the job")
     status_url: str
     decode_url: str
     bitstream_url: str
@@ -90,7 +90,7 @@ class JobSummary(AcceptedView):
     image_expires_at: datetime | None = Field(description="until when the image of the finished job can be re-encoded")
     result: dict[str, Figure | list[str]] | None = Field(
         description="figures of the finished file; warnings has one sentence each for a missed target, a file larger "
-        "than its source, and a file without Gaussians"
+        "than its source, and a file without Gaussians; advice and better name a format that suits the image better"
     )
     notes: list[str] = Field(description="what was dropped from the image, once done")
     error: JobError | None = Field(description="once failed")
@@ -101,7 +101,7 @@ class TraceView(BaseModel):
 
     progress: float = Field(description="estimated progress, 0 to 1; never decreases")
     trace: list[dict[str, Figure]] = Field(
-        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; fewer as time goes on"
+        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; sparser with time"
     )
 
 
@@ -127,7 +127,7 @@ class LinksView(BaseModel):
 
 
 class HealthView(BaseModel):
-    """The web process answers."""
+    """The answer of a health check."""
 
     status: str
     version: str

@@ -53,7 +53,10 @@ class PreviewQuery(Parameters):
     """Query parameters of a preview."""
 
     bytes: int = Field(
-        default=200, ge=MIN_PREVIEW_BYTES, le=MAX_PREVIEW_BYTES, description="of the .sg file, 4 characters for 3"
+        default=200,
+        ge=MIN_PREVIEW_BYTES,
+        le=MAX_PREVIEW_BYTES,
+        description="of the preview; its text has 4 characters for 3 bytes",
     )
 
 
@@ -145,7 +148,7 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
 async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -> Response:
     """Return a bitstream about as large as the final one, but coarser; the final one once the job is done.
 
-    Profile rd updates it at most once a second; the other profiles have no preview.
+    Profile rd updates it at most once a second; profile paper has no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
     key = job.result.bitstream_key if job.result else preview_key(job.id, job.attempt)
@@ -164,9 +167,9 @@ async def preview(
     caller: UseCaller,
     query: Annotated[PreviewQuery, Query()],
 ) -> PreviewFigures:
-    """Make a text that a page shows until the image has loaded, with the image's size and average colour.
+    """Make a preview: a text that a page shows until the image has loaded, with the image's size and average colour.
 
-    The image is the body. The answer comes at once, without a job, within the limits of decodes. Nothing is stored.
+    The body is the image. The answer comes at once, without a job, within the limits of decodes. Nothing is stored.
     """
     if media_type(request) == FORM_TYPE:
         raise ProblemError(415, "the body must be the image itself, not a form", headers={"Accept": "image/*"})
