@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
@@ -42,11 +43,12 @@ class _TableFigures(Collector):
         seen = "Since the last report of a worker, which reports every 2 s."
         since = {worker: max(0.0, seconds) for worker, seconds in counts.workers.items()}
         yield _gauges("sgmethod_worker_seen_seconds", seen, "worker", since.items())
+        silent = "Since any worker was heard from; +Inf if none is there."
         waited = "Since the job ended whose webhook has been waiting for longest."
         for name, words, value in (
             ("stored_bytes", "Bytes of images and bitstreams.", counts.stored_bytes),
             ("oldest_job_waits_seconds", "Age of the oldest queued job.", max(0.0, counts.waiting_s or 0.0)),
-            ("workers_silent_seconds", "Since any worker was heard from.", max(0.0, counts.silent_s or 0.0)),
+            ("workers_silent_seconds", silent, math.inf if counts.silent_s is None else max(0.0, counts.silent_s)),
             ("webhooks_waiting", "Webhooks to be delivered.", counts.deliveries),
             ("oldest_webhook_waits_seconds", waited, max(0.0, counts.delivery_waits_s)),
         ):
