@@ -66,8 +66,10 @@ FULL = {
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
 # Measured by one thread: their times are those of a processor, or do not matter, and several may run side by side.
-ONE_THREAD = ("rd/paper", "previews/kodak", "perceptual/kodak", "stiff", "stability", "strict", "scenes", "gains")
-ONE_THREAD += ("ablation", "positions")
+ONE_THREAD = (
+    *("rd/paper", "previews/kodak", "perceptual/kodak", "stiff", "stability", "strict"),
+    *("scenes", "gains", "ablation", "positions"),
+)
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
