@@ -52,12 +52,11 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
     if rate.is_cut_short(payload(state.quantum), limit):
         tried.append(refined(state.gaussians, state.quantum, limit))
-    if state.is_enough:
-        tried.append(Coded(coded(state.quantum), request.objective))
-    best = rate.chosen(tried)
-    if rate.is_enough(best):
-        best = smaller(plan, best, target)
-        rounds = 0
+    best = exact = rate.chosen(tried)
+    if state.is_enough:  # the fit itself may be too large for the budget, and small enough below
+        exact = rate.best([best, Coded(coded(state.quantum), request.objective)])
+    if rate.is_enough(exact) and (exact := smaller(plan, exact, target)).size <= limit:
+        best, rounds = exact, 0
     rng = np.random.default_rng(request.seed)
     tries = max(rounds - 1, 0) if best.size else 0
     for number in request.deadline.tries(tries):
