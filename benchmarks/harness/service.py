@@ -21,6 +21,7 @@ from benchmarks.harness.data import ROOT
 from benchmarks.harness.job_table import IMAGE, LONG_S, submitted
 from benchmarks.harness.pictures import SLOW, SMALL
 from benchmarks.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
+from service.errors import JobTableError
 from service.jobs.job import EncodeResult, Job, JobError, SourceImage
 from service.jobs.table import JobTable
 from service.keys import digest
@@ -177,8 +178,13 @@ class Service(ServiceProcess):
 
     def submitted(self, image: SourceImage = IMAGE, owner: str | None = None) -> str:
         """The id of a new job of which there is no more than its row in the table: nothing was posted."""
-        with self.table() as table:
-            return submitted(table, image=image, owner=owner)
+
+        def tried() -> str | None:
+            with contextlib.suppress(JobTableError), self.table() as table:  # a database may not answer for a while
+                return submitted(table, image=image, owner=owner)
+            return None
+
+        return wait_until(tried) or ""
 
     def publish(self, job_id: str, bitstream: bytes, **figures: Any) -> None:
         """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running. figures:
