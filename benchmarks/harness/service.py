@@ -178,13 +178,8 @@ class Service(ServiceProcess):
 
     def submitted(self, image: SourceImage = IMAGE, owner: str | None = None) -> str:
         """The id of a new job of which there is no more than its row in the table: nothing was posted."""
-
-        def tried() -> str | None:
-            with contextlib.suppress(JobTableError), self.table() as table:  # a database may not answer for a while
-                return submitted(table, image=image, owner=owner)
-            return None
-
-        return wait_until(tried) or ""
+        with self.table() as table:
+            return submitted(table, image=image, owner=owner)
 
     def publish(self, job_id: str, bitstream: bytes, **figures: Any) -> None:
         """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running. figures:
@@ -207,8 +202,16 @@ class Service(ServiceProcess):
 
     @contextlib.contextmanager
     def table(self) -> Iterator[JobTable]:
-        """Its job table."""
+        """Its job table, once the database answers: on a busy machine that may take longer than a service waits."""
+
+        def answers() -> bool:
+            with contextlib.suppress(JobTableError):
+                table.counts()
+                return True
+            return False
+
         with contextlib.closing(open_job_table(self._settings())) as table:
+            wait_until(answers)
             yield table
 
     def _settings(self) -> Settings:

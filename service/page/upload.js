@@ -34,7 +34,7 @@ export function listen(given) {
   });
 }
 
-/** The slider's bytes: 100 to 1,000,000, each step 4.7 % more. */
+/** The slider's bytes: 100 to 1,000,000, each step about 5 % more, in two digits. */
 const LEAST = 100;
 const bytesAt = (place) => Number((LEAST * 1e4 ** (place / 100)).toPrecision(2));
 const placeOf = (bytes) => (100 * Math.log(bytes / LEAST)) / Math.log(1e4);

@@ -15,6 +15,7 @@ from benchmarks.harness.pictures import SLOW, SMALL
 from benchmarks.harness.processes import encoder_of, wait_until
 from benchmarks.harness.service import Service, StartService
 from service.keys import digest
+from sgmethod.budget import DEFAULT_BUDGET
 from tests.service.browser import Chromium, Page
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
 
@@ -35,9 +36,10 @@ def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> 
     assert page.run("return location.hash") == f"#{job['id']}"
     assert not page.is_seen("#work")
     lines = page.run("return [...document.querySelectorAll('pre')].map((one) => one.textContent)")
-    assert "-F image=@my_disc.png -F bytes=" in lines[0]
+    usual = DEFAULT_BUDGET.max_bytes(job["image"]["width"], job["image"]["height"])  # the page computes it, too
+    assert f"-F image=@my_disc.png -F bytes={usual} " in lines[0]
     assert "-F effort=1" in lines[0]
-    assert 'sgmethod.encode("my_disc.png", bytes=' in lines[1]
+    assert f'sgmethod.encode("my_disc.png", bytes={usual},' in lines[1]
     both = page.settled()
     page.press("divider", "Home")
     wait_until(lambda: not np.array_equal(page.settled(), both))
