@@ -27,7 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.arguments import some_of
 from benchmarks.harness.data import ROOT
 from benchmarks.pictures import Pixels
-from benchmarks.rd.baselines import Avif, Baseline, Jpeg, JpegXl
+from benchmarks.rd.baselines import AvifOf8BitsForEyes, Baseline, Jpeg, JpegXl
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
 
@@ -43,7 +43,7 @@ GRAINY = (
     "picosdeeuropa_by_aitzol_berasategi:500:300,picosdeeuropa_by_aitzol_berasategi:400:120,"
     "onestandsout:400:330,sunset_by_aitzol_berasategi:120:370,bythewater:400:110,picture_0b_by_freespace:20:400"
 )
-BASELINES = {codec.name: codec for codec in (Avif, JpegXl, Jpeg)}
+BASELINES = {"avif": AvifOf8BitsForEyes, "jpegxl": JpegXl, "jpeg": Jpeg}
 COLUMNS = ("source", "visual", *BASELINES)
 LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
@@ -55,7 +55,7 @@ Column = tuple[str, str, Pixels]  # its name, its label, and the whole picture
 def columns(names: list[str], path: Path, bpp: float) -> Iterator[Column]:
     """The columns of one picture."""
     source = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
-    avif = Avif().best(source, bpp).data
+    avif = AvifOf8BitsForEyes().best(source, bpp).data
     ours = encode(source, bytes=len(avif), tune="visual").data
     for name in names:
         if name == "source":
