@@ -10,6 +10,7 @@ import time
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.api.callers import address_of
 from service.api.metrics import Metrics
 from service.api.problems import REFUSAL, ProblemError
 from service.logs import request_id
@@ -63,7 +64,7 @@ class RequestLog:
         try:
             await self._app(scope, receive, note)
         finally:
-            client = state["caller"].client if "caller" in state else ""
+            client = state["caller"].client if "caller" in state else address_of(scope.get("client"))
             ms = 1000 * (time.monotonic() - started)
             words = f"{method} {path!a} {status} {ms:.1f} ms {size} bytes, {client} {state.get(REFUSAL, '')}"
             log.info("%s", words.rstrip())
