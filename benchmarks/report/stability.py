@@ -39,8 +39,8 @@ def lines() -> list[list[Any]]:
         worst = max(own, key=lambda row: float("inf") if row["worst"] is None else row["worst"])
         unit = " dB" if start.startswith("dB") else ""
         broken = sum(row["verdict"] == "broken" for row in own)
-        found_there = "an error" if worst["worst"] is None else f"{number(worst['worst'], '.2g')}{unit}"
-        where = f"{found_there} ({worst['case']})" if worst["worst"] != 0 else MISSING
+        amount = "an error" if worst["worst"] is None else f"{number(worst['worst'], '.2g')}{unit}"
+        where = f"{amount} ({worst['case']})" if worst["worst"] != 0 else MISSING
         found.append([says, f"{own[0]['limit']:g}{unit}", len(own), broken, where])
     return found
 
