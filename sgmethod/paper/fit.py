@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss, Moments
+from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level, target_of
 from sgmethod.fitting.recorder import Recorder
@@ -44,7 +45,10 @@ def usable(start: Gaussians, level: Level) -> Gaussians:
 def fit(
     level: Level, start: Gaussians, settings: PaperSettings, recorder: Recorder, deadline: Deadline
 ) -> tuple[Gaussians, int]:
-    """Fit all Gaussians without quantisation; return them and the number of steps."""
+    """Fit all Gaussians without quantisation; return them and the number of steps.
+
+    Raises GaussiansError if the fit diverged to values that are not finite.
+    """
     s, loss = settings, loss_of(level, settings.lambda_g)
     gaussians, moments = usable(start, level), Moments.none(len(start))
 
@@ -54,4 +58,7 @@ def fit(
         return mse, len(start), 0
 
     schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate, s.patience)
-    return gaussians, schedule.run(deadline, recorder, step)
+    steps = schedule.run(deadline, recorder, step)
+    if not all(np.isfinite(values).all() for values in gaussians.arrays):
+        raise GaussiansError("the fit diverged to values that are not finite; its learning rates are too high")
+    return gaussians, steps

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.harness.pictures import photo
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1
+from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
@@ -206,3 +207,11 @@ def test_a_start_that_no_fit_could_begin_with_is_mended(name: str, value: float)
     fitted, _ = fit(level(image), spoiled, replace(PAPER, fit_steps=60), kept, unlimited())
     assert all(np.isfinite(values).all() for values in fitted.arrays)
     assert kept.points[-1].psnr > kept.points[0].psnr + 1
+
+
+def test_a_fit_that_diverges_is_one_clear_error() -> None:
+    image = np.ascontiguousarray(PHOTO[:64, :64])
+    rates = replace(PAPER.optimiser, mean_rate=1000.0, factor_rate=1000.0, color_rate=1000.0)
+    settings = replace(PAPER, fit_steps=400, optimiser=rates)
+    with pytest.raises(GaussiansError, match="rates are too high"):
+        fit(level(image), started(image, 40), settings, recorder(), unlimited())
