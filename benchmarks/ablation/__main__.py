@@ -3,7 +3,7 @@
     python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions] [--most 6]
                                   [--pictures kodim05] [--seeds 3] [--fit-steps 2000] [--tune-steps 1000]
     python -m benchmarks.ablation gains [--help]     the paper's start and regularisation, before coding
-    python -m benchmarks.ablation gained JSON...     a table of what gains measured
+    python -m benchmarks.ablation show JSON...       the tables of what either measured
 
 Files of profile paper with 1,000, 3,000 and 7,000 Gaussians. All of it takes hours on two cores; a run can be extended
 by tables, pictures and seeds.
@@ -12,6 +12,7 @@ by tables, pictures and seeds.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -55,5 +56,18 @@ def main() -> None:
     print("", *summary(record.rows), sep="\n\n")
 
 
+def show() -> None:
+    """Print tables of JSON files: one of all that gains measured, and one of each other file."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation show", description=show.__doc__)
+    parser.add_argument("json", type=Path, nargs="+")
+    files = {path: json.loads(path.read_text())["rows"] for path in parser.parse_args().json}
+    fits = [row for rows in files.values() for row in rows if row["table"] in gains.TABLES]
+    if fits:
+        print(gains.summary(fits))
+    for path, rows in files.items():
+        for text in summary(rows):
+            print(f"\n{path.name}: {text}")
+
+
 if __name__ == "__main__":
-    sys.exit(run_part({"tables": main, "gains": gains.main, "gained": gains.show}, __doc__, default="tables"))
+    sys.exit(run_part({"tables": main, "gains": gains.main, "show": show}, __doc__, default="tables"))

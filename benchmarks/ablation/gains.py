@@ -1,7 +1,6 @@
 """Measure what the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
     python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
-    python -m benchmarks.ablation gained JSON...    a table of what was measured
 
 whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
 numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
@@ -14,7 +13,6 @@ All pictures of a row are fitted at once on a GPU.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Sequence
@@ -50,6 +48,7 @@ from sgmethod.start.placement import place
 from tests.definitions.backend import SOBEL
 
 PIXELS = 768 * 512
+Measured = dict[str, Any]  # a row of a JSON
 
 
 @dataclass(frozen=True)
@@ -218,30 +217,30 @@ def measure(
                 record.add({**key, **figures})
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> str:
-    """A table of means, and of gains over a random start with their standard errors, over the pictures of both."""
+def summary(rows: Sequence[Measured]) -> str:
+    """A table of means over pictures, and of the gains of each row over those before it."""
     lines = []
-    for name, asked in dict.fromkeys((row["table"], row["asked"]) for row in rows):
-        by: dict[str, dict[str, float]] = {}
-        for row in rows:
-            if (row["table"], row["asked"]) == (name, asked):
-                by.setdefault(row["setting"], {})[row["image"]] = row["psnr"]
-        for setting, levels in by.items():
-            random = by.get("random", {})
-            gains = [db - random[image] for image, db in levels.items() if image in random]
-            against = (
-                [number(mean(gains), "+.2f"), number(standard_error(gains), ".2f")] if setting != "random" else ["", ""]
-            )
-            lines.append([name, f"{asked:,}", setting, len(levels), number(mean([*levels.values()]), ".2f"), *against])
-    return table("table | Gaussians | start | pictures | PSNR | dB against random | standard error", lines)
+    for name, asked in dict.fromkeys((name, row.gaussians) for name, of in TABLES.items() for row in of):
+        by: dict[str, dict[str, Measured]] = {}
+        for setting in (row.setting for row in TABLES[name] if row.gaussians == asked):
+            wanted = name, asked, setting
+            own = {row["image"]: row for row in rows if (row["table"], row["asked"], row["setting"]) == wanted}
+            by |= {setting: own} if own else {}
+        for k, (setting, found) in enumerate(by.items()):
+            psnr = number(mean([row["psnr"] for row in found.values()]), ".2f")
+            cells = [name, f"{asked:,}", setting, len(found), psnr]
+            lines += [[*cells, *gain(found, by[other], other)] for other in [*by][:k]] or [[*cells, "", "", "", "", ""]]
+    titles = "table | Gaussians | start | pictures | PSNR | against | dB | standard error | MS-SSIM | better on"
+    return table(titles, lines)
 
 
-def show() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation gained", description=summary.__doc__)
-    parser.add_argument("json", type=Path, nargs="+")
-    options = parser.parse_args()
-    rows = [row for path in options.json for row in json.loads(path.read_text())["rows"]]
-    print(summary(rows))
+def gain(found: dict[str, Measured], others: dict[str, Measured], other: str) -> list[str]:
+    """The cells of a gain over another setting, over the pictures of both."""
+    pairs = [(row, others[image]) for image, row in found.items() if image in others]
+    db = [row["psnr"] - its["psnr"] for row, its in pairs]
+    seen = mean([row["ms_ssim"] - its["ms_ssim"] for row, its in pairs if row["ms_ssim"] is not None])
+    better = f"{sum(one > 0 for one in db)} of {len(db)}"
+    return [other, number(mean(db), "+.2f"), number(standard_error(db), ".2f"), number(seen, "+.5f"), better]
 
 
 def main() -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from benchmarks.rd.report import bd_psnr
+from benchmarks.rd.report import bd_psnr, bd_rate
 from benchmarks.tables import mean, number, standard_error, table
 
 Row = dict[str, Any]
@@ -13,14 +13,15 @@ Case = tuple[str, int]  # a picture and a seed
 BySetting = dict[str, dict[Case, list[Row]]]
 
 BASELINES = {"quantisation": "GSImage", "positions": "16"}  # of each table
-COLUMNS = {
-    **{"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".4f")},
-    **{"gaussians": ("Gaussians", ",.0f"), "seconds": ("seconds", ".1f")},
-}
+COLUMNS = {"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".3f"), "bits_of_factor": ("bits of l1, l2, l3, each", ".1f")}
+Measure = Callable[[list[tuple[float, float]], list[tuple[float, float]]], float | None]  # of points by bpp and dB
+MEASURES: tuple[tuple[Measure, str], ...] = ((bd_psnr, ".2f"), (bd_rate, ".1f"))
 
 
-def worth(content: Row, name: str, setting: str, baseline: str) -> tuple[float | None, float | None]:
-    """The BD-PSNR of a setting against another of a JSON's table: dB, and their standard error over pictures."""
+def worth(
+    content: Row, name: str, setting: str, baseline: str, measure: Measure = bd_psnr
+) -> tuple[float | None, float | None]:
+    """The BD-PSNR or BD-rate of a setting against another of a JSON's table: mean and standard error over pictures."""
     by_setting = complete([row for row in content["rows"] if row["table"] == name])
 
     def points(setting: str, case: Case) -> list[tuple[float, float]]:
@@ -28,7 +29,7 @@ def worth(content: Row, name: str, setting: str, baseline: str) -> tuple[float |
 
     by_picture: dict[str, list[float | None]] = {}
     for case in by_setting[setting]:
-        by_picture.setdefault(case[0], []).append(bd_psnr(points(baseline, case), points(setting, case)))
+        by_picture.setdefault(case[0], []).append(measure(points(baseline, case), points(setting, case)))
     known = [value for values in by_picture.values() if (value := mean(values)) is not None]
     return mean(known), standard_error(known)
 
@@ -58,9 +59,11 @@ def summary(rows: Sequence[Row]) -> Iterator[str]:
         for setting, cases in found.items():
             every = [row for group in cases.values() for row in group]
             cells = [number(mean([row[column] for row in every]), form) for column, (_, form) in COLUMNS.items()]
-            db, error = worth({"rows": own}, name, setting, baseline) if setting != baseline else (None, None)
-            lines.append([setting, number(db, "+.2f"), number(error, ".3f"), *cells])
-        titles = [title for title, _ in COLUMNS.values()]
+            for measure, form in MEASURES if setting != baseline else ():
+                value, error = worth({"rows": own}, name, setting, baseline, measure)
+                cells += [number(value, f"+{form}"), number(error, form)]
+            lines.append([setting, *cells, *[""] * (len(COLUMNS) + 2 * len(MEASURES) - len(cells))])
+        titles = [name, *(title for title, _ in COLUMNS.values())]
+        titles += ["BD-PSNR, dB", "standard error", "BD-rate, %", "standard error"]
         count = len({image for image, _ in found[baseline]})
-        head = table(" | ".join(["setting", f"BD-PSNR against {baseline}, dB", "standard error", *titles]), lines)
-        yield f"{name}, pictures: {count}\n\n{head}"
+        yield f"{name}, against {baseline}, pictures: {count}\n\n{table(' | '.join(titles), lines)}"

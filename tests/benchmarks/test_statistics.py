@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.ablation.gains import summary
 from benchmarks.ablation.report import worth
 from benchmarks.machine import kept_rows, origin
 from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates, means
@@ -84,6 +85,24 @@ def test_gains_over_pictures() -> None:
         for bpp, db in ANCHOR
     ]
     assert worth({"rows": files}, "t", "new", "old") == pytest.approx((-2.5, 1.0))
+    rate, error = worth({"rows": files}, "t", "old", "new", bd_rate)
+    assert rate is not None and error is not None
+    assert rate < 0 < error
+
+
+def test_gains_of_fits() -> None:
+    """Gains are over the pictures that both settings have; one table lists each setting against those before it."""
+    measured = [("dynamic", "a", 33.0), ("dynamic", "b", 31.0), ("dynamic", "c", 99.0), ("random", "a", 30.0)]
+    fits = [
+        {"table": "whole", "asked": 30_000, "setting": setting, "image": image, "psnr": db, "ms_ssim": 0.9 + db / 1e3}
+        for setting, image, db in [*measured, ("random", "b", 32.0)]
+    ]
+    lines = summary(fits).splitlines()
+    assert [line.split("|")[3:6] for line in lines[2:]] == [
+        [" random ", " 2 ", " 31.00 "],
+        [" dynamic ", " 3 ", " 54.33 "],
+    ]
+    assert lines[3].endswith("| random | +1.00 | 2.00 | +0.00100 | 1 of 2 |")
 
 
 def test_means() -> None:
