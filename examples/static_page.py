@@ -49,6 +49,7 @@ def write_site(photos: Path, site: Path) -> None:
     (site / "style.css").write_text(STYLE, encoding="utf-8")
     with as_file(files("sgmethod") / "javascript" / "src") as modules:  # or sg-img.js of the npm package
         shutil.copytree(modules, site / "sgmethod", dirs_exist_ok=True)
+    print(f"{site / 'index.html'}, photographs: {len(pictures)}")
 
 
 def preview_element(preview: sgmethod.Preview, url: str, alt: str) -> str:

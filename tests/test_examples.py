@@ -61,7 +61,8 @@ def test_fit_in_torch(tmp_path: Path) -> None:
 
 
 def test_static_page(tmp_path: Path) -> None:
-    run(tmp_path, "static_page.py", PHOTOGRAPHS, "site")
+    printed = run(tmp_path, "static_page.py", PHOTOGRAPHS, "site")
+    assert printed.strip() == f"{Path('site', 'index.html')}, photographs: {len(NAMES)}"
     html = (tmp_path / "site" / "index.html").read_text()
     assert html.count("<sg-img preview=") == len(NAMES)
     assert (tmp_path / "site" / "sgmethod" / "sg-img.js").exists()
