@@ -57,9 +57,11 @@ FULL = {
     "strict": "robustness extremes --sets strict",
     "speed": f"speed {KODAK}",
     "scenes": f"scenes {KODAK}",
-    "gains": f"ablation gains {KODAK}",
-    "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
-    "positions": f"ablation {KODAK} --tables positions --most 6 --seeds 1",
+    "gains/whole": f"ablation gains {KODAK} --tables whole",
+    "gains/optimiser": f"ablation gains {KODAK} --tables optimiser",
+    "gains/numbers": f"ablation gains {KODAK} --tables numbers --most 12",
+    "ablation": f"ablation {KODAK} --tables quantisation --most 24 --seeds 1",
+    "positions": f"ablation {KODAK} --tables positions --most 12 --seeds 1",
     "service/load": "service load",
     "service/attacks": "service attacks",
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
@@ -68,7 +70,7 @@ FULL = {
 # Measured by one thread: their times are those of a processor, or do not matter, and several may run side by side.
 ONE_THREAD = (
     *("rd/paper", "previews/kodak", "perceptual/kodak", "stiff", "stability", "strict"),
-    *("scenes", "gains", "ablation", "positions"),
+    *("scenes", "gains/whole", "gains/optimiser", "gains/numbers", "ablation", "positions"),
 )
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
