@@ -220,12 +220,12 @@ def measure(
 def summary(rows: Sequence[Measured]) -> str:
     """A table of means over pictures, and of the gains of each row over those before it."""
     lines = []
+    every: dict[tuple[str, int, str], dict[str, Measured]] = {}
+    for row in rows:
+        every.setdefault((row["table"], row["asked"], row["setting"]), {})[row["image"]] = row
     for name, asked in dict.fromkeys((name, row.gaussians) for name, of in TABLES.items() for row in of):
-        by: dict[str, dict[str, Measured]] = {}
-        for setting in (row.setting for row in TABLES[name] if row.gaussians == asked):
-            wanted = name, asked, setting
-            own = {row["image"]: row for row in rows if (row["table"], row["asked"], row["setting"]) == wanted}
-            by |= {setting: own} if own else {}
+        settings = [row.setting for row in TABLES[name] if row.gaussians == asked]
+        by = {setting: found for setting in settings if (found := every.get((name, asked, setting)))}
         for k, (setting, found) in enumerate(by.items()):
             psnr = number(mean([row["psnr"] for row in found.values()]), ".2f")
             cells = [name, f"{asked:,}", setting, len(found), psnr]

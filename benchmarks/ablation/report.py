@@ -15,20 +15,17 @@ BySetting = dict[str, dict[Case, list[Row]]]
 BASELINES = {"quantisation": "GSImage", "positions": "16"}  # of each table
 COLUMNS = {"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".3f"), "bits_of_factor": ("bits of l1, l2, l3, each", ".1f")}
 Measure = Callable[[list[tuple[float, float]], list[tuple[float, float]]], float | None]  # of points by bpp and dB
-MEASURES: tuple[tuple[Measure, str], ...] = ((bd_psnr, ".2f"), (bd_rate, ".1f"))
+MEASURES: dict[str, tuple[Measure, str]] = {"BD-PSNR, dB": (bd_psnr, ".2f"), "BD-rate, %": (bd_rate, ".1f")}
 
 
-def worth(
-    content: Row, name: str, setting: str, baseline: str, measure: Measure = bd_psnr
-) -> tuple[float | None, float | None]:
-    """The BD-PSNR or BD-rate of a setting against another of a JSON's table: mean and standard error over pictures."""
-    by_setting = complete([row for row in content["rows"] if row["table"] == name])
+def worth(found: BySetting, setting: str, baseline: str, measure: Measure) -> tuple[float | None, float | None]:
+    """The BD-PSNR or BD-rate of a setting against another: mean and standard error over pictures."""
 
     def points(setting: str, case: Case) -> list[tuple[float, float]]:
-        return [(row["bpp"], row["psnr"]) for row in by_setting[setting][case]]
+        return [(row["bpp"], row["psnr"]) for row in found[setting][case]]
 
     by_picture: dict[str, list[float | None]] = {}
-    for case in by_setting[setting]:
+    for case in found[setting]:
         by_picture.setdefault(case[0], []).append(measure(points(baseline, case), points(setting, case)))
     known = [value for values in by_picture.values() if (value := mean(values)) is not None]
     return mean(known), standard_error(known)
@@ -59,11 +56,11 @@ def summary(rows: Sequence[Row]) -> Iterator[str]:
         for setting, cases in found.items():
             every = [row for group in cases.values() for row in group]
             cells = [number(mean([row[column] for row in every]), form) for column, (_, form) in COLUMNS.items()]
-            for measure, form in MEASURES if setting != baseline else ():
-                value, error = worth({"rows": own}, name, setting, baseline, measure)
+            for measure, form in MEASURES.values():
+                value, error = worth(found, setting, baseline, measure) if setting != baseline else (None, None)
                 cells += [number(value, f"+{form}"), number(error, form)]
-            lines.append([setting, *cells, *[""] * (len(COLUMNS) + 2 * len(MEASURES) - len(cells))])
+            lines.append([setting, *cells])
         titles = [name, *(title for title, _ in COLUMNS.values())]
-        titles += ["BD-PSNR, dB", "standard error", "BD-rate, %", "standard error"]
+        titles += [title for measured in MEASURES for title in (measured, "standard error")]
         count = len({image for image, _ in found[baseline]})
         yield f"{name}, against {baseline}, pictures: {count}\n\n{table(' | '.join(titles), lines)}"

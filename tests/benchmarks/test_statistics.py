@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from benchmarks.ablation.gains import summary
-from benchmarks.ablation.report import worth
+from benchmarks.ablation.report import complete, worth
 from benchmarks.machine import kept_rows, origin
 from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates, means
 from benchmarks.report.previews import times_our_bytes
@@ -73,7 +73,6 @@ def test_gains_over_pictures() -> None:
     gains = {("a", 0): -1.0, ("a", 1): -2.0, ("b", 0): -3.0, ("b", 1): -4.0}
     files = [
         {
-            "table": "t",
             "setting": setting,
             "image": image,
             "seed": seed,
@@ -84,8 +83,9 @@ def test_gains_over_pictures() -> None:
         for setting in ("old", "new")
         for bpp, db in ANCHOR
     ]
-    assert worth({"rows": files}, "t", "new", "old") == pytest.approx((-2.5, 1.0))
-    rate, error = worth({"rows": files}, "t", "old", "new", bd_rate)
+    found = complete(files)
+    assert worth(found, "new", "old", bd_psnr) == pytest.approx((-2.5, 1.0))
+    rate, error = worth(found, "old", "new", bd_rate)
     assert rate is not None and error is not None
     assert rate < 0 < error
 
