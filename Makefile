@@ -85,12 +85,15 @@ bench: $(VENV)/.benchmark ## some measurements in ten minutes, or nearly all wit
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch, which the service
 # does without, comes first, so that its build is the one chosen; Python compiles a module when it is first imported, and
-# most of PyTorch never is.
+# most of PyTorch never is. Kernels that an installation has compiled since the last change need only the packages.
+INSTALLED = $(wildcard $(VENV)/lib/python*/site-packages/_editable_skbc_sgmethod.py)
+COMPILES = $(if $(INSTALLED),$(shell find $^ -newer $(firstword $(INSTALLED))),yes)
 $(VENV)/.%: pyproject.toml $(COMPILED)
 	@$(CHECK)
+	@echo 'Setting up $(VENV): installing packages$(if $(COMPILES), and compiling the kernels: about two minutes) ...'
 	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	$(if $(filter service quick,$*),,$(BIN)/python -m pip install --quiet --no-compile '$(TORCH)')
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$*]'
+	$(BIN)/python -m pip install --quiet --no-compile $(if $(COMPILES),--editable '.[$*]','sgmethod[$*]')
 	touch $@ $(if $(filter test,$*),$(VENV)/.service)
 
 # Names the Debian or Ubuntu packages that are missing before anything is downloaded or built.

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import sysconfig
 import tomllib
+from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
 
 from benchmarks.harness.data import ROOT
+from benchmarks.harness.processes import run
 
 pytestmark = pytest.mark.thorough
 
@@ -53,3 +57,21 @@ def test_the_image_installs_what_the_project_requires() -> None:
             versions = [version for name, version in pins if name == requirement.name]
             assert versions, f"{file}: {requirement}"
             assert all(map(requirement.specifier.contains, versions)), f"{file}: {requirement}"
+
+
+def test_make_does_not_compile_again_what_pip_has_compiled(tmp_path: Path) -> None:
+    """After Quick start's `pip install -e .`, `make serve` installs only packages, and says so when it compiles."""
+    (editable,) = Path(sysconfig.get_path("purelib")).glob("_editable_*sgmethod.py")
+    installed = tmp_path / "lib" / "python3.11" / "site-packages" / editable.name
+
+    def plan() -> tuple[bool, bool]:
+        done = run("make", "--dry-run", f"VENV={tmp_path}", tmp_path / ".service")
+        assert done.status == 0, done.stderr
+        return "--editable '.[service]'" in done.stdout, "compiling the kernels" in done.stdout
+
+    assert plan() == (True, True)
+    installed.parent.mkdir(parents=True)
+    installed.touch()
+    assert plan() == (False, False)
+    os.utime(installed, (0, 0))  # before the last change
+    assert plan() == (True, True)
