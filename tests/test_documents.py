@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 from benchmarks.harness.data import ROOT
+from service.api.requests import BITSTREAM_TYPE
 
 NOTEBOOK = ROOT / "docs" / "notebook"
 # Paths in backticks that begin so are files or folders of the tree.
@@ -61,6 +62,11 @@ def test_curl_in_the_readmes_fails_when_the_service_does() -> None:
         for command in commands:
             assert "--fail" in command, command
             assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
+
+
+def test_documents_name_the_type_that_the_service_sends() -> None:
+    for document in ("README.md", "service/README.md", "docs/format.md", "docs/previews.md"):
+        assert f"`{BITSTREAM_TYPE}`" in (ROOT / document).read_text(), document
 
 
 def test_nginx_in_containers_asks_the_web_container() -> None:

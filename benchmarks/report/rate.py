@@ -155,6 +155,7 @@ def figures() -> dict[str, float | None]:
     for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif("lpips"))}.items():
         found |= of_rate(mark, rate)
     found["rate.psnr-lpips"] = average()["rd", BPP]["lpips"]
+    found["rate.rd-decode-ms"] = average()["rd visual", BPP]["decode_ms"]
     for mark, codec in {"rd": "rd visual", "grain": "avif grain"}.items():
         found |= {f"rate.{mark}-{name}": average()[codec, BPP][name] for name in SEEN}
     found |= {f"rate.avif-{name}": average()[avif(name), BPP][name] for name in SEEN}
