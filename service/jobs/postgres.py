@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -15,9 +16,20 @@ from psycopg.conninfo import make_conninfo
 from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
-from service.errors import JobTableError
+from service.errors import JobTableError, NotSetUpError
 from service.jobs.engine import PATIENCE_S, SCHEMA as ENGINE_SCHEMA, Engine, in_words
-from service.jobs.statements import OVERDUE, SCHEMA, SCHEMA_VERSION, Database
+from service.jobs.statements import (
+    COUNT_ALL,
+    OLDEST_VERSION,
+    OVERDUE,
+    SCHEMA,
+    SCHEMA_VERSION,
+    TO_BE_MADE,
+    UPGRADE,
+    Database,
+    other_version,
+    to_be_upgraded,
+)
 from service.jobs.table import WATCHED, JobTable
 from service.process.loops import StopSignal
 from service.settings import Settings
@@ -28,13 +40,37 @@ EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-# Our tables and the engine's have their own schemas. A worker that is stopped within a transaction must not keep its
-# locks. PgBouncer refuses these as startup parameters.
-SESSION = b"""
-SET search_path = sgmethod, sgmethod_engine;
+# By statement, not by row: COPY of many jobs would change the same row again and again in one transaction, whose time
+# grows with the square. In the order of the keys, so that no two transactions wait for each other.
+CAME = "SELECT owner, state, 1 AS jobs, image_bytes + file_bytes AS bytes FROM came"
+GONE = "SELECT owner, state, -1 AS jobs, -image_bytes - file_bytes AS bytes FROM gone"
+TRIGGERS = "".join(
+    f"""
+CREATE FUNCTION count_{event}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
+    INSERT INTO sgmethod.stored
+    SELECT owner, state, sum(jobs), sum(bytes) FROM ({changes}) AS changes
+    GROUP BY owner, state HAVING sum(jobs) <> 0 OR sum(bytes) <> 0 ORDER BY owner, state
+    ON CONFLICT (owner, state) DO UPDATE SET jobs = stored.jobs + excluded.jobs, bytes = stored.bytes + excluded.bytes;
+    RETURN NULL;
+END $$;
+CREATE TRIGGER count_{event} AFTER {event} ON jobs REFERENCING {tables}
+FOR EACH STATEMENT EXECUTE FUNCTION count_{event}();
+"""
+    for event, tables, changes in (
+        ("insert", "NEW TABLE AS came", CAME),
+        ("delete", "OLD TABLE AS gone", GONE),
+        ("update", "NEW TABLE AS came OLD TABLE AS gone", f"{CAME} UNION ALL {GONE}"),
+    )
+)
+# Our tables and the engine's have their own schemas, and each version of the engine has one: processes of two versions
+# may run side by side, since every worker makes tokens from the job table. A worker that is stopped within a
+# transaction must not keep its locks. PgBouncer refuses these as startup parameters.
+ENGINE_TABLES = "sgmethod_engine_" + re.sub(r"\W", "_", procrastinate.__version__)
+SESSION = f"""
+SET search_path = sgmethod, {ENGINE_TABLES};
 SET synchronous_commit = on;
 SET idle_in_transaction_session_timeout = '10s';
-"""
+""".encode()
 CONNECT: dict[str, str | int] = {
     "connect_timeout": 5,
     "keepalives_idle": 10,
@@ -71,13 +107,44 @@ def _translated_errors() -> Iterator[None]:
         raise JobTableError(f"PostgreSQL: {in_words(error)}") from error
 
 
-class PostgresJobTable(JobTable):
-    """A job table in a PostgreSQL database, which is set up when first used.
+def _set_up_jobs(db: psycopg.Connection[DictRow], upgrades: bool) -> bool:
+    """Create or upgrade our tables. Returns whether there were none. Raises NotSetUpError unless it upgrades."""
+    db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
+    db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
+    row = db.execute("SELECT version FROM version WHERE part = 'jobs'").fetchone()
+    version = int(row["version"]) if row else 0
+    if version == SCHEMA_VERSION:
+        return False
+    if version not in (0, OLDEST_VERSION):
+        raise JobTableError(other_version(version))
+    if version and not upgrades:  # nor is it tried, as it locks the jobs
+        raise NotSetUpError(f"PostgreSQL: {to_be_upgraded(version)}")
+    tables = UPGRADE if version else f"{EPOCH} {SCHEMA.format(number=NUMBER)}"
+    db.execute(f"{tables} {TRIGGERS} {COUNT_ALL}".encode())
+    db.execute(
+        "INSERT INTO version VALUES ('jobs', %s) ON CONFLICT (part) DO UPDATE SET version = excluded.version",
+        (str(SCHEMA_VERSION),),
+    )
+    return not version
 
-    url: postgresql://user:password@host/database, or another form that libpq understands.
+
+def _set_up_engine(db: psycopg.Connection[DictRow]) -> None:
+    """Create the tables of this version of the engine if there are none."""
+    known = db.execute("SELECT to_regclass(%s) AS jobs", (f"{ENGINE_TABLES}.procrastinate_jobs",)).fetchone()
+    if known is None or known["jobs"] is None:
+        db.execute(f"CREATE SCHEMA IF NOT EXISTS {ENGINE_TABLES}".encode())
+        db.execute(f"SET LOCAL search_path = {ENGINE_TABLES}".encode())
+        db.execute(ENGINE_SCHEMA.encode())
+
+
+class PostgresJobTable(JobTable):
+    """A job table in a PostgreSQL database.
+
+    url: postgresql://user:password@host/database, or another form that libpq understands; sets_up: whether to create or
+    upgrade the tables, instead of raising NotSetUpError.
     """
 
-    def __init__(self, url: str, settings: Settings) -> None:
+    def __init__(self, url: str, settings: Settings, *, sets_up: bool = True) -> None:
         super().__init__(settings)
         try:
             conninfo = make_conninfo(url, **CONNECT)
@@ -85,7 +152,9 @@ class PostgresJobTable(JobTable):
             raise JobTableError("SG_DATABASE_URL cannot be read; its password must be percent-encoded") from None
         try:
             with _translated_errors():
-                self._set_up(conninfo)
+                self._set_up(conninfo, sets_up)
+        except NotSetUpError:
+            raise
         except JobTableError as error:
             variables = ["SG_DATABASE_URL", *sorted(name for name in os.environ if name.startswith("PG"))]
             raise JobTableError(f"{', '.join(variables)}: {error}") from error
@@ -106,8 +175,11 @@ class PostgresJobTable(JobTable):
         self._engine = Engine(self._pool, conninfo, settings.lease_s, SESSION)
 
     @staticmethod
-    def _set_up(conninfo: str) -> None:
-        """Create the tables if there are none. This does not use the pool, so a wrong address is reported at once."""
+    def _set_up(conninfo: str, lasting: bool) -> None:
+        """Create or upgrade tables where that is needed. If it shall not be `lasting`, it is tried and undone.
+
+        This does not use the pool, so a wrong address is reported at once.
+        """
         session_id = "SELECT pg_backend_pid()"
         with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
             before = other.execute(session_id).fetchone()
@@ -116,26 +188,10 @@ class PostgresJobTable(JobTable):
             if other.execute(session_id).fetchone() != before:
                 raise JobTableError("the pooler is in transaction mode; let it pool sessions, or connect directly")
             db.execute("SELECT pg_advisory_xact_lock(%s)", (SET_UP_LOCK,))
-            db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
-            db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
-            versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
-            written = int(versions.get("jobs", 0))
-            if written not in (0, SCHEMA_VERSION):
-                raise JobTableError("the database was written by another version of this service, which can read it")
-            if written == 0:
-                db.execute(f"{EPOCH} {SCHEMA.format(number=NUMBER)}".encode())
-            if versions.get("engine") != procrastinate.__version__:
-                # Tokens are recreated from the table, so an upgrade of the engine starts with empty tables.
-                db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")
-                db.execute("CREATE SCHEMA sgmethod_engine")
-                db.execute("SET LOCAL search_path = sgmethod_engine")
-                db.execute(ENGINE_SCHEMA.encode())
-                db.execute("SET LOCAL search_path = sgmethod, sgmethod_engine")
-            for part, version in (("jobs", str(SCHEMA_VERSION)), ("engine", procrastinate.__version__)):
-                db.execute(
-                    "INSERT INTO version VALUES (%s, %s) ON CONFLICT (part) DO UPDATE SET version = excluded.version",
-                    (part, version),
-                )
+            if _set_up_jobs(db, lasting) and not lasting:
+                raise NotSetUpError(f"PostgreSQL: {TO_BE_MADE}")  # which rolls back
+            if lasting:
+                _set_up_engine(db)
 
     @contextmanager
     def _connection(self) -> Iterator[_Session]:

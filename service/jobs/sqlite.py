@@ -9,8 +9,18 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from service.errors import JobTableError
-from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database
+from service.errors import JobTableError, NotSetUpError
+from service.jobs.statements import (
+    COUNT_ALL,
+    OLDEST_VERSION,
+    SCHEMA,
+    SCHEMA_VERSION,
+    TO_BE_MADE,
+    UPGRADE,
+    Database,
+    other_version,
+    to_be_upgraded,
+)
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.settings import Settings
@@ -18,30 +28,54 @@ from service.settings import Settings
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
 NUMBER = "INTEGER PRIMARY KEY AUTOINCREMENT"
+COME = """
+INSERT INTO stored VALUES (NEW.owner, NEW.state, 1, NEW.image_bytes + NEW.file_bytes)
+ON CONFLICT (owner, state) DO UPDATE SET jobs = jobs + 1, bytes = bytes + excluded.bytes
+"""
+GO = """
+UPDATE stored SET jobs = jobs - 1, bytes = bytes - OLD.image_bytes - OLD.file_bytes
+WHERE owner = OLD.owner AND state = OLD.state
+"""
+TRIGGERS = (
+    f"CREATE TRIGGER jobs_come AFTER INSERT ON jobs BEGIN {COME}; END",
+    f"CREATE TRIGGER jobs_go AFTER DELETE ON jobs BEGIN {GO}; END",
+    f"CREATE TRIGGER jobs_change AFTER UPDATE OF owner, state, image_bytes, file_bytes ON jobs BEGIN {GO}; {COME}; END",
+)
 SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON;"
 
 
 class SqliteJobTable(JobTable):
-    """A job table in one SQLite file in WAL mode, every commit synced to disk."""
+    """A job table in one SQLite file in WAL mode, every commit synced to disk.
 
-    def __init__(self, path: Path, settings: Settings) -> None:
+    sets_up: whether to create or upgrade it, instead of raising NotSetUpError.
+    """
+
+    def __init__(self, path: Path, settings: Settings, *, sets_up: bool = True) -> None:
         super().__init__(settings)
         self._path = path
+        self._sets_up = sets_up
         self._file: tuple[int, int] | None = None  # device and inode of the file that the idle connections have open
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
-        path.touch(mode=0o600)
+        if sets_up:
+            path.touch(mode=0o600)
+        elif not path.exists():
+            raise NotSetUpError(f"{path}: {TO_BE_MADE}")
         self._follow_file()
 
     def _set_up(self) -> None:
-        """Create the tables if there are none."""
+        """Create the tables if there are none, and upgrade those of an earlier version."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (0, SCHEMA_VERSION):
-                raise JobTableError(f"{self._path} was written by another version of this service, which can read it")
-            if version == 0:
-                for statement in SCHEMA.format(number=NUMBER).split(";")[:-1]:
-                    db.execute(statement)
-                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+            if version == SCHEMA_VERSION:
+                return
+            if version not in (0, OLDEST_VERSION):
+                raise JobTableError(f"{self._path}: {other_version(version)}")
+            if not self._sets_up:
+                raise NotSetUpError(f"{self._path}: {to_be_upgraded(version) if version else TO_BE_MADE}")
+            statements = UPGRADE if version else SCHEMA.format(number=NUMBER)
+            for statement in (*statements.split(";")[:-1], *TRIGGERS, COUNT_ALL):
+                db.execute(statement)
+            db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def _follow_file(self) -> None:
         """Reopen a file that was replaced: writes to the old one would be lost with its last reader."""

@@ -5,9 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
+# Jobs and their bytes by owner and state. Triggers keep it, so both databases add them in their own SQL.
+STORED = """
+CREATE TABLE stored (
+    owner TEXT NOT NULL,
+    state TEXT NOT NULL,
+    jobs  BIGINT NOT NULL,
+    bytes BIGINT NOT NULL,
+    PRIMARY KEY (owner, state)
+);
+"""
 # {number}: the type of an automatic row number, which depends on the database.
-SCHEMA = """
+SCHEMA = f"""{STORED}
 CREATE TABLE workers (
     name    TEXT PRIMARY KEY,
     seen_at DOUBLE PRECISION NOT NULL
@@ -26,7 +36,7 @@ CREATE TABLE totals (
     amount DOUBLE PRECISION NOT NULL
 );
 CREATE TABLE jobs (
-    number          {number},
+    number          {{number}},
     id              TEXT NOT NULL UNIQUE,
     owner           TEXT NOT NULL DEFAULT '',
     priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
@@ -47,6 +57,7 @@ CREATE TABLE jobs (
     image_bytes     BIGINT NOT NULL,
     file_bytes      BIGINT NOT NULL DEFAULT 0,
     stopped         INTEGER NOT NULL DEFAULT 0,
+    losses          INTEGER NOT NULL DEFAULT 0,
     UNIQUE (owner, idempotency_key)
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
@@ -62,9 +73,14 @@ CREATE TABLE trace (
     PRIMARY KEY (job, place)
 );
 """
+# From version 3, also while processes of that version use the table: after the triggers, what was there is counted.
+OLDEST_VERSION = 3
+UPGRADE = f"ALTER TABLE jobs ADD COLUMN losses INTEGER NOT NULL DEFAULT 0; {STORED}"
+COUNT_ALL = """
+INSERT INTO stored SELECT owner, state, count(*), sum(image_bytes + file_bytes) FROM jobs GROUP BY owner, state
+"""
 COUNTS = """
 SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
-    (SELECT CAST(coalesce(sum(image_bytes + file_bytes), 0) AS BIGINT) FROM jobs) AS stored_bytes,
     (SELECT count(*) FROM deliveries) AS deliveries,
     coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """
@@ -104,12 +120,26 @@ INSERT INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?
 ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 """
 DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_bytes, error = NULL, finished_at = epoch()"
-PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?"
+PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?, losses = losses + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
+TO_BE_MADE = "there is no job table yet; the first start of the service makes it"
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is too long because the clock was set back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
 LOST = "WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
+
+
+def to_be_upgraded(version: int) -> str:
+    """Return what becomes of a job table of an earlier version."""
+    return (
+        f"the job table is of version {version}; the next start of the service upgrades it to version {SCHEMA_VERSION}"
+    )
+
+
+def other_version(version: int) -> str:
+    """Return why a job table of another version cannot be used, and what to do."""
+    known = f"versions {OLDEST_VERSION} and {SCHEMA_VERSION}"
+    return f"the job table is of version {version}, and this service reads {known}; install the service that wrote it"
 
 
 class Database(Protocol):

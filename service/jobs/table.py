@@ -9,12 +9,12 @@ import json
 import logging
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 from service.errors import KeyReusedError, LimitError
-from service.jobs import outcomes, statements as sql
+from service.jobs import outcomes, statements as sql, stored
 from service.jobs.job import (
     FINAL_STATES,
     JOB_STATES,
@@ -32,7 +32,6 @@ from service.jobs.outcomes import Delivery
 from service.jobs.statements import Database
 from service.process.loops import StopSignal
 from service.settings import Settings
-from service.storage.files import bitstream_key, preview_key, source_key
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +39,7 @@ WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 # A worker that was silent for half of its lease is watched for the other half before it counts as lost.
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
+MAX_LOSSES = 20  # lost workers until a job fails: few jobs are the cause, but one might be
 FORGOTTEN_S = 900.0  # a worker that is silent for longer is removed
 
 
@@ -127,9 +127,9 @@ class JobTable(ABC):
 
     def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
         most, own_most = self._settings.quota_bytes, self._settings.quota_bytes_per_key
-        if owner and own_most and _stored_bytes(db, owner) + size_bytes > own_most:
+        if owner and own_most and stored.stored_bytes(db, owner) + size_bytes > own_most:
             raise LimitError("own_quota", "this API key has reached its storage quota; remove jobs first")
-        if most and _stored_bytes(db) + size_bytes > most:
+        if most and stored.stored_bytes(db) + size_bytes > most:
             raise LimitError("quota", "the service has reached its storage quota; remove jobs first")
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
@@ -147,15 +147,15 @@ class JobTable(ABC):
     def counts(self) -> Counts:
         """Count jobs by state, stored bytes, workers and outcomes."""
         with self._connection() as db:
-            rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
+            counted, stored_bytes = stored.by_state(db)
             figures = db.execute(sql.COUNTS).fetchone()
             seen = db.execute(sql.SEEN).fetchall()
             so_far = outcomes.totals(db)
-        counted = {row["state"]: row["jobs"] for row in rows}
         return Counts(
             jobs={state: counted.get(state, 0) for state in JOB_STATES},
             workers={row["name"]: row["seconds"] for row in seen},
             totals=so_far,
+            stored_bytes=stored_bytes,
             **dict(figures),
         )
 
@@ -185,7 +185,7 @@ class JobTable(ABC):
         return None if row is None else job_of(row)
 
     def reconcile(self) -> list[Job]:
-        """Requeue running jobs whose worker is lost; those that crashed too often fail. Returns the jobs that failed.
+        """Requeue running jobs whose worker is lost; those that lost too many fail. Returns the jobs that failed.
 
         A worker is lost when its lease has ended and this object has watched it stay silent for a while longer, so call
         this repeatedly.
@@ -281,9 +281,11 @@ class JobTable(ABC):
 
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
         """Return the job after an attempt that failed; None if the attempt is not its latest."""
-        text, crashed = as_json(error), error.code == "crashed"
-        job = _update(db, sql.PUT_BACK, where, text, int(crashed), *values)
-        if job is not None and not (crashed and job.crashes < MAX_ATTEMPTS):
+        lost = error is WORKER_LOST  # as when it is restarted: not the job's fault
+        crashed = error.code == "crashed" and not lost
+        job = _update(db, sql.PUT_BACK, where, as_json(error), int(crashed), int(lost), *values)
+        again = (crashed or lost) and job is not None and job.crashes < MAX_ATTEMPTS and job.losses < MAX_LOSSES
+        if job is not None and not again:
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
             self._conclude(db, job)
@@ -327,15 +329,12 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
-    def needed_keys(self) -> set[str]:
-        """Return the storage keys of all files that some job still needs."""
-        with self._connection() as db:
-            rows = db.execute("SELECT id, state, attempt, result, image_bytes FROM jobs").fetchall()
-        sources = {source_key(row["id"]) for row in rows if row["image_bytes"]}
-        running = [(row["id"], row["attempt"]) for row in rows if row["state"] == "running"]
-        unpublished = {key(*attempt) for key in (bitstream_key, preview_key) for attempt in running}
-        done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
-        return sources | unpublished | done
+    def unneeded(self, keys: Iterable[str]) -> Iterator[str]:
+        """Yield those of the storage keys that no job needs."""
+        for batch in stored.batches(keys):
+            with self._connection() as db:
+                unneeded = stored.unneeded(db, batch)
+            yield from unneeded
 
     def source_removed(self, job_id: str) -> None:
         """Stop counting the deleted image of a finished job as stored."""
@@ -363,12 +362,6 @@ def _queued(db: Database, owner: str | None = None) -> int:
     """Return the number of queued jobs, of one owner or of all."""
     query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
     return int(db.execute(query, (owner,)).fetchone()["jobs"])
-
-
-def _stored_bytes(db: Database, owner: str | None = None) -> int:
-    """Return the bytes stored for the jobs of one owner or of all."""
-    query = "SELECT coalesce(sum(image_bytes + file_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
-    return int(db.execute(query, (owner,)).fetchone()["bytes"])
 
 
 def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str) -> Job | None:

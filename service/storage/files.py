@@ -39,6 +39,11 @@ def preview_key(job_id: str, attempt: int) -> str:
     return f"bitstreams/{job_id}.{attempt}.preview.sg"
 
 
+def job_of_key(key: str) -> str:
+    """Return the id of the job that a file belongs to."""
+    return key.partition("/")[2].partition(".")[0]
+
+
 def is_key(text: str) -> bool:
     """Whether the service created files of this name. Other files in a folder or bucket are left alone."""
     return _KEY.fullmatch(text) is not None

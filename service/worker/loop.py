@@ -80,7 +80,7 @@ class Worker:
     def run_one(self) -> bool:
         """Run the next job. Returns False if none waits. Raises JobTableError, OSError."""
         for job in self._table.reconcile():
-            log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
+            log.warning("job %s failed: its workers were lost %d times", job.id, job.losses)
             if not self._table.keeps_sources:
                 with contextlib.suppress(OSError):  # the sweep removes it
                     self._storage.delete(source_key(job.id))

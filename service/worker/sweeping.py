@@ -43,8 +43,7 @@ def sweep(
     expired = table.finished(retention_s) if retention_s else []
     # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
     ended = table.finished(source_retention_s, with_image=True)
-    keep = table.needed_keys()
-    files = {*map(source_key, ended), *(key for key in storage.old(orphan_age_s) if key not in keep)}
+    files = {*map(source_key, ended), *table.unneeded(storage.old(orphan_age_s))}
     # First: on a full disk, the job table cannot be written before.
     stuck = {key for key in files if not _removed(storage, key)}
     for job_id in ended:

@@ -29,7 +29,7 @@ from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.job import EncodeResult, Job
 from service.jobs.outcomes import OUTCOMES, SECONDS
-from service.jobs.table import MAX_ATTEMPTS, JobTable
+from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, JobTable
 from service.storage.files import source_key
 
 
@@ -115,13 +115,15 @@ def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     assert not hasty.finish(stale, EncodeResult("bitstreams/x.9.sg", "cd" * 32, {}))
 
 
-def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> None:
+def test_a_lost_worker_is_no_crash_of_its_job(open_job_table: OpenTable) -> None:
+    """Four restarts of a machine failed a job for good. What loses its worker again and again ends all the same."""
     hasty = open_job_table(NO_TIME_S)
     job_id = submitted(hasty)
-    for _ in range(MAX_ATTEMPTS - 1):
+    for lost in range(1, MAX_LOSSES):
         claimed(hasty)
         assert hasty.reconcile() == []
-        assert state(hasty, job_id) == "queued"
+        job = job_of(hasty, job_id)
+        assert (job.state, job.crashes, job.losses) == ("queued", 0, lost)
     claimed(hasty)
     assert [job.id for job in hasty.reconcile()] == [job_id]
     assert state(hasty, job_id) == "failed"
@@ -148,7 +150,7 @@ def test_a_clock_that_jumps(
     assert table.reconcile() == []
     job = job_of(table, claim.id)
     expected = ("running", 0) if lives or not jump_s else ("queued", 1)
-    assert (job.state, job.crashes) == expected
+    assert (job.state, job.losses) == expected
 
 
 def test_a_released_job_keeps_its_place_and_counts_no_crash(table: JobTable) -> None:
@@ -234,11 +236,11 @@ def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, k
     while (claim := table.claim("w")) is not None:
         table.fail(claim, CRASH)
     assert table.counts().stored_bytes == 7 + 3 * kept
-    images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
-    assert table.needed_keys() == {*images, "bitstreams/x"}
+    images = [source_key(job.id) for job in (done, failed, crashing)]
+    assert list(table.unneeded(images)) == ([] if kept else images)
     for job in (done, done, failed, crashing):
         table.source_removed(job.id)
-    assert (table.counts().stored_bytes, table.needed_keys()) == (7, {"bitstreams/x"})
+    assert (table.counts().stored_bytes, list(table.unneeded(images))) == (7, images)
     table.source_removed(table.submit(new())[0].id)  # which waits
     assert table.counts().stored_bytes == 7 + size
     table.remove(done.id)
@@ -260,6 +262,30 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     counted = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
     assert {name: totals.get(name, 0) for name in OUTCOMES} == counted
     assert totals[SECONDS] >= 0
+
+
+def test_jobs_are_counted_whoever_changes_them(table: JobTable) -> None:
+    """Many at once, too: a move to another database copies all of them."""
+    number = 20
+    for owner in ("ann", "bob"):
+        submitted(table, owner=owner)
+        claim = claimed(table)
+        assert table.finish(claim, RESULT)
+    names = "owner, state, fingerprint, request, image, created_at, finished_at, result, image_bytes, file_bytes"
+    change(
+        table,
+        f"INSERT INTO jobs (id, {names}) WITH RECURSIVE numbers AS (SELECT 1 AS n UNION ALL SELECT n + 1 FROM numbers"
+        f" WHERE n < ?) SELECT CAST(n AS TEXT), {names} FROM numbers, jobs WHERE owner = 'ann'",
+        number,
+    )
+    size = RESULT.size_bytes
+    assert table.counts().jobs == {"queued": 0, "running": 0, "done": number + 2, "failed": 0}
+    assert table.counts().stored_bytes == (number + 2) * size
+    change(table, "UPDATE jobs SET state = 'failed', result = NULL, file_bytes = 1 WHERE owner = 'ann'")
+    assert table.counts().jobs == {"queued": 0, "running": 0, "done": 1, "failed": number + 1}
+    assert table.counts().stored_bytes == size + number + 1
+    change(table, "DELETE FROM jobs WHERE owner = 'ann'")
+    assert (table.counts().stored_bytes, table.counts().jobs["failed"]) == (size, 0)
 
 
 def test_quotas(open_job_table: OpenTable) -> None:

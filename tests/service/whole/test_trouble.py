@@ -29,6 +29,7 @@ from benchmarks.harness.processes import (
 )
 from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
 from service.api.context import PROBE_THREADS, WORK_THREADS
+from service.jobs.postgres import ENGINE_TABLES
 from service.storage.bucket import SILENCE
 from tests.service.s3_server import S3Server
 
@@ -130,7 +131,7 @@ def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgr
     (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGSTOP)
     job_id = service.accepted()
-    with psycopg.connect(database_url, options="-c search_path=sgmethod_engine") as db:
+    with psycopg.connect(database_url, options=f"-c search_path={ENGINE_TABLES}") as db:
         assert db.execute("DELETE FROM procrastinate_jobs").rowcount == 1
     os.kill(worker, signal.SIGCONT)
     assert service.wait(job_id)["attempt"] == 1
@@ -158,7 +159,7 @@ def test_the_end_does_not_wait_for_a_database(start_service: StartService, postg
     service = start_service(database_url=database_url, stop_grace_s=PATIENCE_S / 2)  # in which none comes back
     assert service.client.get("/readyz").status_code == 200
     with psycopg.connect(database_url, autocommit=True) as db:
-        wait_until(lambda: db.execute("SELECT 1 FROM sgmethod_engine.procrastinate_workers").fetchone())
+        wait_until(lambda: db.execute(f"SELECT 1 FROM {ENGINE_TABLES}.procrastinate_workers").fetchone())
     postgres.stop("immediate")
     try:
         assert service.client.get("/readyz").status_code == 503
