@@ -2,6 +2,7 @@
 
 The packages and modules; each imports only from those above it:
 
+    alive           whether a worker of this host is alive
     errors          errors that several packages share
     keys            API keys, and links that work without a key
     logs            what the processes write to standard error
@@ -15,7 +16,8 @@ The packages and modules; each imports only from those above it:
     worker/         claims a job, has it encoded in the sandbox, publishes the bitstream
     api/            the routes, what they answer, and the application around them
     checking        checks of an installation
+    commands        the command line
 
-page/ has no Python: it contains the files of the page. `python -m service` is the command line. Only sandbox/tasks.py
+page/ has no Python: it contains the files of the page. Only sandbox/tasks.py
 imports the encoder, and PyTorch for one profile.
 """

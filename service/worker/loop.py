@@ -11,6 +11,7 @@ import signal
 import socket
 import time
 
+from service.alive import TOUCH_S, touch
 from service.jobs.job import JobError
 from service.jobs.table import JobTable
 from service.process.loops import PeriodicThread, StopSignal, log_errors
@@ -52,6 +53,7 @@ class Worker:
         threads = [
             PeriodicThread("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
             PeriodicThread("reporting", register, REGISTER_S, stop, unregister),
+            PeriodicThread("touching a file", functools.partial(touch, settings.data_dir), TOUCH_S, stop),
         ]
         for address in settings.webhook_addresses:
             send = functools.partial(send_next, self._table, address, settings.webhook_key)

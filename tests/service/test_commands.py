@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import sys
+import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from benchmarks.harness.job_table import IMAGE, change
+from benchmarks.harness.job_table import IMAGE
 from benchmarks.harness.postgres_server import PostgresServer
 from benchmarks.harness.processes import Outcome, run
 from benchmarks.harness.service import FAKE_CODEC, RunCommand
-from service.__main__ import _where
+from service.alive import touch
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
+from service.commands import _where
 from service.opening import open_job_table
 from service.settings import Settings
 
@@ -33,6 +35,9 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
     assert verdicts(result) == dict.fromkeys(names, "ok"), result
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
+    assert "there is no job table yet" in result.stdout
+    open_job_table(Settings(data_dir=tmp_path / "data", database_url=database_url)).close()
+    assert "0 queued, 0 running" in run_command("check", data_dir=tmp_path / "data", database_url=database_url).stdout
 
 
 def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> None:
@@ -92,30 +97,45 @@ def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], word
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
-def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
-    """Containers ask whether their own one is; those of other containers do not count."""
-    settings: dict[str, Any] = {"data_dir": tmp_path, "database_url": database_url}
-    table = open_job_table(Settings(**settings))
+def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path) -> None:
+    """Containers ask whether their own one is; others do not count, and no database is asked."""
+    ours, other, gone = (tmp_path / "alive" / f"{socket.gethostname()}{end}" for end in ("", "0", "1"))
 
     def status() -> int:
-        result = run_command("alive", **settings)
+        result = run_command("alive", data_dir=tmp_path, database_url="postgresql://nobody@127.0.0.1:1/x")
         assert ("no worker of" in result.stderr) == (result.status != 0)
         return result.status
 
-    ours, others = f"{socket.gethostname()}:17", f"{socket.gethostname()}0:17"
-    table.register(others)
     assert status() == 1
-    table.register(ours)
+    assert list(tmp_path.iterdir()) == []  # a look makes nothing
+    ours.parent.mkdir()
+    other.touch()
+    gone.touch()
+    os.utime(gone, (0, 0))
+    assert status() == 1
+    touch(tmp_path)
     assert status() == 0
-    change(table, "UPDATE workers SET seen_at = seen_at - 20 WHERE name = ?", ours)
-    assert status() == 1
-    table.close()
+    assert sorted(ours.parent.iterdir()) == [ours, other]
+    for shift_s, expected in ((-20, 1), (20, 1), (0, 0)):
+        os.utime(ours, 2 * (time.time() + shift_s,))
+        assert status() == expected
+
+
+def test_a_health_check_is_cheap() -> None:
+    """It imported the kernels, pydantic and the database, and set that up: 1.1 s of processor time every 15 s."""
+    script = (
+        "import sys; sys.argv = ['service', 'alive']; from service.__main__ import main; main(); print(*sys.modules)"
+    )
+    ran = run(sys.executable, "-c", script)
+    imported = {name.partition(".")[0] for name in ran.stdout.split()}
+    assert "service" in imported
+    assert not imported & {"sgmethod", "numpy", "pydantic", "psycopg", "sqlite3", "asyncio"}
 
 
 def test_a_database_out_of_reach_is_one_clear_line(
     run_command: RunCommand, tmp_path: Path, postgres: PostgresServer
 ) -> None:
-    for command in ("serve", "web", "worker", "alive"):
+    for command in ("serve", "web", "worker"):
         result = run_command(command, data_dir=tmp_path, database_url=postgres.url("there_is_none"), port=0)
         assert (result.status, result.stdout) == (1, "")  # and no address is printed where nothing answers
         (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]

@@ -63,7 +63,7 @@ def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -
     assert Settings().workers == min(max(1, cores // 4), 64)
 
 
-@pytest.mark.parametrize("command", ["serve", "web", "worker", "alive", "check"])
+@pytest.mark.parametrize("command", ["serve", "web", "worker", "check"])
 def test_missing_kernels_are_one_clear_line(command: str) -> None:
     missing = "import sys; sys.modules['sgmethod.native._native'] = None"
     script = f"{missing}; from service.__main__ import main; sys.exit(main())"

@@ -224,7 +224,7 @@ def test_a_sandbox_that_is_required(
     run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setattr(confinement, "absent_layers", lambda: ["Landlock"])
-    monkeypatch.setattr("service.__main__.absent_layers", lambda: ["Landlock"])
+    monkeypatch.setattr("service.commands.absent_layers", lambda: ["Landlock"])
     result = run_command(command, data_dir=tmp_path, port=0, require_sandbox=1)
     assert result.status == 1
     assert "cannot start: SG_REQUIRE_SANDBOX is set, and this system does not offer Landlock" in result.stderr

@@ -1,0 +1,181 @@
+"""The commands of `python -m service`: serve, web, worker and check; alive is answered before these are imported."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import os
+import signal
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from service.errors import JobTableError, MissingPackagesError
+from service.logs import set_up_logging
+from service.opening import open_job_table, open_storage
+from service.process.loops import StopSignal
+from service.process.supervisor import is_loopback, listen, supervise, url
+from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
+from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
+from service.settings import Settings, unknown_settings
+from service.storage.files import UNFINISHED
+from sgmethod.errors import SgError
+
+BAD_SETTING = 2
+TROUBLE = 1
+INTERRUPTED = 128 + signal.SIGINT
+
+
+def main() -> int:
+    """Run one command.
+
+    Exit status: 0 after a requested end, 2 for a bad setting, 1 for other trouble, 130 for Ctrl-C before anything runs.
+    """
+    arguments = _parser().parse_args()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # inherited; if ignored, children leave no status
+    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until the command sets its own handler
+    try:
+        settings = Settings()
+        set_up_logging()
+    except ValidationError as error:
+        _warn(map(_fault_in_words, error.errors()))
+        return BAD_SETTING
+    except SgError as error:  # the kernels, which count the cores, are missing
+        print(f"cannot start: {error}", file=sys.stderr)
+        return TROUBLE
+    supervisor = getattr(arguments, "supervisor", None)
+    if supervisor is not None:
+        end_with(supervisor, signal.SIGTERM)
+    else:  # "serve" has printed it already
+        _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
+    try:
+        run: Callable[[Settings, argparse.Namespace], int | None] = arguments.run
+        return run(settings, arguments) or 0
+    except (OSError, JobTableError, MissingPackagesError, SandboxError, SgError) as error:
+        print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)
+        return TROUBLE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _fault_in_words(fault: ErrorDetails) -> str:
+    field = str(fault["loc"][0]) if fault["loc"] else ""
+    what = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "string_pattern_mismatch":  # whose message is a regular expression
+        what = "not a value of this setting: docs/deploy.md says what it may be"
+    return f"SG_{field.upper()}: {what}" if field else what
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m service", description="The HTTP service of sgmethod.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    serve = commands.add_parser("serve", help="run the web process and workers, and restart any that die")
+    web = commands.add_parser("web", help="run only the web process")
+    worker = commands.add_parser("worker", help="run a single worker")
+    commands.add_parser("alive", help="exit with status 0 if a worker of this host, or container, is alive")
+    check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
+    runs = (serve, _serve), (web, _web), (worker, _worker), (check, _check)
+    for command, run in runs:
+        command.set_defaults(run=run)
+    web.add_argument("--socket", type=int, help=argparse.SUPPRESS)
+    for command in (web, worker):  # both are how "serve" starts its processes
+        command.add_argument("--supervisor", type=int, help=argparse.SUPPRESS)
+        command.add_argument("--sandbox", type=int, help=argparse.SUPPRESS)
+    return parser
+
+
+def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
+    stop = StopSignal()
+    stop.on_signals()
+    warnings = _before_start(settings)
+    listener = _announce(settings)
+    _warn(warnings)
+    sandbox = SandboxProcess(settings.encode_threads)
+    supervise(settings, listener, sandbox, sandbox.requests, stop)
+
+
+def _before_start(settings: Settings) -> list[str]:
+    """Open what the settings name and return warnings. Errors show here, not in processes that keep dying."""
+    missing = check_layers(required=settings.require_sandbox)  # before there is a second thread
+    open_job_table(settings).close()
+    open_storage(settings).check()
+    return missing
+
+
+def _web(settings: Settings, arguments: argparse.Namespace) -> None:
+    from service.api.app import run_web
+
+    absent = absent_layers()  # before there is a second thread
+    given = arguments.socket
+    with _sandbox(settings, arguments) as requests:
+        listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
+        if not settings.storage_url:  # temporary files of uploads go where they will be stored, since /tmp may be small
+            tempfile.tempdir = str(settings.data_dir.resolve() / UNFINISHED)
+        run_web(settings, Sandbox(requests), absent, listen)
+
+
+def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
+    from service.worker.loop import Worker
+
+    stop = StopSignal()
+    stop.on_signals()
+    with _sandbox(settings, arguments) as requests:
+        table = open_job_table(settings)
+        Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()
+        table.close()
+
+
+def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractContextManager[socket.socket]:
+    """Return the socket for requests to the supervisor's sandbox, or to a sandbox of this process."""
+    if arguments.sandbox is not None:
+        return socket.socket(fileno=arguments.sandbox)
+    _warn(_before_start(settings))
+    return own_sandbox(settings.encode_threads)
+
+
+def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
+    from service.checking import check
+
+    failures = 0
+    for name, passed, detail in check(settings):
+        print(f"{'ok    ' if passed else 'FAILED'}  {name}: {detail}", flush=True)
+        failures += not passed
+    return TROUBLE if failures else 0
+
+
+def _announce(settings: Settings) -> socket.socket:
+    """Listen, and print where.
+
+    Raises OSError, also for an address that others can reach while no API key is needed.
+    """
+    listener = listen(settings)
+    if not (is_loopback(listener) or settings.key_names or settings.host_names):
+        listener.close()
+        raise OSError(
+            f"SG_HOST={settings.host}: others could post, list and delete jobs without a key; set SG_API_KEYS_FILE, or "
+            "SG_HOST_NAMES to the names under which everyone may"
+        )
+    print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings)}", flush=True)
+    return listener
+
+
+def _warn(sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        print(sentence, file=sys.stderr, flush=True)
+
+
+def _for_whom(settings: Settings) -> str:
+    keys = len(settings.key_names)
+    return f"for {keys} API key{'s' * (keys > 1)}" if keys else "open to everyone who can reach it"
+
+
+def _where(settings: Settings) -> str:
+    """Describe where data is kept, without the database's address, which may contain a password."""
+    folder = str(settings.data_dir.resolve())
+    jobs, files = "PostgreSQL" if settings.uses_postgres else folder, settings.storage_url or folder
+    return f"data in {folder}" if jobs == files else f"jobs in {jobs}, images and bitstreams in {files}"
