@@ -12,6 +12,7 @@
 // writing.js    integers and bytes
 // uri.js        apart from these: a placeholder that needs no script
 
+import { optionsOf } from "../header.js";
 import { COARSE, FINE, expectedIn, fitted, quantumIn } from "./fitting.js";
 import { fiveBits, quantumOf } from "./integers.js";
 import { averaged, pictureOf, reducedSize } from "./reducing.js";
@@ -29,12 +30,12 @@ const [BYTES_OF_ALPHA, COARSER_ALPHA] = [0.6, 6]; // AlphaSettings in sgmethod/s
 
 /** A preview of a picture.
  *
- * rgba: 8-bit RGBA of width x height pixels, row by row, as in an ImageData; alpha is kept. bytes: maximum size of the
- * file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and average
- * colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba does not fit
- * width and height, or for an unknown option, and RangeError for wrong bytes. */
-export function encodePreview(rgba, width, height, options = {}) {
-  const { bytes = 200, ...others } = options;
+ * rgba: 8-bit RGBA of width x height pixels, row by row, as bytes or an ImageData; alpha is kept. bytes: maximum size of
+ * the file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and average
+ * colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba is something
+ * else or does not fit width and height, or for an unknown option, and RangeError for wrong bytes. */
+export function encodePreview(rgba, width, height, options) {
+  const { bytes = 200, ...others } = optionsOf(options);
   for (const name in others) throw new TypeError(`encodePreview() has no option ${name}, only bytes`);
   if (!(Number.isInteger(bytes) && bytes >= MIN_BYTES && bytes <= MAX_BYTES)) {
     throw new RangeError(`bytes must be a whole number from ${MIN_BYTES} to ${MAX_BYTES}`);
