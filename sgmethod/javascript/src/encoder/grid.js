@@ -8,6 +8,7 @@ const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
 // Of the Gaussians that were covered: exp(-sigma) of their samples, and four numbers for each of their rows. Below,
 // each number has a declaration of its own, because engines allocate an object for each fraction in an array.
+// With | 0, what counts samples stays an integer, which engines index arrays by.
 let [weights, spans] = [new Float32Array(0), new Float64Array(0)];
 const START = [0, 0, 0, 0];
 
@@ -81,7 +82,7 @@ export function subtract(grid, g, times = 1, before = START) {
   const [red, green, blue] = [g[5] * times, g[6] * times, g[7] * times];
   const [first, last, start] = covered;
   for (let row = first, k = start; row < last; row += 4) {
-    for (let at = spans[row], end = spans[row + 1], i = at / 3; at < end; at += 3) {
+    for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
       const w = max(weights[k++] - EDGE, 0) * shown[i++];
       left[at] -= red * w;
       left[at + 1] -= green * w;
@@ -100,7 +101,7 @@ export function project(grid, g) {
   let blue = 0;
   let energy = 0;
   for (let row = first, k = start; row < last; row += 4) {
-    for (let at = spans[row], end = spans[row + 1], i = at / 3; at < end; at += 3) {
+    for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
       const w = max(weights[k++] - EDGE, 0) * shown[i++];
       red += left[at] * w;
       green += left[at + 1] * w;
@@ -127,7 +128,7 @@ export function differentiate({ left, shown, sx }, g, [first, last, start], out)
     let byRed = 0;
     let byGreen = 0;
     let byBlue = 0;
-    for (let at = spans[row], end = spans[row + 1], i = at / 3; at < end; at += 3) {
+    for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
       const share = shown[i++];
       const weight = weights[k++];
       const w = max(weight - EDGE, 0) * share;
