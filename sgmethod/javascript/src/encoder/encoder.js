@@ -26,7 +26,8 @@ const [MIN_BYTES, MAX_BYTES] = [16, 1024];
 const PIXELS_PER_BYTE = 256;
 const [SOFT_PX, SOFT_BYTES, NARROWEST_PX] = [10, 200, 0.5];
 const DARK = 0.179;
-const [BYTES_OF_ALPHA, COARSER_ALPHA] = [0.6, 6]; // AlphaSettings in sgmethod/settings/rd.py
+const BYTES_OF_ALPHA = 1 / 2; // of those for Gaussians, at most
+const COARSER_ALPHA = 6; // quantum, in multiples of the colours': AlphaSettings in sgmethod/settings/rd.py
 
 /** A preview of a picture.
  *
