@@ -70,10 +70,10 @@ export function averaged(picture, columns, rows) {
 function gather(row, first, shares, line) {
   line.fill(0);
   for (let x = 0; x < first.length; x++) {
-    for (let from = 4 * x, to = 4 * first[x], end = to + 4; to < end; from++, to++) {
-      line[to] += shares[x] * row[from];
-      line[to + 4] += (1 - shares[x]) * row[from];
-    }
+    const share = shares[x];
+    const to = 4 * first[x];
+    for (let c = 0; c < 4; c++) line[to + c] += share * row[4 * x + c];
+    if (share < 1) for (let c = 0; c < 4; c++) line[to + 4 + c] += (1 - share) * row[4 * x + c];
   }
 }
 
