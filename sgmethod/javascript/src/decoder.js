@@ -12,9 +12,10 @@ export { SgError } from "./header.js";
 /**
  * The picture in a file, or a view of it: { width, height, data }, where data is 8-bit RGBA, row by row.
  *
- * bytes: a Uint8Array or an ArrayBuffer; region: [x, y, width, height] in pixels of the picture; scale: output pixels for a pixel of the
- * picture, 1/64 to 64; or width, height: pixels into which the output fits; prefix: the part of the file that may be
- * used, above 0 to 1; texture: whether to draw it. Throws SgError; TypeError or RangeError for wrong arguments.
+ * bytes: a Uint8Array or an ArrayBuffer; region: [x, y, width, height] in pixels of the picture; scale: output pixels
+ * for a pixel of the picture, 1/64 to 64; or width, height: pixels into which the output fits; prefix: the part of the
+ * file that may be used, above 0 to 1; texture: whether to draw it. Throws SgError; TypeError or RangeError for wrong
+ * arguments.
  */
 export function decode(bytes, view) {
   const { scale: asked, width, height, region = null, prefix = 1, texture = true, ...others } = optionsOf(view);
@@ -29,7 +30,8 @@ export function decode(bytes, view) {
   return draw(file, { scale, region, count: countInPart(file, prefix), texture });
 }
 
-/** What a file contains: size in pixels, Gaussians, whether it has alpha and texture. Throws SgError, or TypeError for what are no bytes. */
+/** What a file contains: size in pixels, Gaussians, whether it has alpha and texture. Throws SgError, or TypeError for
+ * what are no bytes. */
 export function info(bytes) {
   const { width, height, count, alpha, texture } = readFile(bytesOf(bytes, "bytes"));
   return { width, height, gaussians: count + (alpha?.count ?? 0), alpha: Boolean(alpha), texture: Boolean(texture) };

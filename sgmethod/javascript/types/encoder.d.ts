@@ -22,8 +22,8 @@ export type Rgba = Uint8Array | Uint8ClampedArray | ArrayBuffer | { data: Uint8A
  * @param options characters: maximum length of the URI, 400 by default; sharp: the module, for the best WebP; without
  * it, the URI holds a PNG of at most 32 pixels a side, which is about 1 dB worse
  * @returns the URI; "" if nothing fits, or if the picture has transparency, because the placeholder would show through
- * @throws TypeError if rgba is something else or does not fit width and height, or for an unknown option; RangeError for
- * wrong characters
+ * @throws TypeError if rgba is something else or does not fit width and height, or for an unknown option; RangeError
+ * for wrong characters
  */
 export function dataUri(
   rgba: Rgba,
@@ -37,8 +37,8 @@ export function dataUri(
  *
  * @param rgba the picture, width x height pixels
  * @param options bytes: maximum size of the file, 16 to 1,024, 200 by default; three become four characters of text
- * @throws TypeError if rgba is something else or does not fit width and height, or for an unknown option; RangeError for
- * wrong bytes
+ * @throws TypeError if rgba is something else or does not fit width and height, or for an unknown option; RangeError
+ * for wrong bytes
  */
 export function encodePreview(
   rgba: Rgba,

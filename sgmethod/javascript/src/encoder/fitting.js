@@ -125,37 +125,36 @@ function coded(all, header, quantum) {
 
 const sizeOf = ([header, symbols]) => payloadOf(symbols, header)[0].length;
 
-/** The quantum that brings a payload of `size` bytes nearer to the limit, or to the surplus allowed at a time; not below
- * `finest`, in the end. */
+/** The quantum that brings a payload of `size` bytes nearer to the limit, or to the surplus allowed at a time; in the
+ * end at least `finest`. */
 function steered(quantum, size, limit, finest, at) {
   const surplus = 1 - min(max((at - EXCESS_FROM) / (EXCESS_UNTIL - EXCESS_FROM), 0), 1);
   const ratio = (size / (limit * (1 + EXCESS * surplus))) ** STEERING_EXPONENT;
   return max(quantum * min(max(ratio, 1 / STEERING_LIMIT), STEERING_LIMIT), finest / FINER_EARLY ** surplus);
 }
 
-/** Code Gaussians with several quanta, refine each, and return the header of the best with its payload, and its
- * integers. */
+/** Code Gaussians with several quanta, at least `finest`, refine each, and return the header of the best with its
+ * payload, and its integers. */
 function searched(all, grid, header, limit, finest, quantum) {
   const at = (n) => coded(all, { ...header, code: codeOf(n) }, quantumOf(n));
   const finer = (n, least) => {
-    while (n < end && quantumOf(n) > least) n++;
+    while (n < FINEST && quantumOf(n) > least) n++;
     return n;
   };
-  let end = FINEST;
-  end = finer(0, finest);
-  let n = finer(0, quantum);
+  const end = finer(0, finest);
+  let n = min(finer(0, quantum), end);
   while (n > 0 && sizeOf(at(n)) > limit) n--;
   while (n < end && sizeOf(at(n + 1)) <= limit) n++;
   let [best, least] = [null, Infinity];
   for (let i = 0; i < TRIES; i++) {
     const [own, symbols] = at(n);
     const price = REFINE_WEIGHT * priceOf(own.quantum) * grid.sx * grid.sy;
-    const [payload, refinedSymbols] = refined(symbols, grid, own, price, limit);
+    const [payload, integers] = refined(symbols, grid, own, price, limit);
     const error = errorOf(grid);
-    if (error < least) [best, least] = [[{ ...own, payload }, refinedSymbols], error];
+    if (error < least) [best, least] = [[{ ...own, payload }, integers], error];
     const used = payload.length / limit;
     if (!used || used >= MIN_USED || n === end) break;
-    n = finer(n + 1, own.quantum * used ** QUANTUM_PER_SIZE);
+    n = min(finer(n + 1, own.quantum * used ** QUANTUM_PER_SIZE), end);
   }
   return best;
 }

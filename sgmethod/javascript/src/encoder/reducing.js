@@ -32,7 +32,9 @@ export function pictureOf(given, width, height) {
   }
   const expected = 4 * width * height;
   if (rgba.length !== expected) {
-    throw new TypeError(`rgba of ${width} x ${height} pixels must have ${expected} bytes, 4 a pixel, not ${rgba.length}`);
+    throw new TypeError(
+      `rgba of ${width} x ${height} pixels must have ${expected} bytes, 4 a pixel, not ${rgba.length}`,
+    );
   }
   return { rgba, columns: width, rows: height };
 }

@@ -77,8 +77,8 @@ function chosen(s, grid, header, price, costs) {
   return best;
 }
 
-/** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid is left without them. price: squared
- * error on the grid that a bit is worth. */
+/** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid is left without them.
+ * price: squared error on the grid that a bit is worth. */
 export function refined(all, grid, header, price, limit) {
   let [payload, costs] = payloadOf(all, header);
   const sweep = () => {

@@ -6,7 +6,7 @@ import { levelOf } from "./integers.js";
 const { abs, floor, max, min } = Math;
 
 export const UNSEEN = 1 / 512; // half a level of 8 bits
-const HIDDEN = 1 / 64; // weight of the average colour where alpha is 0: most where it hides most
+const HIDDEN = 1 / 64; // weight of the average where alpha hides a colour
 // Decoding clamps alpha, so that it may lie beyond 0 and 1, and at steep edges must: MovingTargetSettings in
 // sgmethod/settings/rd.py.
 const [OVERSHOOT, MARGIN, OF_SLOPE] = [0.4, 0.02, 0.3];
@@ -49,7 +49,8 @@ function slopeAt(plane, columns, rows, at) {
   const [x, y] = [at % columns, floor(at / columns)];
   let most = 0;
   for (let j = max(y - 1, 0); j <= min(y + 1, rows - 1); j++) {
-    for (let i = max(x - 1, 0); i <= min(x + 1, columns - 1); i++) most = max(most, abs(plane[j * columns + i] - plane[at]));
+    for (let i = max(x - 1, 0); i <= min(x + 1, columns - 1); i++)
+      most = max(most, abs(plane[j * columns + i] - plane[at]));
   }
   return most / 2;
 }
