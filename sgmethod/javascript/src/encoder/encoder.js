@@ -32,9 +32,9 @@ const COARSER_ALPHA = 6; // quantum, in multiples of the colours': AlphaSettings
 /** A preview of a picture.
  *
  * rgba: 8-bit RGBA of width x height pixels, row by row, as bytes or an ImageData; alpha is kept. bytes: maximum size
- * of the file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and average
- * colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba is something
- * else or does not fit width and height, or for an unknown option, and RangeError for wrong bytes. */
+ * of the file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and
+ * average colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba is
+ * something else or does not fit width and height, or for an unknown option, and RangeError for wrong bytes. */
 export function encodePreview(rgba, width, height, options) {
   const { bytes = 200, ...others } = optionsOf(options);
   for (const name in others) throw new TypeError(`encodePreview() has no option ${name}, only bytes`);
