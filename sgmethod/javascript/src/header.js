@@ -38,6 +38,20 @@ export const refuseUnless = (holds, what) => {
   if (!holds) throw new SgError(`the file is damaged: ${what}`);
 };
 
+/** Bytes as an array of them, which may be of another window. Throws TypeError. */
+export function bytesOf(given, name) {
+  const kind = Object.prototype.toString.call(given).slice(8, -1);
+  if (kind === "Uint8Array" || kind === "Uint8ClampedArray") return given;
+  if (kind.endsWith("ArrayBuffer")) return new Uint8Array(given);
+  throw new TypeError(`${name} must be a Uint8Array, a Uint8ClampedArray or an ArrayBuffer, not ${kind}`);
+}
+
+/** Options, which may be left out. Throws TypeError. */
+export function optionsOf(given = {}) {
+  if (given === null || typeof given !== "object") throw new TypeError("options must be an object");
+  return given;
+}
+
 export function crc32(bytes) {
   let crc = -1;
   for (const byte of bytes) {

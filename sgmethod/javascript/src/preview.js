@@ -6,10 +6,16 @@ import { drawGaussians, rounded, setAlpha } from "./planes.js";
 
 export { SgError } from "./header.js";
 
-/** The picture in a text, `size` pixels along its longer side: an ImageData, or in Node an object like it. Throws an
- * Error if the text is damaged. */
+/** The picture in a text, `size` pixels along its longer side: an ImageData, or in Node an object like it. Throws
+ * SgError if the text is damaged or is no string, and RangeError for a size beyond 1 to 16,384. */
 export function decodePreview(text, size = 256) {
-  const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+  if (!(size >= 1 && size <= 16384)) throw new RangeError("size must be 1 to 16384");
+  let binary;
+  try {
+    binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+  } catch {
+    binary = ""; // which is refused
+  }
   const again = btoa(binary).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
   const bytes = Uint8Array.from(`\xd3${binary}`, (letter) => letter.charCodeAt(0));
   // Version 2, short, without texture; no padding, and nothing else that atob() ignores.

@@ -2,6 +2,8 @@ import type { Picture } from "./preview.js";
 
 export * from "./preview.js";
 
+export type Bytes = Uint8Array | Uint8ClampedArray | ArrayBuffer;
+
 export interface View {
   /** Output pixels for a pixel of the picture, 1/64 to 64; 1 by default. */
   scale?: number;
@@ -29,13 +31,14 @@ export interface Info {
 /**
  * Draw an .sg file of version 2, of any size.
  *
- * @throws SgError; TypeError for an unknown option, or a scale beside a width or height; RangeError for a wrong prefix
+ * @throws SgError; TypeError for what are no bytes, for an unknown option, or a scale beside a width or height;
+ * RangeError for a wrong prefix
  */
-export function decode(bytes: Uint8Array, view?: View): Picture;
+export function decode(bytes: Bytes, view?: View): Picture;
 
 /**
  * Read what a file contains, without drawing it.
  *
- * @throws SgError
+ * @throws SgError; TypeError for what are no bytes
  */
-export function info(bytes: Uint8Array): Info;
+export function info(bytes: Bytes): Info;

@@ -15,8 +15,8 @@ export class SgError extends Error {}
  * Draw a preview of at most 1,024 bytes.
  *
  * @param text what encodePreview() returns, `sgmethod preview` prints and `POST /preview` answers
- * @param size pixels of the longer side of the picture that is returned; 256 by default
+ * @param size pixels of the longer side of the picture that is returned, 1 to 16,384; 256 by default
  * @returns an ImageData; where there is none, as in Node, an object with the same `width`, `height` and `data`
- * @throws SgError, or a DOMException if atob() refuses the text
+ * @throws SgError, also for what is no string; RangeError for a wrong size
  */
 export function decodePreview(text: string, size?: number): Drawn;

@@ -3,6 +3,7 @@
 //   const { text } = encodePreview(rgba, width, height, { bytes: 200 });
 //
 // reducing.js   the picture, to what its bytes can show
+// targets.js    what Gaussians are to add up to
 // fitting.js    Gaussians, to that: the schedule
 // grid.js       their weights, what they leave of the picture, derivatives
 // growing.js    where another one pays
@@ -11,9 +12,11 @@
 // writing.js    integers and bytes
 // uri.js        apart from these: a placeholder that needs no script
 
-import { COARSE, FINE, expectedIn, fitted } from "./fitting.js";
-import { newGrid } from "./grid.js";
+import { optionsOf } from "../header.js";
+import { COARSE, FINE, expectedIn, fitted, quantumIn } from "./fitting.js";
+import { fiveBits, quantumOf } from "./integers.js";
 import { averaged, pictureOf, reducedSize } from "./reducing.js";
+import { UNSEEN, decodedAlpha, ofAlpha, ofColours } from "./targets.js";
 import { fileOf } from "./writing.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
@@ -23,17 +26,17 @@ const [MIN_BYTES, MAX_BYTES] = [16, 1024];
 const PIXELS_PER_BYTE = 256;
 const [SOFT_PX, SOFT_BYTES, NARROWEST_PX] = [10, 200, 0.5];
 const DARK = 0.179;
-const BYTES_OF_ALPHA = 0.4; // at most, as a part of those for Gaussians
-const UNSEEN = 1 / 512; // half a level of 8 bits
+const BYTES_OF_ALPHA = 1 / 2; // of those for Gaussians, at most
+const COARSER_ALPHA = 6; // quantum, in multiples of the colours': AlphaSettings in sgmethod/settings/rd.py
 
 /** A preview of a picture.
  *
- * rgba: 8-bit RGBA of width x height pixels, row by row, as in an ImageData; alpha is kept. bytes: maximum size of the
- * file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and average
- * colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba does not fit
- * width and height, or for an unknown option, and RangeError for wrong bytes. */
-export function encodePreview(rgba, width, height, options = {}) {
-  const { bytes = 200, ...others } = options;
+ * rgba: 8-bit RGBA of width x height pixels, row by row, as bytes or an ImageData; alpha is kept. bytes: maximum size
+ * of the file, 16 to 1,024; three become four characters. Returns text and bytes, the picture's width, height and
+ * average colour, "#rrggbb", and whether white text on that is easier to read than black. Throws TypeError if rgba is
+ * something else or does not fit width and height, or for an unknown option, and RangeError for wrong bytes. */
+export function encodePreview(rgba, width, height, options) {
+  const { bytes = 200, ...others } = optionsOf(options);
   for (const name in others) throw new TypeError(`encodePreview() has no option ${name}, only bytes`);
   if (!(Number.isInteger(bytes) && bytes >= MIN_BYTES && bytes <= MAX_BYTES)) {
     throw new RangeError(`bytes must be a whole number from ${MIN_BYTES} to ${MAX_BYTES}`);
@@ -85,31 +88,17 @@ function encoded(pictures, [width, height], average, alpha, least, bytes) {
   const all = (holds) => means.every((_, i) => i % 4 || holds(means[i], means[i + 1], means[i + 2], means[i + 3]));
   const grey = all((red, green, blue) => abs(red - green) < UNSEEN && abs(green - blue) < UNSEEN);
   const header = { width, height, grey, background: average.map(fiveBits), payload: [] };
-  // What alpha hides counts as average, which takes no Gaussians.
-  const colours = gridsOf(pictures, header, (at, c, picture) => picture[at + c] + (1 - picture[at + 3]) * average[c]);
+  const left = (plane) => bytes - fileOf({ ...header, code: 0 }, plane).length;
   if (all((red, green, blue, shown) => shown > 1 - UNSEEN)) {
-    return fileOf(fitted(colours, header, bytes - fileOf({ ...header, code: 0 }).length, least));
+    const grids = pictures.map((picture) => ofColours(picture, header, average));
+    return fileOf(fitted(grids, header, left(), least)[0]);
   }
-  const plane = { width, height, grey: true, background: [alpha, alpha, alpha].map(fiveBits), payload: [] };
-  const rest = bytes - fileOf({ ...header, code: 0 }, { ...plane, code: 0 }).length;
-  const most = floor(BYTES_OF_ALPHA * rest);
-  const overshooting = gridsOf(pictures, plane, (at, c, picture) => 1.3 * picture[at + 3] - 0.15); // for clear edges
-  const shown = fitted(overshooting, plane, most, least);
-  const left = bytes - fileOf({ ...header, code: 0 }, shown).length;
-  return fileOf(fitted(colours, header, left, least), shown);
-}
-
-/** The code of a background in a short file, and its level. */
-const fiveBits = (level) => min(max(round((255 * level - 3.5) / 8.26), 0), 31);
-const levelOf = (code) => (8 * code + (code >> 2)) / 255;
-
-/** Grids with what Gaussians are to add to a background. value(at, c, means): what a channel should be. */
-function gridsOf(pictures, { width, height, background }, value) {
-  return pictures.map(({ means, columns, rows }) => {
-    const target = new Float32Array(3 * columns * rows);
-    for (let at = 0, i = 0; i < target.length; at += 4) {
-      for (let c = 0; c < 3; c++, i++) target[i] = value(at, c, means) - levelOf(background[c]);
-    }
-    return newGrid(target, columns, rows, width, height);
-  });
+  const empty = { width, height, grey: true, background: [alpha, alpha, alpha].map(fiveBits), payload: [] };
+  const most = floor(BYTES_OF_ALPHA * left({ ...empty, code: 0 }));
+  const planes = pictures.map((picture) => ofAlpha(picture, empty));
+  const finest = min(COARSER_ALPHA * quantumIn(bytes, header), quantumOf(0));
+  const [plane, gaussians] = fitted(planes, empty, most, least, finest);
+  const shown = planes.map((grid) => decodedAlpha(grid, gaussians, plane));
+  const grids = pictures.map((picture, k) => ofColours(picture, header, average, shown[k]));
+  return fileOf(fitted(grids, header, left(plane), least)[0], plane);
 }

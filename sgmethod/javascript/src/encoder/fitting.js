@@ -1,6 +1,7 @@
 // Gaussians fitted to a picture within a number of bytes: profile rd (sgmethod/rd/encode.py) in fewer steps, and for
-// squared error only. Constants are those of sgmethod/settings/rd.py, which says why, except for the first six and
-// GROWTH_AT, chosen on 24 photographs at 64, 200 and 1,000 bytes.
+// squared error only. Constants are those of sgmethod/settings/rd.py, which says why, except for STEPS, DENSE_STEPS,
+// COARSE, FINE, FINE_FROM, MAX_SURPLUS, BITS_OF_DROPPED and GROWTH_AT, chosen on 24 photographs at 64, 200 and 1,000
+// bytes: docs/notebook/service.md.
 
 import { found } from "./growing.js";
 import { differentiate, errorOf, leave } from "./grid.js";
@@ -11,12 +12,13 @@ import { payloadOf } from "./writing.js";
 const { abs, cos, exp, floor, log, max, min, PI, round, sign, sqrt } = Math;
 
 const STEPS = 150;
+const [SPARSE, DENSE, DENSE_STEPS] = [0.01, 0.035, 4]; // Gaussians a pixel, and factor on the steps of dense ones
 // Of a picture, as most steps see it, and the last ones and the search for integers: at most so many samples for each
 // Gaussian expected, and so many along the least l1.
 export const COARSE = [100, 2.5];
 export const FINE = [400, 5];
 const FINE_FROM = 0.75; // parts of the steps, as all times are
-const RATE_WEIGHT = 1.3;
+const RATE_WEIGHT = 1.7;
 const MAX_SURPLUS = 3; // Gaussians while they grow, in multiples of those expected
 const BITS_OF_DROPPED = 14;
 const BITS_PER_GAUSSIAN = 30;
@@ -24,7 +26,7 @@ const GROWTH_AT = [0, 0.06, 0.12, 0.18, 0.24, 0.3, 0.37, 0.45, 0.55, 0.65];
 const TRIM_AT = [0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97];
 const STEERING_FROM = 0.12;
 const [STEERING_LIMIT, STEERING_EXPONENT] = [1.35, 0.9];
-const [EXCESS, EXCESS_FROM, EXCESS_UNTIL] = [0.5, 0.45, 0.88];
+const [EXCESS, EXCESS_FROM, EXCESS_UNTIL, FINER_EARLY] = [0.5, 0.45, 0.88, 4];
 const [BITS_OF_NEW, BITS_OF_NOTHING, MIN_GROWN] = [20, 4.3, 4];
 const [RATE, LAST_RATE, BETA1, BETA2, NEWTON_STEPS, FAINT] = [0.14, 0.5, 0.9, 0.99, 2, 0.03];
 const CURVATURE = [1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1];
@@ -34,6 +36,13 @@ const [TRIES, MIN_USED, QUANTUM_PER_SIZE] = [4, 0.985, 1.4];
 
 /** About how many Gaussians a payload holds. */
 export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN), 1);
+
+/** A first guess of the quantum that takes these bytes. */
+export function quantumIn(bytes, { width, height }) {
+  const [pixels, bits] = [width * height, 8 * max(bytes, 1)];
+  const seen = min(pixels, (100 * bits) / BITS_PER_GAUSSIAN); // pixels that so many bits can show
+  return 0.15 * ((0.25 * seen) / bits) ** 1.1 * sqrt(pixels / seen);
+}
 
 /** Squared error that a bit is worth. */
 const priceOf = (quantum) => (quantum * quantum * Math.LN2) / 6;
@@ -116,56 +125,63 @@ function coded(all, header, quantum) {
 
 const sizeOf = ([header, symbols]) => payloadOf(symbols, header)[0].length;
 
-/** The quantum that brings a payload of `size` bytes nearer to the limit, or to the surplus allowed at a time. */
-function steered(quantum, size, limit, at) {
+/** The quantum that brings a payload of `size` bytes nearer to the limit, or to the surplus allowed at a time; in the
+ * end at least `finest`. */
+function steered(quantum, size, limit, finest, at) {
   const surplus = 1 - min(max((at - EXCESS_FROM) / (EXCESS_UNTIL - EXCESS_FROM), 0), 1);
   const ratio = (size / (limit * (1 + EXCESS * surplus))) ** STEERING_EXPONENT;
-  return quantum * min(max(ratio, 1 / STEERING_LIMIT), STEERING_LIMIT);
+  return max(quantum * min(max(ratio, 1 / STEERING_LIMIT), STEERING_LIMIT), finest / FINER_EARLY ** surplus);
 }
 
-/** Code Gaussians with several quanta, refine each, and return the header of the best with its payload. */
-function searched(all, grid, header, limit, quantum) {
+/** Code Gaussians with several quanta, at least `finest`, refine each, and return the header of the best with its
+ * payload, and its integers. */
+function searched(all, grid, header, limit, finest, quantum) {
   const at = (n) => coded(all, { ...header, code: codeOf(n) }, quantumOf(n));
   const finer = (n, least) => {
     while (n < FINEST && quantumOf(n) > least) n++;
     return n;
   };
-  let n = finer(0, quantum);
+  const end = finer(0, finest);
+  let n = min(finer(0, quantum), end);
   while (n > 0 && sizeOf(at(n)) > limit) n--;
-  while (n < FINEST && sizeOf(at(n + 1)) <= limit) n++;
+  while (n < end && sizeOf(at(n + 1)) <= limit) n++;
   let [best, least] = [null, Infinity];
   for (let i = 0; i < TRIES; i++) {
     const [own, symbols] = at(n);
     const price = REFINE_WEIGHT * priceOf(own.quantum) * grid.sx * grid.sy;
-    const payload = refined(symbols, grid, own, price, limit);
+    const [payload, integers] = refined(symbols, grid, own, price, limit);
     const error = errorOf(grid);
-    if (error < least) [best, least] = [{ ...own, payload }, error];
+    if (error < least) [best, least] = [[{ ...own, payload }, integers], error];
     const used = payload.length / limit;
-    if (!used || used >= MIN_USED || n === FINEST) break;
-    n = finer(n + 1, own.quantum * used ** QUANTUM_PER_SIZE);
+    if (!used || used >= MIN_USED || n === end) break;
+    n = min(finer(n + 1, own.quantum * used ** QUANTUM_PER_SIZE), end);
   }
   return best;
 }
 
 /** Fit Gaussians to a picture, given as two grids. header: has width, height and grey; limit: bytes of the payload;
- * least: pixels of l1 and l3. Returns the header with the code of the quantum and the payload. */
-export function fitted([coarse, fine], header, limit, least) {
-  const [pixels, bits, expected] = [header.width * header.height, 8 * limit, expectedIn(limit)];
-  const seen = min(pixels, (100 * bits) / BITS_PER_GAUSSIAN); // pixels that so many bits can show
-  let quantum = 0.15 * ((0.25 * seen) / bits) ** 1.1 * sqrt(pixels / seen);
+ * least: pixels of l1 and l3; finest: quantum, so that what needs few bytes takes no more. Returns the header with the
+ * code of the quantum and the payload; and the integers. */
+export function fitted([coarse, fine], header, limit, least, finest = 0) {
+  const expected = expectedIn(limit);
+  const pixels = header.width * header.height; // and Gaussians that a file may have
+  const density = min(max((expected / pixels - SPARSE) / (DENSE - SPARSE), 0), 1);
+  const steps = round(STEPS * (1 + density * (DENSE_STEPS - 1)));
+  let quantum = max(quantumIn(limit, header), finest / FINER_EARLY);
   let all = [];
-  for (let step = 0; step < STEPS; step++) {
-    const at = step / STEPS;
-    const isNow = (time) => round(time * STEPS) === step;
+  for (let step = 0; step < steps; step++) {
+    const at = step / steps;
+    const isNow = (time) => round(time * steps) === step;
     const grid = at < FINE_FROM ? coarse : fine;
     const grows = GROWTH_AT.some(isNow);
     if (grows || TRIM_AT.some(isNow)) {
       all = pruned(all, at < GROWTH_AT.at(-1) ? BITS_OF_NOTHING : BITS_OF_DROPPED, quantum);
-      if (at >= STEERING_FROM) quantum = steered(quantum, sizeOf(coded(all, header, quantum)), limit, at);
+      if (at >= STEERING_FROM) quantum = steered(quantum, sizeOf(coded(all, header, quantum)), limit, finest, at);
     }
     if (grows) {
       leave(grid, all);
-      const most = min(max(all.length, floor(expected / GROWTH_AT.length), MIN_GROWN), MAX_SURPLUS * expected - all.length);
+      const more = max(all.length, floor(expected / GROWTH_AT.length), MIN_GROWN);
+      const most = min(more, min(MAX_SURPLUS * expected, pixels) - all.length);
       const worth = RATE_WEIGHT * BITS_OF_NEW * priceOf(quantum) * grid.sx * grid.sy;
       for (const g of found(grid, most, worth, least)) {
         all.push({ g, first: new Float64Array(8), second: new Float64Array(8), age: 0 });
@@ -173,5 +189,5 @@ export function fitted([coarse, fine], header, limit, least) {
     }
     descend(all, grid, header, quantum, RATE * (LAST_RATE + ((1 - LAST_RATE) * (1 + cos(PI * at))) / 2), least);
   }
-  return searched(all, fine, header, limit, quantum);
+  return searched(all, fine, header, limit, finest, quantum);
 }

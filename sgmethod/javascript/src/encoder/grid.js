@@ -8,13 +8,18 @@ const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
 // Of the Gaussians that were covered: exp(-sigma) of their samples, and four numbers for each of their rows. Below,
 // each number has a declaration of its own, because engines allocate an object for each fraction in an array.
+// With | 0, what counts samples stays an integer, which engines index arrays by.
 let [weights, spans] = [new Float32Array(0), new Float64Array(0)];
 const START = [0, 0, 0, 0];
 
-/** A grid of samples over a picture of width x height pixels. target: [rows, columns, 3]; left: what Gaussians leave
- * of it. */
-export const newGrid = (target, columns, rows, width, height) => ({
+/** A grid of samples over a picture of width x height pixels. shown: how much an error of each sample counts, 0 to 1;
+ * target: [rows, columns, 3], times that; left: what Gaussians leave of it. low, high: if given, the offsets from the
+ * target between which nothing is left. */
+export const newGrid = (target, columns, rows, width, height, { shown, low, high }) => ({
   target,
+  shown,
+  low,
+  high,
   left: target.slice(),
   columns,
   rows,
@@ -73,12 +78,12 @@ function cover({ columns, rows, sx, sy }, g, before = START) {
 /** Take a Gaussian off what is left, or put it back with times = -1. Returns what cover() does. */
 export function subtract(grid, g, times = 1, before = START) {
   const covered = cover(grid, g, before);
-  const { left } = grid;
+  const { left, shown } = grid;
   const [red, green, blue] = [g[5] * times, g[6] * times, g[7] * times];
   const [first, last, start] = covered;
   for (let row = first, k = start; row < last; row += 4) {
-    for (let at = spans[row], end = spans[row + 1]; at < end; at += 3) {
-      const w = max(weights[k++] - EDGE, 0);
+    for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
+      const w = max(weights[k++] - EDGE, 0) * shown[i++];
       left[at] -= red * w;
       left[at + 1] -= green * w;
       left[at + 2] -= blue * w;
@@ -90,14 +95,14 @@ export function subtract(grid, g, times = 1, before = START) {
 /** Inner products of a Gaussian's weights with what is left, for each colour, and with themselves. */
 export function project(grid, g) {
   const [first, last, start] = cover(grid, g);
-  const { left } = grid;
+  const { left, shown } = grid;
   let red = 0;
   let green = 0;
   let blue = 0;
   let energy = 0;
   for (let row = first, k = start; row < last; row += 4) {
-    for (let at = spans[row], end = spans[row + 1]; at < end; at += 3) {
-      const w = max(weights[k++] - EDGE, 0);
+    for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
+      const w = max(weights[k++] - EDGE, 0) * shown[i++];
       red += left[at] * w;
       green += left[at + 1] * w;
       blue += left[at + 2] * w;
@@ -109,7 +114,7 @@ export function project(grid, g) {
 
 /** Half the derivative of the squared error by a Gaussian's parameters in its own frame, into `out`: by d, where the
  * mean moves by L d; by S, a lower triangle, where L becomes L (1 + S); and by the colour. covered: by leave(). */
-export function differentiate({ left, sx }, g, [first, last, start], out) {
+export function differentiate({ left, shown, sx }, g, [first, last, start], out) {
   const [red, green, blue] = [g[5], g[6], g[7]];
   const step = 1 / (g[2] * sx); // of z1 from one sample to the next
   const slope = g[3] / g[4]; // by which z2 falls when z1 rises
@@ -123,13 +128,14 @@ export function differentiate({ left, sx }, g, [first, last, start], out) {
     let byRed = 0;
     let byGreen = 0;
     let byBlue = 0;
-    for (let at = spans[row], end = spans[row + 1]; at < end; at += 3) {
+    for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
+      const share = shown[i++];
       const weight = weights[k++];
-      const w = max(weight - EDGE, 0);
+      const w = max(weight - EDGE, 0) * share;
       byRed += left[at] * w;
       byGreen += left[at + 1] * w;
       byBlue += left[at + 2] * w;
-      const v = (red * left[at] + green * left[at + 1] + blue * left[at + 2]) * weight;
+      const v = (red * left[at] + green * left[at + 1] + blue * left[at + 2]) * weight * share;
       s0 += v;
       s1 += v * z;
       s2 += v * z * z;
@@ -155,7 +161,17 @@ export function errorOf({ left }) {
 
 /** Set what is left by Gaussians, each as `g` of an object. Returns for each what cover() does, for differentiate(). */
 export function leave(grid, gaussians) {
-  grid.left.set(grid.target);
+  const { left, target, low, high } = grid;
+  left.set(target);
   let before = START;
-  return gaussians.map(({ g }) => (before = subtract(grid, g, 1, before)));
+  const covered = gaussians.map(({ g }) => (before = subtract(grid, g, 1, before)));
+  if (low) for (let i = 0; i < left.length; i++) left[i] += min(max(-left[i], low[i]), high[i]);
+  return covered;
+}
+
+/** What Gaussians alone add to a grid; nothing else is left on it. */
+export function drawn(grid, gaussians) {
+  grid.left.fill(0);
+  for (const { g } of gaussians) subtract(grid, g, -1);
+  return grid.left;
 }

@@ -16,6 +16,7 @@ function blurred(plane, length, step, b) {
   const edge = radius - whole;
   const norm = 1 / (2 * radius + 1);
   const margin = whole + 1;
+  const reach = min(whole, length); // all beyond is zero
   let line = new Float64Array(length + 2 * margin);
   let next = new Float64Array(length + 2 * margin);
   const out = new Float32Array(plane.length);
@@ -24,7 +25,7 @@ function blurred(plane, length, step, b) {
     for (let i = 0; i < length; i++) line[margin + i] = plane[start + i * step];
     for (let pass = 0; pass < 3; pass++) {
       let sum = 0;
-      for (let i = margin; i < margin + whole; i++) sum += line[i];
+      for (let i = margin; i < margin + reach; i++) sum += line[i];
       for (let i = margin; i < margin + length; i++) {
         sum += line[i + whole] - line[i - margin];
         next[i] = norm * (sum + edge * (line[i + margin] + line[i - margin]));

@@ -16,6 +16,10 @@ const clamp = (value, low, high) => min(max(value, low), high);
 export const codeOf = (n) => n ^ 15;
 export const quantumOf = (n) => (1 + ((codeOf(n & 15) << 4) | (n >> 4)) / 256) * 2 ** (3 - (n >> 4));
 
+/** The code of a background in a short file, and its level. */
+export const fiveBits = (level) => clamp(round((255 * level - 3.5) / 8.26), 0, 31);
+export const levelOf = (code) => (8 * code + (code >> 2)) / 255;
+
 /** How wide a class's cells are, in pixels, and how many of them lie along a side of the picture. */
 export const sideOf = (k) => 2 ** max(0, (k + 1) >> 1);
 export const cellsAlong = (pixels, side) => min(floor(pixels / side) + 5, FARTHEST);

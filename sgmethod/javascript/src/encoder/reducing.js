@@ -1,5 +1,7 @@
 // A picture reduced to what a preview can show.
 
+import { bytesOf } from "../header.js";
+
 const { abs, floor, max, min, round, sqrt } = Math;
 
 const THINNEST = 16; // pixels; a thinner strip counts as this thick, because its Gaussians are no smaller along it
@@ -23,9 +25,16 @@ export function reducedSize(width, height, pixels) {
 }
 
 /** A picture of 8-bit RGBA, as averaged() takes it. Throws TypeError. */
-export function pictureOf(rgba, width, height) {
-  if (!(width >= 1 && height >= 1 && rgba?.length === 4 * width * height)) {
-    throw new TypeError("rgba must have 4 numbers for each of width x height pixels");
+export function pictureOf(given, width, height) {
+  const rgba = bytesOf(given?.data ?? given, "rgba");
+  if (!(Number.isInteger(width) && Number.isInteger(height) && width >= 1 && height >= 1)) {
+    throw new TypeError(`width and height must be whole numbers from 1 on, not ${width} and ${height}`);
+  }
+  const expected = 4 * width * height;
+  if (rgba.length !== expected) {
+    throw new TypeError(
+      `rgba of ${width} x ${height} pixels must have ${expected} bytes, 4 a pixel, not ${rgba.length}`,
+    );
   }
   return { rgba, columns: width, rows: height };
 }
@@ -63,10 +72,10 @@ export function averaged(picture, columns, rows) {
 function gather(row, first, shares, line) {
   line.fill(0);
   for (let x = 0; x < first.length; x++) {
-    for (let from = 4 * x, to = 4 * first[x], end = to + 4; to < end; from++, to++) {
-      line[to] += shares[x] * row[from];
-      line[to + 4] += (1 - shares[x]) * row[from];
-    }
+    const share = shares[x];
+    const to = 4 * first[x];
+    for (let c = 0; c < 4; c++) line[to + c] += share * row[4 * x + c];
+    if (share < 1) for (let c = 0; c < 4; c++) line[to + 4 + c] += (1 - share) * row[4 * x + c];
   }
 }
 

@@ -6,7 +6,7 @@ import { bitsOf, payloadOf } from "./writing.js";
 
 const { exp, min, sign } = Math;
 
-const SWEEPS = 2;
+const SWEEPS = 4;
 const BITS_OF_COLOUR = 6; // most bits that another colour is expected to save
 
 /** Change of the squared error if a Gaussian is taken off what is left (times = -2), or put back (2), by its inner
@@ -77,8 +77,8 @@ function chosen(s, grid, header, price, costs) {
   return best;
 }
 
-/** Refine integers to a payload of at most `limit` bytes, and return it; the grid is left without them. price: squared
- * error on the grid that a bit is worth. */
+/** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid is left without them.
+ * price: squared error on the grid that a bit is worth. */
 export function refined(all, grid, header, price, limit) {
   let [payload, costs] = payloadOf(all, header);
   const sweep = () => {
@@ -107,5 +107,5 @@ export function refined(all, grid, header, price, limit) {
     sweep(); // lets the others make up for those dropped
     drop();
   }
-  return payload;
+  return [payload, all];
 }

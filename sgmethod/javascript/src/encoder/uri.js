@@ -1,6 +1,6 @@
 // Placeholders that need no script: a photograph itself, as a small WebP or PNG in a data URI.
 
-import { crc32 } from "../header.js";
+import { crc32, optionsOf } from "../header.js";
 import { averaged, pictureOf } from "./reducing.js";
 
 const { floor, max, min, round } = Math;
@@ -15,8 +15,8 @@ const OPAQUE = 1 - 1 / 512;
 /** A promise of a data URI of at most so many characters that shows a picture; "" if nothing fits, or if the picture
  * has transparency. rgba, width, height: as for encodePreview(); sharp: the module, for the best WebP. Without it, the URI
  * holds a PNG of eight colours and at most 32 pixels a side. */
-export async function dataUri(rgba, width, height, options = {}) {
-  const { characters = 400, sharp, ...others } = options;
+export async function dataUri(rgba, width, height, options) {
+  const { characters = 400, sharp, ...others } = optionsOf(options);
   for (const name in others) throw new TypeError(`dataUri() has no option ${name}, only characters and sharp`);
   if (!(characters > 0)) throw new RangeError("characters must be a number above 0");
   const picture = averaged(pictureOf(rgba, width, height), ...sizeWithin(width, height, JUDGED_SIDE));

@@ -1,0 +1,86 @@
+"""What the functions of the npm package take for pictures, bytes, texts and options, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from benchmarks.harness.data import JAVASCRIPT, golden
+from benchmarks.harness.processes import run
+from sgmethod.bitstream.text import to_text
+
+SCRIPT = """
+const [{ encodePreview }, { dataUri }, { decodePreview }, { decode, info }] = await Promise.all(
+  ["encoder/encoder", "encoder/uri", "preview", "decoder"].map((name) => import(`%s/${name}.js`)));
+const vm = await import("node:vm");
+const [text, file] = ["%s", new Uint8Array(%s)];
+const outcome = async (call) => {
+  try {
+    return JSON.stringify(await call());
+  } catch (error) {
+    return `${error.name}: ${error.message}`;
+  }
+};
+const rgba = Uint8Array.from({ length: 4 * 3 * 2 }, (_, i) => 10 * i);
+const other = vm.runInNewContext("Uint8Array").from(rgba); // of another window
+console.log(JSON.stringify(await Promise.all([%s].map(outcome))));
+"""
+KIND = "must be a Uint8Array, a Uint8ClampedArray or an ArrayBuffer, not"
+
+
+def outcomes(*calls: str) -> list[str]:
+    """What expressions in JavaScript return, as JSON, or throw."""
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    data = golden(2)["v2-color"]
+    given = [JAVASCRIPT.as_uri(), to_text(data), str(list(data)), ", ".join(f"() => {call}" for call in calls)]
+    done = run("node", "--input-type=module", "--eval", SCRIPT % tuple(given))
+    assert done.status == 0, done.stderr
+    found: list[str] = json.loads(done.stdout)
+    return found
+
+
+def test_bytes_of_any_kind_are_taken() -> None:
+    pictures = ["rgba", "new Uint8ClampedArray(rgba)", "rgba.buffer", "Buffer.from(rgba)", "other", "{ data: rgba }"]
+    encoded = outcomes(*(f"encodePreview({one}, 3, 2, {{ bytes: 40 }}).text" for one in pictures))
+    files = ["file", "new Uint8ClampedArray(file)", "file.buffer", "Buffer.from(file)"]
+    decoded = outcomes(*(f"[decode({one}, {{ width: 8 }}).data, info({one})]" for one in files))
+    assert len(set(encoded)) == len(set(decoded)) == 1
+    assert "Error" not in encoded[0] + decoded[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("new Float32Array(24).fill(0.5), 3, 2", f"rgba {KIND} Float32Array"),
+        ("new Uint16Array(24), 3, 2", f"rgba {KIND} Uint16Array"),
+        ("Array(24).fill(NaN), 3, 2", f"rgba {KIND} Array"),
+        ("'x'.repeat(24), 3, 2", f"rgba {KIND} String"),
+        ("null, 3, 2", f"rgba {KIND} Null"),
+        ("{ data: new Float32Array(24) }, 3, 2", f"rgba {KIND} Float32Array"),
+        ("rgba.subarray(4), 3, 2", "rgba of 3 x 2 pixels must have 24 bytes, 4 a pixel, not 20"),
+        ("rgba, 1.5, 4", "width and height must be whole numbers from 1 on, not 1.5 and 4"),
+        ("rgba, '3', 2", "width and height must be whole numbers from 1 on, not 3 and 2"),
+        ("rgba, 0, 0", "width and height must be whole numbers from 1 on, not 0 and 0"),
+        ("rgba, 3, 2, 64", "options must be an object"),
+        ("rgba, 3, 2, null", "options must be an object"),
+    ],
+)
+def test_pictures_that_are_refused(given: str, said: str) -> None:
+    assert outcomes(f"encodePreview({given})", f"dataUri({given})") == [f"TypeError: {said}"] * 2
+
+
+def test_texts_and_files_that_are_refused() -> None:
+    wrong = ["null", "undefined", "7", "{}", "[text]", "file", "file.buffer", "Symbol('x')", "'*'", "''", "text + '%'"]
+    refused = outcomes(*(f"decodePreview({one})" for one in wrong))
+    assert refused == ["SgError: the file is damaged: it is no preview"] * len(wrong)
+    sizes = outcomes(*(f"decodePreview(text, {size})" for size in ("0", "NaN", "-5", "1e9", "'x'")))
+    assert sizes == ["RangeError: size must be 1 to 16384"] * 5
+    kinds = {"null": "Null", "7": "Number", "{}": "Object", "text": "String", "[211, 194]": "Array"}
+    for function in ("decode", "info"):
+        found = outcomes(*(f"{function}({one})" for one in kinds))
+        assert found == [f"TypeError: bytes {KIND} {kind}" for kind in kinds.values()]
+    assert outcomes("decode(file, 2)", "decode(file, null)") == ["TypeError: options must be an object"] * 2
+    assert outcomes("decode(file, { region: 5 })") == ["TypeError: region must be [x, y, width, height]"]
