@@ -9,9 +9,10 @@ const FADE_MS = 300;
 // Properties of an <img>; in lower case, its attributes.
 const OF_IMG = "loading decoding fetchPriority crossOrigin referrerPolicy alt width height sizes srcset src".split(" ");
 const SHADOW_STYLE = `
-:host { display: block; overflow: hidden; object-fit: cover }
+:host { display: block; height: min-content; object-fit: cover }
 :host([hidden]), [hidden] { display: none }
-div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100% }
+div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100%;
+  overflow: hidden; border-radius: inherit }
 img, canvas, ::slotted(*) { grid-area: 1 / 1; width: 100%; height: 100% }
 div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inherit }
 ::slotted(picture) { display: contents }

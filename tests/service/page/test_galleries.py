@@ -1,0 +1,151 @@
+"""<sg-img> in layouts of many photographs: each is shown at its own aspect ratio, as an <img> would be, or cropped
+where the page says so. With the rules of docs/previews.md, before and after the script, and before and after the
+photographs.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from benchmarks.harness.data import JAVASCRIPT, golden
+from benchmarks.harness.processes import wait_until
+from sgmethod.bitstream.text import to_text
+from tests.service.browser import Page
+from tests.service.page.test_recipes import blocks
+
+SIZES = [
+    (60, 40),
+    (40, 60),
+    (60, 40),
+    (50, 50),
+    (80, 30),
+    (30, 45),
+    (64, 48),
+    (48, 64),
+    (60, 40),
+    (40, 60),
+    (90, 60),
+    (60, 45),
+]
+TEXT = to_text(golden(2)["v2-color"])
+# Of section, and of what is in it; a number is the aspect ratio to which the page crops.
+LAYOUTS: dict[str, tuple[str, str, float | None]] = {
+    "grid": ("display: grid; grid-template-columns: repeat(4, 1fr); gap: 8px", "", None),
+    "grid with rows of a fixed height": ("display: grid; grid: auto-flow 70px / repeat(4, 1fr)", "", None),
+    "wrapping flex row": ("display: flex; flex-wrap: wrap; gap: 8px", "flex: 1 1 200px", None),
+    "flex row of shares": ("display: flex; flex-wrap: wrap", "flex: 0 0 25%", None),
+    "flex column": ("display: flex; flex-direction: column; width: 300px; height: 400px", "", None),
+    "flex column that does not stretch": (
+        "display: flex; flex-direction: column; align-items: start",
+        "width: 90px",
+        None,
+    ),
+    "columns": ("columns: 4", "", None),
+    "figures in a grid": ("display: grid; grid-template-columns: repeat(4, 1fr)", "", None),
+    "figures in a flex row": ("display: flex; flex-wrap: wrap; gap: 8px", "flex: 1 1 200px", None),
+    "squares in a grid": ("display: grid; grid-template-columns: repeat(4, 1fr)", "aspect-ratio: 1", 1),
+    "squares in a flex row": ("display: flex; flex-wrap: wrap", "flex: 0 0 25%; aspect-ratio: 1", 1),
+    "a fixed height in a flex row": ("display: flex; flex-wrap: wrap", "width: 200px; height: 100px", 2),
+    "a fixed height in a block": ("width: 300px", "height: 200px", 1.5),
+    "as high as a grid's row": ("display: grid; grid: auto-flow 100px / repeat(4, 200px)", "height: 100%", 2),
+}
+MEASURE = """
+    return [...document.querySelectorAll("section")].map((section) => [section.title,
+        [...section.querySelectorAll("sg-img")].map((one) => {
+            const [img, canvas] = ["img", "canvas"].map((name) => one.shadowRoot?.querySelector(name));
+            const boxes = [one.querySelector("img") ?? img, one, canvas].map((part) => part?.getBoundingClientRect());
+            return boxes.map((box) => box && [box.x, box.y, box.width, box.height]);
+        })]);
+"""
+LOAD = """
+    const all = [...document.querySelectorAll("sg-img")].map((one) => one.querySelector("img") ?? one);
+    for (const one of all) one.src += "?now";
+"""
+LOADED = """
+    const inner = (one) => one.querySelector("img") ?? one.shadowRoot.querySelector("img");
+    const all = [...document.querySelectorAll("sg-img")].map(inner);
+    return all.every((img) => img.complete && img.naturalWidth);
+"""
+DRAWN = "return [...document.querySelectorAll('sg-img')].every((one) => one.shadowRoot?.querySelector('canvas'))"
+KINDS = {
+    "img": '<sg-img preview="{text}"><img {known}></sg-img>',
+    "picture": '<sg-img preview="{text}"><picture><img {known}></picture></sg-img>',
+    "alone": '<sg-img preview="{text}" {known} loading="eager"></sg-img>',
+}
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """Serves files."""
+
+    def log_message(self, format: str, *_: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    """A folder, and the address at which it is served."""
+    shutil.copytree(JAVASCRIPT, tmp_path / "sgmethod")
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            yield tmp_path, f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+
+
+def page_of(kind: str) -> str:
+    """Each layout with all photographs, which do not exist yet."""
+    rules = blocks("Plain HTML")[1]
+    html = f"<!doctype html><meta charset=utf-8><style>{rules} figure {{ margin: 0 }}"
+    sections = ""
+    for number, (title, (outer, inner, crop)) in enumerate(LAYOUTS.items()):
+        html += f" #a{number} {{ {outer} }} #a{number} {'sg-img' if crop else '> *'} {{ {inner} }}"
+        photographs = ""
+        for i, (width, height) in enumerate(SIZES):
+            known = f'src="{i}.jpg" width="{width}" height="{height}" alt=""'
+            one = KINDS[kind].format(text=TEXT, known=known)
+            photographs += f"<figure>{one}<figcaption>A caption</figcaption></figure>" if "figures" in title else one
+        sections += f'<section id="a{number}" title="{title}">{photographs}</section>'
+    return f"{html}</style>{sections}"
+
+
+def assert_own_aspects(page: Page) -> None:
+    """Photograph, preview and element are at the same place, and as wide and high as they should be."""
+    wrong: dict[str, list[Any]] = {}
+    for title, photographs in page.run(MEASURE):
+        for i, (img, host, canvas) in enumerate(photographs):
+            expected = LAYOUTS[title][2] or SIZES[i][0] / SIZES[i][1]
+            same = [abs(a - b) < 1 for other in (host, canvas) if other for a, b in zip(img, other, strict=True)]
+            if not (img[3] > 1 and img[2] / img[3] == pytest.approx(expected, rel=0.02) and all(same)):
+                wrong.setdefault(title, []).append((i, img, host, canvas))
+        assert len(photographs) == len(SIZES)
+    assert {title: len(found) for title, found in wrong.items()} == {}, json.dumps(wrong)
+
+
+@pytest.mark.parametrize(
+    "kind", ["img", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("picture", "alone"))]
+)
+def test_each_photograph_has_its_own_aspect_ratio(each_browser: Page, site: tuple[Path, str], kind: str) -> None:
+    folder, url = site
+    (folder / "index.html").write_text(page_of(kind))
+    each_browser.open(f"{url}/index.html")
+    if kind != "alone":
+        assert_own_aspects(each_browser)  # as without JavaScript
+    each_browser.run("return import('/sgmethod/sg-img.js').then(() => undefined)")
+    wait_until(lambda: each_browser.run(DRAWN))
+    assert_own_aspects(each_browser)
+    for i, size in enumerate(SIZES):
+        Image.new("RGB", size, (90, 40 * i % 256, 90)).save(folder / f"{i}.jpg")
+    each_browser.run(LOAD)
+    wait_until(lambda: each_browser.run(LOADED))
+    assert_own_aspects(each_browser)
