@@ -87,7 +87,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
     this.#frame.append(slot, this.#own);
     const root = this.attachShadow({ mode: "open" });
     root.append(this.#frame);
-    const decoded = () => this.#img.decode().then(this.#update, this.#update);
+    const decoded = () => this.#img.decode?.().then(this.#update, this.#update);
     root.addEventListener("load", decoded, true); // of an <img> of the page too
     slot.addEventListener("slotchange", () => later(this.#update)); // the parser brings an <img> later
   }
@@ -99,10 +99,11 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       delete this[name];
       this[name] = value;
     }
-    if (!this.ownerDocument.defaultView) return; // a document without a window draws nothing
+    const page = this.getRootNode();
+    // A document without a window draws nothing, nor does a DOM without style sheets, such as linkedom's.
+    if (!this.ownerDocument.defaultView || !page.adoptedStyleSheets) return;
     const [shadowSheet, pageSheet] = sheetsOf(this.ownerDocument);
     this.shadowRoot.adoptedStyleSheets = [shadowSheet];
-    const page = this.getRootNode();
     if (!page.adoptedStyleSheets.includes(pageSheet)) page.adoptedStyleSheets.push(pageSheet);
     later(this.#update);
   }
@@ -120,7 +121,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
 
   /** Bring the preview in line with the photograph, whatever has happened to either. */
   #update = () => {
-    if (!this.isConnected) return;
+    if (!this.isConnected || !this.animate) return; // jsdom and its like have no canvas either
     const [img, text] = [this.#img, this.preview];
     this.#own.hidden = img !== this.#own;
     if (!text || (img.complete && img.naturalWidth)) return this.#uncover();
