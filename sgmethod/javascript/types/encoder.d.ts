@@ -33,6 +33,21 @@ export function dataUri(
 ): Promise<string>;
 
 /**
+ * An <sg-img> with an <img> inside, as HTML, for templates that take strings. The page's style sheet needs the two rules
+ * of the README; a style attribute holds nothing but the placeholder, and without a uri there is none.
+ *
+ * @param preview what encodePreview() returns, or its stored fields
+ * @param attributes of the <img>, which are escaped here: src, alt (empty by default), srcset and so on; width and height
+ * are the preview's, loading "lazy" and decoding "async" unless given; null leaves one out. uri: what dataUri()
+ * returns, which is shown without JavaScript, and until the element draws the preview
+ * @throws TypeError if preview is something else
+ */
+export function elementOf(
+  preview: Pick<Preview, "text" | "width" | "height" | "color">,
+  attributes: { src: string; uri?: string; [attribute: string]: string | number | null | undefined },
+): string;
+
+/**
  * Encode a picture of any size in a few hundred bytes; alpha is kept.
  *
  * @param rgba the picture, width x height pixels

@@ -7,6 +7,7 @@ import io
 import json
 import shutil
 import statistics
+from html.parser import HTMLParser
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -250,3 +251,46 @@ def test_data_uris(tmp_path: Path) -> None:
     assert np.all(np.asarray(Image.open(io.BytesIO(base64.b64decode(white.split(",")[1]))).convert("RGB")) == 255)
     assert len(base64.b64decode(webp.removeprefix("data:image/webp;base64,"))) == 280  # of 400 characters
     assert refused == "TypeError: dataUri() has no option c, only characters and sharp"
+
+
+ELEMENT = """
+const { elementOf } = await import("%s");
+const preview = { text: "woOAaA", width: 30, height: 20, color: "#102030", dark: true, bytes: new Uint8Array(3) };
+const all = [
+  { src: "a.jpg" },
+  { src: "a?b&c=<'>", alt: 'A "red" door', uri: "data:image/webp;base64,AAAA", width: 60, loading: null },
+];
+console.log(JSON.stringify(all.map((attributes) => elementOf(preview, attributes))));
+try {
+  elementOf("woOAaA", { src: "a.jpg" });
+} catch (error) {
+  console.log(error.name);
+}
+"""
+
+
+def test_an_element_as_html(tmp_path: Path) -> None:
+    """Attributes come out of a parser as they went in, and only a placeholder needs inline styles."""
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    script = ELEMENT % (JAVASCRIPT / "encoder" / "element.js").as_uri()
+    done = run("node", "--input-type=module", "--eval", script, folder=tmp_path)
+    assert done.status == 0, done.stderr
+    made, error = done.stdout.splitlines()
+    tags: list[tuple[str, dict[str, str | None]]] = []
+    parser = HTMLParser()
+    parser.handle_starttag = lambda tag, attributes: tags.append((tag, dict(attributes)))  # type: ignore
+    for html in json.loads(made):
+        parser.feed(html)
+    outer = ("sg-img", {"preview": "woOAaA"})
+    plain = {"src": "a.jpg", "alt": "", "width": "30", "height": "20", "loading": "lazy", "decoding": "async"}
+    shown = {
+        "src": "a?b&c=<'>",
+        "alt": 'A "red" door',
+        "width": "60",
+        "height": "20",
+        "decoding": "async",
+    }
+    shown["style"] = "background:#102030 url(data:image/webp;base64,AAAA) center/cover"
+    assert tags == [outer, ("img", plain), outer, ("img", shown)]
+    assert error == "TypeError"

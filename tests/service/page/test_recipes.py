@@ -125,7 +125,7 @@ export default () => image;
 """
 ELEVENTY = """
 const { default: configure } = await import("./eleventy.config.mjs");
-const addShortcode = async (name, made) => console.log(await made("door.png", "A red door"));
+const addShortcode = async (name, made) => console.log(await made("door.png", 'A "red" door'));
 configure({ addPassthroughCopy() {}, addShortcode });
 """
 
@@ -139,7 +139,8 @@ def test_eleventy(tmp_path: Path, mode: str) -> None:
     (tmp_path / "preview.mjs").write_text(blocks("Frameworks")[0])
     (tmp_path / "eleventy.config.mjs").write_text(blocks("Eleventy")[0])
     encoder = JAVASCRIPT / "encoder"
-    exports = f'export * from "{(encoder / "encoder.js").as_uri()}"; export * from "{(encoder / "uri.js").as_uri()}";'
+    modules = [(encoder / f"{name}.js").as_uri() for name in ("encoder", "uri", "element")]
+    exports = "".join(f'export * from "{module}";' for module in modules)
     for name, entry, code in (("sharp", ".", SHARP), ("sgmethod", "./encoder", exports)):
         package = tmp_path / "node_modules" / name
         package.mkdir(parents=True)
@@ -147,7 +148,9 @@ def test_eleventy(tmp_path: Path, mode: str) -> None:
         (package / "index.js").write_text(code)
     done = run("node", "--input-type=module", "--eval", ELEVENTY, folder=tmp_path, ELEVENTY_RUN_MODE=mode)
     assert done.status == 0, done.stderr
-    image = r'<img src="/door.png" alt="A red door" width="900" height="1200" loading="lazy" decoding="async">'
+    image = (
+        r'<img src="/door.png" alt="A &quot;red&quot; door" width="900" height="1200" loading="lazy" decoding="async">'
+    )
     found = re.fullmatch(rf'<sg-img preview="(\S*)">{image}</sg-img>\n', done.stdout)
     assert found
     assert bool(found[1]) == (mode == "build")

@@ -2,13 +2,12 @@
 
 const ENTITIES = { "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "'": "&#39;" };
 
-/** An <sg-img> as HTML, with an <img> inside. preview: what encodePreview() returns; attributes: of the <img>, escaped
- * here; null leaves one out; uri: what dataUri() returns, shown below the photograph until a script draws the preview. */
-export function elementOf(preview, { uri = preview.uri, ...attributes }) {
-  const { text, width, height, color } = preview;
+/** An <sg-img> with an <img> inside, as HTML. preview: what encodePreview() returns; attributes: of the <img>, escaped
+ * here; null leaves one out; uri: what dataUri() returns, to be seen below the photograph until the preview is drawn. */
+export function elementOf({ text, width, height, color }, { src, uri, ...attributes }) {
   if (typeof text !== "string") throw new TypeError("preview must be what encodePreview() returns");
   const style = uri ? `background:${color} url(${uri}) center/cover` : null;
-  const all = { alt: "", width, height, loading: "lazy", decoding: "async", style, ...attributes };
+  const all = { src, alt: "", width, height, loading: "lazy", decoding: "async", style, ...attributes };
   return `<sg-img${written({ preview: text })}><img${written(all)}></sg-img>`;
 }
 
