@@ -31,6 +31,7 @@ from service.api.health import VERSION
 from service.api.metrics import Metrics
 from service.api.middleware import BodyLimit, RequestLog
 from service.api.problems import PAGE, install_problem_handlers
+from service.api.room import DiskRoom
 from service.api.routes import add_routes
 from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
@@ -164,7 +165,9 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
     """
     settings = context.settings
     app = Authentication(app, context.keys, settings)
-    app = BodyLimit(app, settings.max_upload_bytes)
+    # Where a bucket stores images, temporary files are alone on their disk, which may be small.
+    kept_bytes = 0 if settings.storage_url else settings.min_free_bytes
+    app = BodyLimit(app, settings.max_upload_bytes, DiskRoom(kept_bytes))
     if settings.cors_origins:
         app = CORSMiddleware(
             app,
