@@ -25,7 +25,10 @@ PAGE = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
 <title>Photographs</title>
-<style>sg-img { display: block; max-width: 40em; } sg-img img { display: block; width: 100%; height: auto; }</style>
+<style>
+sg-img { display: block; height: min-content; max-width: 40em; }
+sg-img img { display: block; width: 100%; height: auto; }
+</style>
 <script type="module" src="/sgmethod/sg-img.js"></script>
 {% for photo in photos %}
 <sg-img preview="{{ photo.preview }}">

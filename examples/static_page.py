@@ -28,7 +28,7 @@ PAGE = """<!doctype html>
 """
 STYLE = """
 body { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 30em), 1fr)); gap: 1em; margin: 1em; }
-sg-img { display: block; }
+sg-img { display: block; height: min-content; }
 sg-img img { display: block; width: 100%; height: 100%; object-fit: cover; }
 """
 

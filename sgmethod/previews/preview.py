@@ -78,7 +78,7 @@ class Preview:
         Arguments as in html(); characters limits the <img>.
         """
         image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover", characters)
-        return f'<sg-img preview="{self.text}" style="display:block">{image}</sg-img>'
+        return f'<sg-img preview="{self.text}" style="display:block;height:min-content">{image}</sg-img>'
 
     def _img(self, src: str, alt: str, style: str, characters: int) -> str:
         if self._pixels.shape[2] == 4:

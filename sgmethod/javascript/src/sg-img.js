@@ -9,13 +9,13 @@ const FADE_MS = 300;
 // Properties of an <img>; in lower case, its attributes.
 const OF_IMG = "loading decoding fetchPriority crossOrigin referrerPolicy alt width height sizes srcset src".split(" ");
 const SHADOW_STYLE = `
-:host { display: block; overflow: hidden; object-fit: cover }
+:host { display: block; height: min-content; break-inside: avoid; overflow: hidden; object-fit: cover }
 :host([hidden]), [hidden] { display: none }
-div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100% }
+div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); height: 100% }
 img, canvas, ::slotted(*) { grid-area: 1 / 1; width: 100%; height: 100% }
 div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inherit }
 ::slotted(picture) { display: contents }
-canvas { position: absolute; pointer-events: none }
+canvas { contain: size; aspect-ratio: auto; pointer-events: none }
 @media print { canvas { display: none } }`;
 // For what ::slotted() does not reach. The page's own rules win, because they are in no layer.
 const PAGE_STYLE = `@layer { sg-img > picture > img {
@@ -130,7 +130,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       [canvas.width, canvas.height] = [preview.width, preview.height];
       canvas.getContext("2d").putImageData(preview, 0, 0);
       // The canvas reserves the space if the photograph does not.
-      if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.position = "static";
+      if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.contain = "none";
       this.#canvas?.remove();
       this.#frame.append(canvas);
       [this.#canvas, this.#drawn] = [canvas, text];

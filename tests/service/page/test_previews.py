@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
 
 import sgmethod
-from benchmarks.harness.data import JAVASCRIPT, STATIC, golden
+from benchmarks.harness.data import JAVASCRIPT, ROOT, STATIC, golden
 from benchmarks.harness.processes import run, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
@@ -107,6 +108,60 @@ STATE = """
     return { ratio: width / height, drawn: canvas?.width ?? 0, alt: img.alt,
       loading: img.loading, sizes: img.sizes, source: img.currentSrc.split("/").pop(), loaded: img.naturalWidth > 0 };
 """
+
+
+SIZES = [(600, 400), (400, 600), (500, 500), (800, 300), (300, 450), (640, 480)] * 2
+RULES = re.findall(r"^sg-img.*}$", (ROOT / "docs" / "previews.md").read_text(), re.M)
+LAYOUTS = {  # what the page has besides the two rules, and what is around each photograph
+    "grid": ("main { display: grid; grid-template-columns: repeat(4, 1fr); gap: 8px }", "{}"),
+    "flex": ("main { display: flex; flex-wrap: wrap; gap: 8px } main > * { flex: 1 1 200px }", "{}"),
+    "columns": ("main { columns: 4 }", "{}"),
+    "figures": (
+        "main { display: grid; grid-template-columns: repeat(4, 1fr) } figure { display: flex; flex-flow: column }",
+        "<figure>{}<figcaption>a caption</figcaption></figure>",
+    ),
+    "cropped": ("main { columns: 4 } main sg-img { aspect-ratio: 1 }", "{}"),  # on purpose
+}
+SHOWN = """return [...document.querySelectorAll("main sg-img")].map((one) => {
+    const parts = [one, one.querySelector("img"), one.shadowRoot?.querySelector("canvas")];
+    return parts.filter(Boolean).map((part) => {
+        const { x, y, width, height } = part.getBoundingClientRect();
+        return [x, y, width, height];
+    });
+});"""
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_gallery_shows_whole_photographs(each_browser: Page, web: Service, layout: str) -> None:
+    """Grids and flex boxes stretched the lower of two neighbours, and so cropped it. The preview lies on it exactly."""
+    css, around = LAYOUTS[layout]
+    each_browser.open_blank(web)
+    photos = (
+        around.format(f'<sg-img preview="{GOOD}"><img src="/nowhere.jpg" alt="" width="{w}" height="{h}"></sg-img>')
+        for w, h in SIZES
+    )
+    page = f"<style>{' '.join([*RULES, css])}</style><main style='width: 900px'>{''.join(photos)}</main>"
+    # A style sheet of the page's own, which its policy would refuse as an inline one.
+    each_browser.run(f"""
+        const page = new DOMParser().parseFromString({json.dumps(page)}, "text/html");
+        const sheet = new CSSStyleSheet();
+        sheet.replaceSync(page.querySelector("style").textContent);
+        document.adoptedStyleSheets.push(sheet);
+        document.body.prepend(page.querySelector("main"));
+    """)
+    wanted = [1.0] * 12 if layout == "cropped" else [w / h for w, h in SIZES]
+
+    def assert_whole(parts: int) -> None:
+        for rectangles, ratio in zip(each_browser.run(SHOWN), wanted, strict=True):
+            assert len(rectangles) == parts
+            for x, y, width, height in rectangles:
+                assert width / height == pytest.approx(ratio, rel=0.02)
+                assert (x, y, width) == pytest.approx(rectangles[0][:3], abs=1)
+
+    assert_whole(2)  # before the script
+    each_browser.run('return import("/static/sgmethod/sg-img.js").then(() => undefined)')
+    wait_until(lambda: all(len(rectangles) == 3 for rectangles in each_browser.run(SHOWN)))
+    assert_whole(3)
 
 
 @pytest.mark.thorough
