@@ -98,7 +98,8 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       delete this[name];
       this[name] = value;
     }
-    if (!this.ownerDocument.defaultView) return; // a document without a window draws nothing
+    // A document without a window draws nothing, nor do jsdom and linkedom.
+    if (!this.ownerDocument.defaultView?.CSSStyleSheet?.prototype.replaceSync) return;
     const [shadowSheet, pageSheet] = sheetsOf(this.ownerDocument);
     this.shadowRoot.adoptedStyleSheets = [shadowSheet];
     const page = this.getRootNode();
@@ -119,7 +120,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
 
   /** Bring the preview in line with the photograph, whatever has happened to either. */
   #update = () => {
-    if (!this.isConnected) return;
+    if (!this.isConnected || !this.shadowRoot.adoptedStyleSheets?.length) return;
     const [img, text] = [this.#img, this.preview];
     this.#own.hidden = img !== this.#own;
     if (!text || (img.complete && img.naturalWidth)) return this.#uncover();
@@ -128,7 +129,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       const preview = decodePreview(text);
       const canvas = document.createElement("canvas");
       [canvas.width, canvas.height] = [preview.width, preview.height];
-      canvas.getContext("2d").putImageData(preview, 0, 0);
+      canvas.getContext("2d")?.putImageData(preview, 0, 0);
       // The canvas reserves the space if the photograph does not.
       if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.contain = "none";
       this.#canvas?.remove();

@@ -164,6 +164,34 @@ def test_a_gallery_shows_whole_photographs(each_browser: Page, web: Service, lay
     assert_whole(3)
 
 
+DRAWS_NOTHING = """
+const part = () => ({ style: {}, addEventListener() {}, append() {}, setAttribute() {} });
+globalThis.document = { createElement: part };
+globalThis.HTMLElement = class {
+  isConnected = true;
+  ownerDocument = { defaultView: %s };
+  attachShadow() { return (this.shadowRoot = part()); }
+  getAttribute() { return "%s"; }
+  querySelector() { return null; }
+};
+const { SgImage } = await import("%s");
+const one = new SgImage();
+one.connectedCallback();
+one.attributeChangedCallback("preview", null, one.preview);
+one.attributeChangedCallback("src", null, "photo.jpg");
+"""
+
+
+@pytest.mark.parametrize("window", ["null", "{}", "{ CSSStyleSheet: class {} }"], ids=["none", "linkedom", "jsdom"])
+def test_a_document_that_draws_nothing(window: str) -> None:
+    """Tests of a page run in such documents, which lack style sheets and canvases: the element raised."""
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    script = DRAWS_NOTHING % (window, GOOD, (JAVASCRIPT / "sg-img.js").as_uri())
+    done = run("node", "--input-type=module", "--eval", script)
+    assert (done.status, done.stdout, done.stderr) == (0, "", "")
+
+
 @pytest.mark.thorough
 def test_the_preview_stands_until_the_picture_is_there(each_browser: Page, web: Service) -> None:
     each_browser.open_blank(web)
