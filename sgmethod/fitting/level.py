@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.planes import halved
-from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame, Target, Visibility
+from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Backend, Frame, Target, Visibility
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.fitting.islands import Islands, OnSheet, moved
 from sgmethod.fitting.visibility import amplitudes
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
@@ -65,12 +66,16 @@ def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 
 
 @dataclass(frozen=True)
 class Level:
-    """One size of the picture: its target, and the weights of the pixels' errors."""
+    """One size of the picture: its target, and the weights of the pixels' errors.
+
+    islands: those of the picture if it is their sheet.
+    """
 
     backend: Backend
     frame: Frame
     target: Target
     visibility: Visibility | None = None
+    islands: Islands | None = None
 
     @property
     def values(self) -> int:
@@ -81,6 +86,21 @@ class Level:
     def pixels(self) -> int:
         """Number of this level's pixels."""
         return self.frame.height * self.frame.width
+
+    def on_sheet(self, islands: Islands, background: Target) -> Level:
+        """Return the sheet of this whole picture's islands as a level. background: the target [3, 1, 1] elsewhere."""
+        share, beside = islands.pixels / self.pixels, float(np.square(background / TARGET_WHITE).mean())
+        backend = OnSheet(self.backend, islands, share, beside, self.target, self.visibility)
+        frame, target = Frame(islands.width, islands.height), islands.laid(self.target, background)
+        visibility = self.visibility and replace(self.visibility, values=islands.laid(self.visibility.values, VISIBLE))
+        return Level(backend, frame, target, visibility, islands)
+
+    def shapes(self, means: FloatArray, factors: FloatArray) -> Gaussians:
+        """Return black Gaussians with these means [N, 2] and factors [N, 3] in this level's samples."""
+        means, factors = means * np.float32(self.frame.spacing), factors * np.float32(self.frame.spacing)
+        if self.islands is not None:
+            means = moved(means, self.islands.to_picture)
+        return Gaussians(means, factors, np.zeros((len(means), 3), np.float32))
 
     def halved(self, sharpened: bool = False) -> Level:
         """Return the level of half the size, by means of four samples.

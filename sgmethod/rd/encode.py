@@ -23,6 +23,7 @@ from sgmethod.rd.plan import Plan, stages
 from sgmethod.rd.rate_control import Coded
 from sgmethod.rd.request import Request
 from sgmethod.rd.search import search
+from sgmethod.rd.sparse import on_islands
 from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
@@ -31,7 +32,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
     """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
-    pyramid = request.pyramid()
+    request, pyramid = on_islands(request)
     gaussians = place(request, pyramid)
     plan = Plan.from_request(request, pyramid, gaussians)
     state = plan.begin(gaussians)
