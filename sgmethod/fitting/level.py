@@ -27,12 +27,14 @@ from sgmethod.threads import in_parallel
 # Adds back the Laplacian lost to a blur with a variance of 1 / 16 along each axis.
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 DAMPING = 0.01  # of colours by least squares
+SQUARE = 4  # pixels along a side: less than a Gaussian that many can be afforded of
 
 
 class Histogram:
     """Statistics of the levels of an image [H, W, 3].
 
-    background: the colour of more than half of the image, such as a page's white (has_majority), else the mean colour;
+    mean: the mean colour; background: the colour of more than half of the image, such as a page's white, if it is
+    nearer to the image's parts than the mean is (has_majority), else the mean, as for a checkerboard;
     spread: the largest difference between the levels of a channel.
     """
 
@@ -40,10 +42,22 @@ class Histogram:
         number = pixels.shape[0] * pixels.shape[1]
         counts = _counts(pixels)
         most = counts.argmax(1).astype(np.uint8)
+        red, green, blue = (round(float(c)) for c in counts @ np.arange(256) / number)
+        self.mean = self.background = red, green, blue
         self.has_majority = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
-        red, green, blue = (round(float(c)) for c in (most if self.has_majority else counts @ np.arange(256) / number))
-        self.background = red, green, blue
+        if self.has_majority:
+            self.has_majority = _distance(pixels, most) < _distance(pixels, np.array(self.mean))
+        if self.has_majority:
+            red, green, blue = most.tolist()
+            self.background = red, green, blue
         self.spread = int(max(np.ptp(np.flatnonzero(of_channel)) for of_channel in counts))
+
+
+def _distance(pixels: NDArray[np.uint8], colour: NDArray[Any]) -> float:
+    """Mean distance of a colour from squares of an image, each counting as its mean."""
+    size = -(-pixels.shape[1] // SQUARE), -(-pixels.shape[0] // SQUARE)
+    squares = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return float(np.abs(squares.astype(np.int16) - colour.astype(np.int16)).mean())
 
 
 def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -43,6 +43,11 @@ class Request:
         """Level of each channel below all Gaussians."""
         return coded_background(self.histogram.background, self.rate.is_short)
 
+    @property
+    def mean(self) -> tuple[int, int, int]:
+        """The picture's mean colour, as a file can hold it."""
+        return coded_background(self.histogram.mean, self.rate.is_short)
+
     @cached_property
     def grey(self) -> bool:
         """Whether chroma is left out."""
