@@ -34,7 +34,7 @@ class Histogram:
     """Statistics of the levels of an image [H, W, 3].
 
     mean: the mean colour; background: the colour of more than half of the image, such as a page's white, if it is
-    nearer to the image's parts than the mean is (has_majority), else the mean, as for a checkerboard;
+    as near to the image's parts as the mean (has_majority), else the mean, as for a checkerboard;
     spread: the largest difference between the levels of a channel.
     """
 
@@ -46,7 +46,7 @@ class Histogram:
         self.mean = self.background = red, green, blue
         self.has_majority = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
         if self.has_majority:
-            self.has_majority = _distance(pixels, most) < _distance(pixels, np.array(self.mean))
+            self.has_majority = _distance(pixels, most) <= _distance(pixels, np.array(self.mean))
         if self.has_majority:
             red, green, blue = most.tolist()
             self.background = red, green, blue
