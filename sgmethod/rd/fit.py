@@ -36,7 +36,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
     """Take grain off the target, once the fit misses about as much of it as it will in the end."""
-    is_whole = plan.finest.frame.spacing == 1
+    frame = plan.finest.frame
+    is_whole = (frame.width, frame.height) == plan.request.size
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
     target = state.target.without(plan.request.objective.grain(plan.finest.missing(state.gaussians)))

@@ -16,6 +16,7 @@ from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
+FEW_BYTES = 32  # of payload: their Gaussians may gain less than the mean colour alone
 QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
 
 
@@ -64,9 +65,9 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
         best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
-    if not request.is_nearly_flat:
+    if best.size > FEW_BYTES and not request.is_nearly_flat:
         return best
-    empty = replace(empty, quantum=best.stream.quantum)
+    empty = replace(empty, quantum=best.stream.quantum, texture=None, background=request.mean)
     return rate.best([best, Coded(empty, request.objective)])
 
 
