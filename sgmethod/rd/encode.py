@@ -15,6 +15,8 @@ stay, and drops those that gain least. Alpha takes two requests, which alpha.py 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
@@ -47,6 +49,8 @@ def encode(request: Request) -> tuple[StreamV2, int]:
                 state = densify(plan, state, stage)
             state = fit(plan, state, stage)
         state = settle(plan, state, plan.times(number))
+        if number == rounds[-1] + rate.further_rounds:  # the last that may follow: a search needs memory of its own
+            state = replace(state, target=state.target.at_rest())
         if state.is_enough or number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
             if rate.is_enough(files[number]):
