@@ -9,11 +9,9 @@ import numpy as np
 from sgmethod.backend.protocol import TILE_HEIGHT, release_memory
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.matching_pursuit import candidates
-from sgmethod.rd.plan import Plan, Stage, State
+from sgmethod.rd.plan import MANY_VALUES, Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
-
-MANY_VALUES = 1 << 23  # samples of a level; growth on a smaller one leaves little memory behind
 
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:

@@ -73,6 +73,8 @@ def _once(request: Request) -> tuple[StreamV2, int]:
                 state = densify(plan, state, stage)
             state = fit(plan, state, stage)
         state = settle(plan, state, plan.times(number))
+        if number == rounds[-1] + rate.further_rounds:  # the last that may follow: a search needs memory of its own
+            state = replace(state, target=state.target.at_rest())
         if state.is_enough or number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
             if rate.is_enough(files[number]):

@@ -9,10 +9,10 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import Moments, RefineLimits, Target
+from sgmethod.backend.protocol import Moments, RefineLimits, Target, release_memory
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import StreamV2, is_upright
-from sgmethod.rd.plan import Plan, State
+from sgmethod.rd.plan import MANY_VALUES, Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
@@ -27,6 +27,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     for the rounding of the other half. Then all are refined again: refining alone finds no single change that helps.
     """
     request, rate, s = plan.request, plan.request.rate, plan.settings.refine
+    if plan.finest.values > MANY_VALUES:
+        release_memory()  # which the fit kept for its next step
 
     @cache  # several quanta have one code
     def coded(quantum: float) -> StreamV2:
