@@ -54,12 +54,7 @@ class ByteLimit(RateControl):
 
 @dataclass(frozen=True)
 class ByteBudget(ByteLimit):
-    """Rate control for a budget of bytes: the quantum is steered so that the file uses them.
-
-    may_be_short: nothing but its size keeps a file from being short.
-    """
-
-    may_be_short: bool = True
+    """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
 
     @classmethod
     def from_bytes(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
@@ -80,24 +75,9 @@ class ByteBudget(ByteLimit):
         quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
         return replace(self, quantum=quantum, max_bytes=max_bytes)
 
-    def smaller(self) -> Iterable[ByteBudget]:
-        """The powers of the root of 2 below this, of a small picture with many bits for each pixel.
-
-        They are the same for any budget, so that a larger one seldom makes a much worse file.
-        """
-        rate = self.settings.rate
-        if self.pixels <= rate.small_pixels:
-            least = max(rate.dense_bpp * self.pixels / 8, SMALLEST_FILE)
-            for half_octaves in range(math.ceil(2 * math.log2(self.max_bytes)) - 1, 0, -1):
-                size = int(2 ** (half_octaves / 2))
-                if size < least:
-                    break
-                is_short = self.is_short or (self.may_be_short and size <= SHORT_BYTES)
-                yield replace(self.for_bytes(size), is_short=is_short)
-
     def for_exact_background(self, has_alpha: bool) -> ByteBudget:
         """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
-        return replace(self, may_be_short=False, is_short=self.max_bytes < LONG_FILE + (ITS_ALPHA if has_alpha else 0))
+        return replace(self, is_short=self.max_bytes < LONG_FILE + (ITS_ALPHA if has_alpha else 0))
 
     def for_alpha(self) -> ByteLimit:
         """Alpha takes what it is worth, up to a limit."""
@@ -106,7 +86,7 @@ class ByteBudget(ByteLimit):
         return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha, self.is_short, max_bytes=most)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
-        return replace(self.for_bytes(self.max_bytes - alpha_bytes(alpha)), may_be_short=False)
+        return self.for_bytes(self.max_bytes - alpha_bytes(alpha))
 
     def expected_gaussians(self) -> int:
         return max(min(self._gaussians_by_size(), self.pixels), 1)

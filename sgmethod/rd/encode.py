@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
@@ -30,31 +29,8 @@ from sgmethod.rd.sparse import on_islands
 from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
-FAR = 2.0  # times the error, 3 dB: still smaller files are no better
-
-
 def encode(request: Request) -> tuple[StreamV2, int]:
-    """Encode a request; return the coded picture and the optimiser steps it took.
-
-    Fits of a small picture may differ by decibels for next to no reason, so one to fewer bytes may be better.
-    """
-    stream, steps = _once(request)
-    if request.deadline.has_limit():
-        return stream, steps
-    best = Coded(stream, request.objective)
-    for fewer in request.rate.smaller():
-        if request.rate.is_enough(best):
-            break
-        other, taken = _once(replace(request, rate=fewer, recorder=Recorder(request.recorder.clock)))
-        coded, steps = Coded(other, request.objective), steps + taken
-        if coded.error > FAR * best.error:
-            break
-        best = request.rate.best([best, coded])
-    return best.stream, steps
-
-
-def _once(request: Request) -> tuple[StreamV2, int]:
-    """Encode a request by one fit."""
+    """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
     request, pyramid = on_islands(request)

@@ -205,10 +205,6 @@ class RateControl:
 
     # --- asked once files are made
 
-    def smaller(self) -> Iterable[RateControl]:
-        """Smaller budgets whose files may turn out better."""
-        return ()
-
     def is_missed(self, files: Iterable[Coded]) -> bool:
         """Whether none of the files has the quality that was asked for."""
         return False

@@ -9,6 +9,7 @@ import numpy as np
 from sgmethod.fitting.level import Pyramid, target_of
 from sgmethod.rd.request import Request
 
+LARGE = 1 << 18  # pixels of a picture; a smaller one is fitted in no time
 SMALLER = 4  # times: a sheet's fit also takes time for moving Gaussians to it
 
 
@@ -18,7 +19,8 @@ def on_islands(request: Request) -> tuple[Request, Pyramid]:
     With alpha, colours are all the same to hidden pixels, and seldom one colour.
     """
     whole = request.whole()
-    pyramid, islands = request.pyramid(whole), request.islands()
+    pyramid = request.pyramid(whole)
+    islands = request.islands() if whole.pixels >= LARGE else None
     if islands is None or SMALLER * islands.pixels > pyramid.finest.pixels or request.objective.shown is not None:
         return request, pyramid
     colour = np.array([[request.histogram.background]], np.uint8)

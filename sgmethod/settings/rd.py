@@ -171,9 +171,6 @@ class RateSettings:
     gaussians_per_pixel: float = 0.0023  # first guess, times the quantum
     fewest_pixels: int = 20  # per Gaussian in a first guess; growth may go beyond
     most_bytes: int = 12  # that a pixel can use, with one Gaussian for each pixel
-    # Of a picture of at most so many pixels, smaller files are tried too if there are so many bits for each pixel.
-    small_pixels: int = 1 << 12
-    dense_bpp: float = 1.0
     gaussians_quantum: float = 3.2 * 2 ** (-85 / 16)  # for a budget of Gaussians: about 1.2 bpp on photographs
     coarsest_of_aim: float = 0.4  # first quantum
     quality_quantum: tuple[float, float] = (70.0, 0.16)  # a quality, and a typical quantum of photographs there

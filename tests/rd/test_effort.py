@@ -128,12 +128,12 @@ def test_little_effort_takes_few_steps_and_keeps_the_budget() -> None:
 
 def test_a_time_limit_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(codec, "Clock", SlowClock)
-    limited = encode(CROP, Budget("bytes", 200), tune="psnr", effort=9, time_limit_s=40.0)
-    usual = encoded("bytes", 200, 5).stats.steps
+    limited = encode(CROP, Budget("bytes", 600), tune="psnr", effort=9, time_limit_s=40.0)
+    usual = encoded("bytes", 600, 5).stats.steps
     assert 1.5 * usual < limited.stats.steps < 6 * usual  # of 12 times as many
     assert limited.stats.seconds < 40.2
     assert len(limited.data) <= 600
-    assert limited.stats.psnr > encoded("bytes", 200, 5).stats.psnr
+    assert limited.stats.psnr > encoded("bytes", 600, 5).stats.psnr
 
 
 def test_the_trace_of_a_psnr_that_is_reached_ends_with_all_steps() -> None:
