@@ -13,7 +13,7 @@ from pathlib import Path
 from service.errors import JobTableError, MissingPackagesError, NotSetUpError
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
-from service.sandbox.confinement import SandboxError, check_layers
+from service.sandbox.confinement import SandboxError, absent_layers, check_layers
 from service.settings import MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
@@ -94,7 +94,8 @@ def _kernels(_settings: Settings) -> str:
 
 def _sandbox(settings: Settings) -> str:
     """Run a task in the sandbox. A missing layer is a failure only where it is required."""
-    layers = check_layers(required=settings.require_sandbox)  # before there is a second thread
-    with own_sandbox(settings.encode_threads) as requests:
+    absent = absent_layers()  # before there is a second thread
+    warnings = check_layers(absent, required=settings.require_sandbox)
+    with own_sandbox(settings.encode_threads, absent) as requests:
         asyncio.run(Sandbox(requests).try_out(SANDBOX_STARTS_S))
-    return "; ".join(layers) or "every layer is there"
+    return "; ".join(warnings) or "every layer is there"

@@ -15,7 +15,7 @@ from sgmethod.paper import encode as paper
 def test_no_further_attempt_starts_after_the_limit(
     limit_s: float | None, attempts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All four started, 8.4 s for a limit of 0.3 s on a photograph: starting one, with its superpixels, takes longest."""
+    """All four started, 8.4 s for a limit of 0.3 s on a photograph: to start one takes longest."""
     began = []
     run = paper.run
 
