@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from service.errors import JobTableError, MissingPackagesError, NotSetUpError
+from service.memory import available
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers
@@ -47,7 +48,12 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
 
 
 def _settings(settings: Settings) -> str:
-    return f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
+    words = f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
+    needed, there_is = settings.workers * settings.job_memory_bytes, available()
+    if needed > there_is:
+        words += f"; encodes may take {needed:,} bytes of memory together, and there are {there_is:,}: lower "
+        words += "SG_WORKERS or SG_JOB_MEMORY_BYTES, or large pictures may fail"
+    return words
 
 
 def _database(settings: Settings) -> str:
