@@ -24,6 +24,7 @@ RESPONSE_HEADERS = {  # defaults
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+LONGEST_PATH = 200  # characters of the log; our own paths are shorter
 _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
@@ -67,8 +68,8 @@ class RequestLog:
         finally:
             client = state["caller"].client if "caller" in state else address_of(scope.get("client"))
             ms = 1000 * (time.monotonic() - started)
-            words = f"{method} {path!a} {status} {ms:.1f} ms {size} bytes, {client} {state.get(REFUSAL, '')}"
-            log.info("%s", words.rstrip())
+            what = f"{method} {path[:LONGEST_PATH]!a} {status} {ms:.1f} ms {size} bytes"
+            log.info("%s", f"{what}, {client} {state.get(REFUSAL, '')}".rstrip())
             request_id.reset(token)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import tempfile
 
@@ -22,6 +23,7 @@ class DiskRoom:
     def __init__(self, kept_bytes: int) -> None:
         self.kept_bytes = kept_bytes
         self.reserved = 0  # bytes that are still to be written
+        self.looking = asyncio.Lock()  # one at a time, so that none is refused for one that is refused itself
 
 
 class Reservation:
@@ -36,12 +38,13 @@ class Reservation:
         """Reserve the room, unless that is done. Raises ProblemError 503 if there is too little."""
         if not self._wanted:
             return
-        self._left, self._wanted = self._wanted, 0
-        self._room.reserved += self._left
-        usage = await to_thread.run_sync(shutil.disk_usage, tempfile.gettempdir())
-        if usage.free - self._room.reserved < self._room.kept_bytes:
-            detail = "the disk has no room for this upload, with those that are on their way"
-            raise ProblemError(503, detail, reason="disk", headers=RETRY_AFTER)
+        async with self._room.looking:
+            usage = await to_thread.run_sync(shutil.disk_usage, tempfile.gettempdir())
+            if usage.free - self._room.reserved - self._wanted < self._room.kept_bytes:
+                detail = "the disk has no room for this upload, with those that are on their way"
+                raise ProblemError(503, detail, reason="disk", headers=RETRY_AFTER)
+            self._left, self._wanted = self._wanted, 0
+            self._room.reserved += self._left
 
     def written(self, size: int) -> None:
         """Count a part of the body, for which free space is now missing."""

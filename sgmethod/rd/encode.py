@@ -29,6 +29,7 @@ from sgmethod.rd.sparse import on_islands
 from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
+
 def encode(request: Request) -> tuple[StreamV2, int]:
     """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
