@@ -31,7 +31,9 @@ def fit_photo(path: str, out: str) -> None:
     rates = zip((means, factors, colors), (0.01, 0.01, 0.001), strict=True)
     optimiser = torch.optim.Adam([{"params": values, "lr": rate} for values, rate in rates])
     for step in range(STEPS):
-        loss = (render(means, factors, colors, size, found.background[0]) - target).abs().mean()
+        # pyramid=True draws as the file will be drawn.
+        picture = render(means, factors, colors, size, found.background[0], pyramid=True)
+        loss = (picture - target).abs().mean()
         if step % 10 == 0:
             print(f"step {step}: absolute error {loss.item():.5f}")
         optimiser.zero_grad()

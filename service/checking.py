@@ -11,9 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from service.errors import JobTableError, MissingPackagesError, NotSetUpError
+from service.memory import available
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
-from service.sandbox.confinement import SandboxError, check_layers
+from service.sandbox.confinement import SandboxError, absent_layers, check_layers
 from service.settings import MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
@@ -47,7 +48,12 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
 
 
 def _settings(settings: Settings) -> str:
-    return f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
+    words = f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
+    needed, there_is = settings.workers * settings.job_memory_bytes, available()
+    if needed > there_is:
+        words += f"; encodes may take {needed:,} bytes of memory together, and there are {there_is:,}: lower "
+        words += "SG_WORKERS or SG_JOB_MEMORY_BYTES, or large pictures may fail"
+    return words
 
 
 def _database(settings: Settings) -> str:
@@ -94,7 +100,8 @@ def _kernels(_settings: Settings) -> str:
 
 def _sandbox(settings: Settings) -> str:
     """Run a task in the sandbox. A missing layer is a failure only where it is required."""
-    layers = check_layers(required=settings.require_sandbox)  # before there is a second thread
-    with own_sandbox(settings.encode_threads) as requests:
+    absent = absent_layers()  # before there is a second thread
+    warnings = check_layers(absent, required=settings.require_sandbox)
+    with own_sandbox(settings.encode_threads, absent) as requests:
         asyncio.run(Sandbox(requests).try_out(SANDBOX_STARTS_S))
-    return "; ".join(layers) or "every layer is there"
+    return "; ".join(warnings) or "every layer is there"

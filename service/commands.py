@@ -92,19 +92,23 @@ def _parser() -> argparse.ArgumentParser:
 def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
     stop = StopSignal()
     stop.on_signals()
-    warnings = _before_start(settings)
+    absent = _before_start(settings)
     listener = _announce(settings)
-    _warn(warnings)
-    sandbox = SandboxProcess(settings.encode_threads)
+    _warn(check_layers(absent, required=False))
+    sandbox = SandboxProcess(settings.encode_threads, absent)
     supervise(settings, listener, sandbox, sandbox.requests, stop)
 
 
 def _before_start(settings: Settings) -> list[str]:
-    """Open what the settings name and return warnings. Errors show here, not in processes that keep dying."""
-    missing = check_layers(required=settings.require_sandbox)  # before there is a second thread
+    """Open what the settings name; return the layers that the sandbox lacks.
+
+    Errors show here, not in processes that keep dying.
+    """
+    absent = absent_layers()  # before there is a second thread
+    check_layers(absent, required=settings.require_sandbox)
     open_job_table(settings).close()
     open_storage(settings).check()
-    return missing
+    return absent
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
@@ -134,8 +138,9 @@ def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractConte
     """Return the socket for requests to the supervisor's sandbox, or to a sandbox of this process."""
     if arguments.sandbox is not None:
         return socket.socket(fileno=arguments.sandbox)
-    _warn(_before_start(settings))
-    return own_sandbox(settings.encode_threads)
+    absent = _before_start(settings)
+    _warn(check_layers(absent, required=False))
+    return own_sandbox(settings.encode_threads, absent)
 
 
 def _check(settings: Settings, _arguments: argparse.Namespace) -> int:

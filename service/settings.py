@@ -18,6 +18,7 @@ from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
+from service.memory import available
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 from sgmethod.threads import MAX_THREADS
@@ -26,6 +27,7 @@ MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # small enough for the system and both databases
 LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
+MIN_DECODE_BYTES = 512 << 20
 MAX_WORKERS = 64  # processes of one machine
 MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
 WEBHOOK, ORIGIN = r"https?://[^/,\s][^,\s]*", r"https?://[^/,\s*]+"
@@ -35,6 +37,11 @@ OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the k
 def default_workers() -> int:
     """Return one worker for every four cores: an encode gains little beyond four threads."""
     return min(max(1, native.available_cores() // 4), MAX_WORKERS)
+
+
+def default_job_memory_bytes() -> int:
+    """Return 8 GiB, or what this machine or container has if that is less."""
+    return max(min(available(), 8 * 2**30), 2**28)
 
 
 def listed(text: str) -> list[str]:
@@ -72,7 +79,7 @@ class Settings(BaseSettings):
     # Jobs and encodes.
     queue_length: int = Field(default=1000, ge=1)
     max_time_limit_s: float = Field(default=300.0, gt=0, le=LONGEST_S)
-    job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, le=2**62)
+    job_memory_bytes: int = Field(default_factory=default_job_memory_bytes, ge=2**28, le=2**62)
     lease_s: float = Field(default=15.0, ge=1, le=LONGEST_S)
     stop_grace_s: float = Field(default=10.0, gt=0, le=LONGEST_S)
     require_sandbox: bool = False
@@ -173,6 +180,11 @@ class Settings(BaseSettings):
     def min_free_bytes(self) -> int:
         """Free disk space in bytes below which new jobs are refused."""
         return MIN_FREE_UPLOADS * self.max_upload_bytes
+
+    @property
+    def decode_memory_bytes(self) -> int:
+        """Memory of one decode: a quarter of an encode's, but enough for 50 megapixels if an encode has that."""
+        return min(max(self.job_memory_bytes // 4, MIN_DECODE_BYTES), self.job_memory_bytes)
 
     @property
     def job_timeout_s(self) -> float:

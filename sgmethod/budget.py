@@ -23,7 +23,7 @@ MAX_GAUSSIANS = 1 << 24  # in a file
 QualityName = Literal["preview", "web", "archive"]
 QUALITIES: dict[str, float] = {"preview": 40.0, "web": 60.0, "archive": 80.0}
 
-SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
+SIZE = re.compile(r"([+-]?[0-9]+\.?[0-9]*|[+-]?\.[0-9]+)\s*(?:(k|m|)b?|(ki|mi)b)", re.IGNORECASE | re.ASCII)
 UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
 
@@ -37,8 +37,9 @@ def quality_value(name: str) -> float:
 def bytes_value(text: str) -> float:
     """Return a size in bytes: 20000, 20k, 20kB, 1.5MB, 20KiB or 1MiB. Raises BudgetError for another text."""
     if parts := SIZE.fullmatch(text):
+        unit = (parts[2] or parts[3] or "").lower()
         with suppress(ArithmeticError):
-            return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, so that 1.001k is whole
+            return float(Decimal(parts[1]) * UNITS[unit])  # in decimals, so that 1.001k is whole
     raise BudgetError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
 
 

@@ -25,7 +25,6 @@ from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, QualityName, def
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
@@ -251,8 +250,8 @@ def _run(
     height, width, channels = pixels.shape
     objective = Objective.from_pixels(np.ascontiguousarray(pixels[..., :3]), asked.tune, settings.objective)
     rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
-    if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).has_majority:
-        rate = rate.for_exact_background()
+    if isinstance(rate, ByteBudget) and rate.is_short and objective.histogram.has_majority:
+        rate = rate.for_exact_background(channels == 4)
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:
         stream, steps = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))

@@ -20,7 +20,7 @@ from anyio import to_thread
 from fastapi import FastAPI, Security
 from fastapi.security import HTTPBearer
 from starlette.middleware.cors import CORSMiddleware
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
@@ -31,6 +31,7 @@ from service.api.health import VERSION
 from service.api.metrics import Metrics
 from service.api.middleware import BodyLimit, RequestLog
 from service.api.problems import PAGE, install_problem_handlers
+from service.api.room import DiskRoom
 from service.api.routes import add_routes
 from service.api.turns import ClientTasks, Streams, Turns
 from service.keys import KeyRing
@@ -127,6 +128,8 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         version=VERSION,
         description="Encode photographs as 2D Gaussians, and decode them.",
         lifespan=_lifespan,
+        openapi_url=None,  # which would be serialised at each request, without a key
+        servers=[{"url": settings.root_path}] if settings.root_path else None,
         docs_url=None,  # both pages load scripts from other hosts, which our policy forbids
         redoc_url=None,
         redirect_slashes=False,  # a redirect would repeat the client's Host
@@ -150,7 +153,14 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
     app.mount("/static", PageFiles(directory=STATIC))
     for path, file in (("/", "index.html"), ("/docs", "docs.html"), (PAGE, "problems.html")):
         app.add_api_route(path, _page(STATIC / file), include_in_schema=False)
+    app.add_api_route("/openapi.json", _document(app), include_in_schema=False)
     return _with_middleware(app, context)
+
+
+def _document(app: FastAPI) -> Callable[[], Response]:
+    """Return the handler of the OpenAPI document, which is made once."""
+    body = bytes(JSONResponse(app.openapi()).body)
+    return lambda: Response(body, media_type="application/json")
 
 
 def _page(path: Path) -> Callable[[], FileResponse]:
@@ -164,7 +174,9 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
     """
     settings = context.settings
     app = Authentication(app, context.keys, settings)
-    app = BodyLimit(app, settings.max_upload_bytes)
+    # Where a bucket stores images, temporary files are alone on their disk, which may be small.
+    kept_bytes = 0 if settings.storage_url else settings.min_free_bytes
+    app = BodyLimit(app, settings.max_upload_bytes, DiskRoom(kept_bytes))
     if settings.cors_origins:
         app = CORSMiddleware(
             app,

@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.api.callers import address_of
 from service.api.metrics import Metrics
 from service.api.problems import REFUSAL, ProblemError
+from service.api.room import DiskRoom, Reservation
 from service.logs import request_id
 
 log = logging.getLogger("access")
@@ -23,6 +24,7 @@ RESPONSE_HEADERS = {  # defaults
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+LONGEST_PATH = 200  # characters of the log; our own paths are shorter
 _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
@@ -66,32 +68,49 @@ class RequestLog:
         finally:
             client = state["caller"].client if "caller" in state else address_of(scope.get("client"))
             ms = 1000 * (time.monotonic() - started)
-            words = f"{method} {path!a} {status} {ms:.1f} ms {size} bytes, {client} {state.get(REFUSAL, '')}"
-            log.info("%s", words.rstrip())
+            what = f"{method} {path[:LONGEST_PATH]!a} {status} {ms:.1f} ms {size} bytes"
+            log.info("%s", f"{what}, {client} {state.get(REFUSAL, '')}".rstrip())
             request_id.reset(token)
 
 
 class BodyLimit:
-    """Middleware that raises ProblemError 413 in the application when it reads a body of more than max_bytes."""
+    """Middleware that raises ProblemError in the application when it reads a body that is too large for it or the disk.
 
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+    413 for more than max_bytes; 503, before the first byte, if the disk has no room for what the client announces, or
+    for max_bytes if it announces nothing.
+    """
+
+    def __init__(self, app: ASGIApp, max_bytes: int, room: DiskRoom) -> None:
         self._app = app
         self._max_bytes = max_bytes
+        self._room = room
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        length = Headers(scope=scope).get("content-length", "0")
+        headers = Headers(scope=scope)
+        length = headers.get("content-length", "0")
         declared, received = int(length) if re.fullmatch("[0-9]{1,18}", length) else 0, 0
+        reservation = Reservation(self._room, self._max_bytes if "transfer-encoding" in headers else declared)
+
+        def check(size: int) -> None:
+            if size > self._max_bytes:
+                detail = f"the body is larger than {self._max_bytes} bytes"
+                raise ProblemError(413, detail, max_bytes=self._max_bytes)
 
         async def limited() -> Message:
             nonlocal received
-            message = await receive() if declared <= self._max_bytes else {}
-            received += len(message.get("body", b""))
-            if max(declared, received) > self._max_bytes:
-                detail = f"the body is larger than {self._max_bytes} bytes"
-                raise ProblemError(413, detail, max_bytes=self._max_bytes)
+            check(declared)
+            await reservation.begin()
+            message = await receive()
+            size = len(message.get("body", b""))
+            received += size
+            check(received)
+            reservation.written(size)
             return message
 
-        await self._app(scope, limited, send)
+        try:
+            await self._app(scope, limited, send)
+        finally:
+            reservation.end()

@@ -17,7 +17,7 @@ from starlette.routing import Match
 
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
-from service.sandbox.client import SandboxUnavailableError, TaskError
+from service.sandbox.client import OutOfMemoryError, SandboxUnavailableError, TaskError
 from sgmethod.errors import BudgetError, ViewError
 
 log = logging.getLogger(__name__)
@@ -114,6 +114,8 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
             return ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
         case JobTableError():
             return _unreachable("the job table", "table", error)
+        case OutOfMemoryError():
+            return ProblemError(503, "the service is out of memory right now", reason="memory", headers=RETRY_AFTER)
         case SandboxUnavailableError():
             return _unreachable("the sandbox", "sandbox", error)
         case OSError():

@@ -15,6 +15,7 @@ from starlette.datastructures import Headers, UploadFile
 from starlette.requests import ClientDisconnect
 
 from service.api.problems import ProblemError
+from service.api.room import IN_MEMORY_BYTES
 from service.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
@@ -27,7 +28,6 @@ NEVER_STORED = {"Cache-Control": "no-store"}
 
 IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # all other fields are options
 MAX_FIELDS, MAX_FIELD_BYTES = 20, 1 << 10  # limits of a form; its parser reports them in kB
-MEMORY_BYTES = 1 << 20  # of a body; larger ones go to a temporary file
 MAX_WAIT_S = 50  # by default, proxies give up on an answer that has not begun after 60 s
 
 _WEIGHT = re.compile(r"[01](\.[0-9]{0,3})?|\.[0-9]{1,3}")
@@ -121,8 +121,8 @@ async def idempotency_key(request: Request) -> str | None:
 
 @asynccontextmanager
 async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
-    """Read the whole body into a file, deleted at the end of the context. Raises ProblemError 413, from BodyLimit."""
-    file = cast(BinaryIO, tempfile.SpooledTemporaryFile(MEMORY_BYTES))  # noqa: SIM115 - upload closes it
+    """Read the whole body into a file, deleted at the end of the context. Raises ProblemError, from BodyLimit."""
+    file = cast(BinaryIO, tempfile.SpooledTemporaryFile(IN_MEMORY_BYTES))  # noqa: SIM115 - upload closes it
     upload = UploadFile(file, size=0)
     try:
         async for chunk in request.stream():

@@ -125,7 +125,7 @@ class ClientTasks:
         self._trying = asyncio.Lock()
         self._next_trial, self._trouble = 0.0, ""
         self._limits: dict[str, Any] = {  # of tasks that decode
-            "memory_bytes": settings.job_memory_bytes // 4,
+            "memory_bytes": settings.decode_memory_bytes,
             "cpu_s": settings.decode_time_s,
             "max_pixels": settings.max_pixels,
         }

@@ -12,7 +12,7 @@ import socket
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, BinaryIO
 
 from service.process.loops import PeriodicThread, StopSignal
@@ -39,6 +39,7 @@ READ_BYTES = 1 << 18
 PATIENCE_S = 60.0
 TRIES = 2  # a process may have died for another reason than its task
 EARLY_END = b"!"
+KILLED = "the system killed a task, as it does when memory runs out"
 TINY_IMAGE = b"P6 1 1 255 rgb"
 MODULE = "service.sandbox.server"
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -49,6 +50,10 @@ HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 
 class SandboxUnavailableError(OSError):
     """The sandbox has died or cannot be started, through no fault of the task. Trying again may help."""
+
+
+class OutOfMemoryError(SandboxUnavailableError):
+    """The system killed the task, as it does when memory runs out. Trying again later may help."""
 
 
 class TaskError(Exception):
@@ -109,6 +114,9 @@ class Sandbox:
                     log.warning("a task crashed: %s", detail)
                 case Ended(status=status) if status == -signal.SIGPROF:
                     raise TaskError("it exceeds the time limit")
+                case Ended(status=status) if status == -signal.SIGKILL:  # not by us, since the client still waits
+                    log.warning("%s", KILLED)
+                    raise OutOfMemoryError(KILLED)
         raise TaskError("its decoder crashed")
 
     async def try_out(self, patience_s: float) -> None:
@@ -182,15 +190,16 @@ class RunningTask:
 class SandboxProcess(Supervised):
     """The process of the sandbox. requests: socket that its clients write to; threads: of an encode.
 
+    absent: layers that tasks may lack, as found at the start: later, a layer may be missing because memory is short.
     Requests written while it is dead are handled by its successor.
     """
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, threads: int, absent: Collection[str]) -> None:
         self.requests, self._served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         # Libraries read these when they load. OpenBLAS has one thread, since forks would lose the others.
         variables = {**dict.fromkeys(THREAD_VARIABLES, str(threads)), "OPENBLAS_NUM_THREADS": "1"}
         number = self._served.fileno()
-        command = [sys.executable, "-m", MODULE, str(number)]
+        command = [sys.executable, "-m", MODULE, str(number), *absent]
         super().__init__("sandbox", command, (number,), {**HUGE_PAGES, **environment(os.environ), **variables})
 
     def stop(self, deadline: float) -> None:
@@ -201,9 +210,9 @@ class SandboxProcess(Supervised):
 
 
 @contextlib.contextmanager
-def own_sandbox(threads: int) -> Iterator[socket.socket]:
+def own_sandbox(threads: int, absent: Collection[str]) -> Iterator[socket.socket]:
     """Run a sandbox for this process only, and provide its socket for requests."""
-    process, ended = SandboxProcess(threads), StopSignal()
+    process, ended = SandboxProcess(threads, absent), StopSignal()
     keeper = PeriodicThread("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
     keeper.start()
     try:

@@ -13,6 +13,7 @@ are made directly, because no maintained library wraps them.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 import os
@@ -21,7 +22,7 @@ import resource
 import signal
 import struct
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from service.sandbox import filter as calls
@@ -33,6 +34,7 @@ LAYERS = ("Landlock", "seccomp", "a user other than root")  # the layers that a 
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of address space: libraries, stacks and arenas reserve more than they use
 PROBE_BYTES = 16 << 20  # for the fork of absent_layers()
+OOM_SCORE = "500"  # of -1000 to 1000; the service has 0 unless told otherwise
 MAX_USER_THREADS, THREADS_STEP = 8192, 16  # all threads of the user; precision of the count
 NOTHING = (
     *(resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE),
@@ -61,6 +63,12 @@ def environment(given: Mapping[str, str]) -> dict[str, str]:
 def set_name(name: str) -> None:
     """Set the name of this process in process lists, which show its first 15 bytes."""
     _libc.prctl(calls.SET_NAME, name.encode(), 0, 0, 0)
+
+
+def die_first() -> None:
+    """Have the system end this process before those of the service if memory runs out."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
 
 
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:
@@ -124,9 +132,8 @@ class SandboxError(Exception):
     """The sandbox cannot be set up, or lacks a required layer; one sentence."""
 
 
-def check_layers(*, required: bool) -> list[str]:
-    """Return warnings about missing layers and about root. Raises SandboxError if a required layer is missing."""
-    layers = absent_layers()
+def check_layers(layers: Collection[str], *, required: bool) -> list[str]:
+    """Return warnings about absent layers and about root. Raises SandboxError if layers are absent and required."""
     absent = " and ".join(layers)
     if absent and required:
         raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")

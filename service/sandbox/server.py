@@ -20,7 +20,7 @@ from typing import NoReturn
 
 from pydantic import TypeAdapter
 
-from service.sandbox.confinement import SandboxError, absent_layers, confine, end_with, set_name
+from service.sandbox.confinement import SandboxError, confine, die_first, end_with, set_name
 from service.sandbox.frames import END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
@@ -28,6 +28,8 @@ WAITING_FORKS = 2
 MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
 PAUSE_S = 0.25  # after a fork that ended without a task
+ENDS_S, POLL_S = 0.2, 5e-4  # until a fork that has closed its descriptors is gone
+TAKEN_OVER = 70  # the exit status of a fork that had to be killed
 # Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
 # process and before encodes, since no request waits for an encode.
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
@@ -141,9 +143,7 @@ class Server:
         """Collect a fork that closed control. If it still runs, a file has taken it over."""
         self._selector.unregister(fork.control)
         fork.control.close()
-        os.kill(fork.number, signal.SIGKILL)
-        _, status = os.waitpid(fork.number, 0)
-        fork.status = os.waitstatus_to_exitcode(status)
+        fork.status = _ended(fork.number)
         if fork in self._waiting:
             self._waiting.remove(fork)
             print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
@@ -168,6 +168,20 @@ class Server:
         fork.answer = None
 
 
+def _ended(number: int) -> int:
+    """Return how a fork ended, or end it. A status of -SIGKILL says that the system killed it, and not this."""
+    until = time.monotonic() + ENDS_S
+    while True:
+        found, status = os.waitpid(number, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        if time.monotonic() > until:
+            os.kill(number, signal.SIGKILL)
+            os.waitpid(number, 0)
+            return TAKEN_OVER
+        time.sleep(POLL_S)
+
+
 def _hung_up(connection: socket.socket) -> bool:
     """Whether the other end is closed. Reading nothing does not prove it, since a message may be empty."""
     poll = select.poll()
@@ -180,6 +194,7 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
     status = 1
     try:
         end_with(parent)
+        die_first()
         _leave_all_but(control)
         set_name("waits for a task")
         os.nice(PICTURE_NICENESS)
@@ -248,7 +263,7 @@ def main() -> None:
     warm_up()
     gc.collect()
     gc.freeze()  # so that forks share it
-    Server(requests, absent_layers()).run()
+    Server(requests, sys.argv[2:]).run()
 
 
 if __name__ == "__main__":

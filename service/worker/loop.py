@@ -16,7 +16,7 @@ from service.jobs.job import JobError
 from service.jobs.table import JobTable
 from service.process.loops import PeriodicThread, StopSignal, log_errors
 from service.sandbox import frames
-from service.sandbox.client import RunningTask, Sandbox, SandboxUnavailableError
+from service.sandbox.client import KILLED, RunningTask, Sandbox, SandboxUnavailableError
 from service.settings import Settings
 from service.storage.files import Storage, source_key
 from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
@@ -164,6 +164,8 @@ def _outcome(message: frames.Message) -> Encoded | JobError:
             return JobError("refused", detail)
         case frames.Crashed(detail=detail):
             return JobError("crashed", f"the encoder crashed: {detail}")
+        case frames.Ended(status=status) if status == -signal.SIGKILL:
+            return JobError("crashed", f"{KILLED}: the encode needs more than there is")
         case frames.Ended(status=status):
             how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
             return JobError("crashed", f"the encoder crashed ({how})")

@@ -88,7 +88,8 @@ def output(path: str) -> str:
 def listed(folder: str) -> list[Path]:
     """List a folder's files and broken links by name, without pipes, which might block. Raises CommandError."""
     with _command_errors("read", folder):
-        return sorted(path for path in Path(folder).iterdir() if path.is_file() or not path.exists())
+        found = (path for path in Path(folder).iterdir() if path.is_file() or not path.exists())
+        return sorted(found, key=lambda path: path.name)  # paths of Windows compare without case
 
 
 def name_of(path: str, stream: str = "standard input") -> str:

@@ -11,6 +11,7 @@ from sgmethod.cli import files
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.io import formats
 from sgmethod.many.manifest import Row
+from sgmethod.many.names import Names
 
 SUFFIX = ".sg"
 PICTURES = formats.SUFFIXES
@@ -88,22 +89,19 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
 def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
     """List conversions of files, and of folders' files with a known extension, into the output folder.
 
-    Where a.jpg has taken the name of a.png, that keeps its extension: a.sg and a.png.sg. Raises CommandError.
+    Where a.jpg has taken the name of a.png, that keeps its extension: a.sg and a.png.sg. Raises SgError.
     """
     if arguments.output is not None:
         raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
         raise CommandError("--output-dir cannot be combined with standard input")
-    made: dict[str, Conversion] = {}
+    names, made = Names(Path(arguments.output_dir)), []
     for source in (one for name in arguments.names for one in files_of(name, known)):
-        target = str(Path(arguments.output_dir) / Path(renamed(source)).name)
-        if target in made and Path(made[target].input).name != Path(source).name:
-            target = str(Path(arguments.output_dir) / (Path(source).name + Path(target).suffix))
-        if target in made:
-            raise CommandError(f"{made[target].input} and {source} would both become {target}")
-        made[target] = Conversion.from_paths(source, target)
+        short = Path(renamed(source))
+        name = names.take(source, short.name, Path(source).name + short.suffix)
+        made.append(Conversion.from_paths(source, str(Path(arguments.output_dir) / name)))
     files.make_folder(arguments.output_dir)
-    return list(made.values())
+    return made
 
 
 def kind_of(target: str, kinds: Mapping[str, str], of_devices: str) -> str:

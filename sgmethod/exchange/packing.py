@@ -144,11 +144,24 @@ class _Packing:
 
 
 def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
-    """Return the Gaussians that reach into a picture of this size."""
-    l1, l2, l3 = gaussians.factors.T
-    reach = math.sqrt(2 * native.CUTOFF_V2) * np.stack([l1, np.hypot(l2, l3)], 1)
-    inside = np.logical_and(gaussians.means > -reach, gaussians.means < size + reach)
-    return gaussians.rows(np.flatnonzero(inside.all(1)))
+    """Return the Gaussians that reach a pixel's centre in a picture of this size."""
+    reach, (width, height) = math.sqrt(2 * native.CUTOFF_V2), size
+    x, y = gaussians.means.T.astype(np.float64)
+    l1, l2, l3 = gaussians.factors.T.astype(np.float64)
+    column = np.clip(np.ceil(x - reach * l1 - 0.5), 0, width)
+    last = np.clip(np.floor(x + reach * l1 - 0.5), -1, width - 1)
+    touches = np.zeros(len(gaussians), np.bool_)
+    left = np.flatnonzero(column <= last)
+    while len(left):  # a column at a time, as most reach a pixel in their first or second
+        dx = column[left] + 0.5 - x[left]
+        middle = y[left] + l2[left] / l1[left] * dx
+        half = l3[left] * np.sqrt(np.maximum(reach**2 - np.square(dx / l1[left]), 0))
+        touches[left] = np.maximum(np.ceil(middle - half - 0.5), 0) <= np.minimum(
+            np.floor(middle + half - 0.5), height - 1
+        )
+        column[left] += 1
+        left = left[~touches[left] & (column[left] <= last[left])]
+    return gaussians.rows(np.flatnonzero(touches))
 
 
 def _levels(background: Any) -> tuple[int, int, int]:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.planes import halved
-from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame, Target, Visibility
+from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Backend, Frame, Target, Visibility
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.fitting.islands import Islands, OnSheet, moved
 from sgmethod.fitting.visibility import amplitudes
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
@@ -26,12 +27,14 @@ from sgmethod.threads import in_parallel
 # Adds back the Laplacian lost to a blur with a variance of 1 / 16 along each axis.
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 DAMPING = 0.01  # of colours by least squares
+SQUARE = 4  # pixels along a side: less than a Gaussian that many can be afforded of
 
 
 class Histogram:
     """Statistics of the levels of an image [H, W, 3].
 
-    background: the colour of more than half of the image, such as a page's white (has_majority), else the mean colour;
+    mean: the mean colour; background: the colour of more than half of the image, such as a page's white, if it is
+    as near to the image's parts as the mean (has_majority), else the mean, as for a checkerboard;
     spread: the largest difference between the levels of a channel.
     """
 
@@ -39,10 +42,22 @@ class Histogram:
         number = pixels.shape[0] * pixels.shape[1]
         counts = _counts(pixels)
         most = counts.argmax(1).astype(np.uint8)
+        red, green, blue = (round(float(c)) for c in counts @ np.arange(256) / number)
+        self.mean = self.background = red, green, blue
         self.has_majority = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
-        red, green, blue = (round(float(c)) for c in (most if self.has_majority else counts @ np.arange(256) / number))
-        self.background = red, green, blue
+        if self.has_majority:
+            self.has_majority = _distance(pixels, most) <= _distance(pixels, np.array(self.mean))
+        if self.has_majority:
+            red, green, blue = most.tolist()
+            self.background = red, green, blue
         self.spread = int(max(np.ptp(np.flatnonzero(of_channel)) for of_channel in counts))
+
+
+def _distance(pixels: NDArray[np.uint8], colour: NDArray[Any]) -> float:
+    """Mean distance of a colour from squares of an image, each counting as its mean."""
+    size = -(-pixels.shape[1] // SQUARE), -(-pixels.shape[0] // SQUARE)
+    squares = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return float(np.abs(squares.astype(np.int16) - colour.astype(np.int16)).mean())
 
 
 def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -65,12 +80,16 @@ def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 
 
 @dataclass(frozen=True)
 class Level:
-    """One size of the picture: its target, and the weights of the pixels' errors."""
+    """One size of the picture: its target, and the weights of the pixels' errors.
+
+    islands: those of the picture if it is their sheet.
+    """
 
     backend: Backend
     frame: Frame
     target: Target
     visibility: Visibility | None = None
+    islands: Islands | None = None
 
     @property
     def values(self) -> int:
@@ -81,6 +100,21 @@ class Level:
     def pixels(self) -> int:
         """Number of this level's pixels."""
         return self.frame.height * self.frame.width
+
+    def on_sheet(self, islands: Islands, background: Target) -> Level:
+        """Return the sheet of this whole picture's islands as a level. background: the target [3, 1, 1] elsewhere."""
+        share, beside = islands.pixels / self.pixels, float(np.square(background / TARGET_WHITE).mean())
+        backend = OnSheet(self.backend, islands, share, beside, self.target, self.visibility)
+        frame, target = Frame(islands.width, islands.height), islands.laid(self.target, background)
+        visibility = self.visibility and replace(self.visibility, values=islands.laid(self.visibility.values, VISIBLE))
+        return Level(backend, frame, target, visibility, islands)
+
+    def shapes(self, means: FloatArray, factors: FloatArray) -> Gaussians:
+        """Return black Gaussians with these means [N, 2] and factors [N, 3] in this level's samples."""
+        means, factors = means * np.float32(self.frame.spacing), factors * np.float32(self.frame.spacing)
+        if self.islands is not None:
+            means = moved(means, self.islands.to_picture)
+        return Gaussians(means, factors, np.zeros((len(means), 3), np.float32))
 
     def halved(self, sharpened: bool = False) -> Level:
         """Return the level of half the size, by means of four samples.

@@ -50,8 +50,11 @@ class FitTarget:
         """Whether the target moves before this step. has_grown: the growth of this run is over."""
         return False
 
-    def moved(self, _error: Rows) -> FitTarget:
-        """Return the target moved for this error: original target minus picture, by the target's rows."""
+    def moved(self, _error: Rows, _into: Target | None = None) -> FitTarget:
+        """Return the target moved for this error: original target minus picture, by the target's rows.
+
+        into: memory for what the fit then aims at; may be this target's own, if nobody needs it any more.
+        """
         return self
 
     def without(self, _grain: Target) -> FitTarget:
@@ -61,6 +64,10 @@ class FitTarget:
     def whole(self) -> FitTarget:
         """Return the target with its grain added back, for good."""
         return self
+
+    def at_rest(self) -> FitTarget:
+        """Return the target where it is now, without the memory that a move needs."""
+        return FitTarget(self.original, self.now)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -102,7 +109,7 @@ class ExaggeratedTarget(FitTarget):
         now = self.now if self.grain is None else self.now + self.grain
         return replace(self, now=now, grain=None, kept=None, hides=True)
 
-    def moved(self, error: Rows) -> ExaggeratedTarget:
+    def moved(self, error: Rows, into: Target | None = None) -> ExaggeratedTarget:
         s = self.settings
         coarse, luma = self._reduced(error)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
@@ -110,14 +117,14 @@ class ExaggeratedTarget(FitTarget):
         detail = self.detail or _octaves(self._reduced(self._source)[1], s)
         more = self._more_detail(detail, luma)
         exaggerated = self._exaggerated(detail, more, luma.shape)
-        return replace(self, now=self._offset(by, exaggerated), by=by, detail=detail, more=more)
+        return replace(self, now=self._offset(by, exaggerated, into), by=by, detail=detail, more=more)
 
-    def _offset(self, by: FloatArray, detail: FloatArray) -> Target:
+    def _offset(self, by: FloatArray, detail: FloatArray, into: Target | None) -> Target:
         """Add both offsets to the original, and subtract hidden grain."""
         _, *size = self.original.shape
         by_coarse = np.rint(by * TARGET_WHITE).astype(np.int16)
         by_detail = _enlarged(np.rint(detail * TARGET_WHITE).astype(np.int16), (*size,))
-        now = np.empty_like(self.original)
+        now = np.empty_like(self.original) if into is None else into
 
         def move(k: int) -> None:
             np.add(self.original[k], _enlarged(by_coarse[k], (*size,)), out=now[k])
@@ -189,8 +196,8 @@ class OvershootingTarget(FitTarget):
     def is_due(self, step: int, _has_grown: bool) -> bool:
         return step % self.every == 0
 
-    def moved(self, error: Rows) -> OvershootingTarget:
-        now, (_, height, width) = np.empty_like(self.original), self.original.shape
+    def moved(self, error: Rows, into: Target | None = None) -> OvershootingTarget:
+        now, (_, height, width) = np.empty_like(self.original) if into is None else into, self.original.shape
         for first, end in bands(height, width):
             beyond = np.clip(-error(first, end)[0], *self.range[:, first:end])
             moved = np.rint(beyond * TARGET_WHITE).astype(np.int16)

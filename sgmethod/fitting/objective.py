@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
+from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.moving_target import ExaggeratedTarget, FitTarget, OvershootingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
@@ -52,6 +54,11 @@ class Objective:
     def from_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
         """Objective for an alpha plane [H, W]."""
         return cls(np.repeat(alpha[..., None], 3, axis=2), settings, is_alpha=True)
+
+    @cached_property
+    def histogram(self) -> Histogram:
+        """Statistics of the picture's levels."""
+        return Histogram(self.pixels)
 
     @property
     def replaces_grain(self) -> bool:

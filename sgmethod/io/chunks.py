@@ -1,6 +1,6 @@
 """Parsers for parts of image files that Pillow does not expose, or misreads.
 
-PNG's chunks, the profile of BMP, colours and aperture of AVIF, the header of JPEG XL, the orientation in EXIF data.
+PNG's chunks, the profile of BMP, the boxes of AVIF and JPEG XL, the header of JPEG XL, the orientation in EXIF data.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
-from fractions import Fraction
 from typing import NamedTuple
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -19,6 +18,8 @@ BMP_V5, BMP_EMBEDDED = 124, b"DEBM"  # size of the header; colour space PROFILE_
 
 EXIF_MARKS = re.compile(rb"^(Exif\0\0)*")  # some writers put it there twice
 ORIENTATION = 274
+
+MAX_BOXES = 1 << 16
 
 Span = tuple[bytes, int, int]  # kind, start and end of the content
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1
@@ -84,33 +85,6 @@ def brands(data: bytes) -> list[bytes]:
     return [data[8:12], *(data[at : at + 4] for at in range(16, end - 3, 4))]
 
 
-def code_points(data: bytes) -> tuple[int, int] | None:
-    """Primaries and transfer (H.273) of an AVIF file: those stated first are the primary picture's."""
-    meta = _meta(data)
-    at = meta.find(b"colrnclx")
-    return (_number(meta, at + 8, 2), _number(meta, at + 10, 2)) if at >= 0 else None
-
-
-def clean_aperture(data: bytes, width: int, height: int) -> Box | None:
-    """Visible part of an AVIF file's primary picture, the first one stated; None if there is none, or it is invalid.
-
-    ISO/IEC 14496-12, 12.1.4: width, height, and the offset of the part's centre from the picture's, all as fractions.
-    """
-    meta = _meta(data)
-    at = meta.find(b"\0\0\0\x28clap")
-    numbers = struct.unpack_from(">iIiIiIiI", meta, at + 8) if at >= 0 else (0,) * 8
-    if 0 in numbers[1::2]:
-        return None
-    w, h, across, down = map(Fraction, numbers[::2], numbers[1::2])
-    x, y = int((width - w) / 2 + across), int((height - h) / 2 + down)
-    right, bottom = x + int(w), y + int(h)
-    return (x, y, right, bottom) if 0 <= x < right <= width and 0 <= y < bottom <= height else None
-
-
-def _meta(data: bytes) -> bytes:
-    return next((data[start:end] for kind, start, end in _boxes(data) if kind == b"meta"), b"")
-
-
 def exif_orientation(block: object) -> int:
     """Orientation stated by an EXIF block, 1 to 8; 1 if there is none.
 
@@ -134,7 +108,7 @@ def jpeg_xl_header(data: bytes) -> JpegXl:
     """Parse the header of a JPEG XL file (ISO/IEC 18181-1, annex D). Raises ValueError."""
     if data.startswith(JPEG_XL_MAGICS[1]):  # boxes: jxlp is a part with its number in front, jxlc the whole codestream
         starts = {b"jxlp": 4, b"jxlc": 0}
-        parts = (data[at + starts[kind] : end] for kind, at, end in _boxes(data) if kind in starts)
+        parts = (data[at + starts[kind] : end] for kind, at, end in boxes(data) if kind in starts)
         data = b"".join(part[:64] for part in parts)
     bits = _Bits(data[2:64])
     height, width = bits.size()
@@ -187,10 +161,10 @@ def _number(data: bytes, at: int, length: int) -> int:
     return int.from_bytes(data[at : at + length], "big")
 
 
-def _boxes(data: bytes) -> Iterator[Span]:
-    """Yield the outermost boxes of a file, up to the first that does not fit."""
+def boxes(data: bytes) -> Iterator[Span]:
+    """Yield the outermost boxes, up to the first that does not fit, and at most MAX_BOXES."""
     start = 0
-    while start + 8 <= len(data):
+    for _ in range(MAX_BOXES):
         length, kind, body = _number(data, start, 4), data[start + 4 : start + 8], start + 8
         if length == 1:
             length, body = _number(data, start + 8, 8), start + 16

@@ -8,7 +8,7 @@ from typing import Any
 from PIL import Image
 
 from sgmethod.errors import ImageError
-from sgmethod.io import chunks, colour, formats
+from sgmethod.io import chunks, colour, formats, items
 from sgmethod.io.chunks import Box
 from sgmethod.io.colour import Colour, ProfileError
 from sgmethod.native import native
@@ -87,7 +87,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
     still = _is_still(reader, data)
     if not still:
         notes = ("only the first of several pictures is used", *notes)
-    aperture = chunks.clean_aperture(data, *reader.size) if kind == "AVIF" else None  # libheif crops itself
+    aperture = items.clean_aperture(data, *reader.size) if kind == "AVIF" else None  # libheif crops itself
     return Opened(reader, data, orientation, stated, notes, still, frame_of(reader), aperture)
 
 
@@ -172,7 +172,7 @@ def stated_colour(reader: Image.Image, data: bytes | None) -> tuple[Colour, tupl
             found = colour.from_profile(info["icc_profile"] or b"", mode)
         elif data is not None and kind == "BMP" and (profile := chunks.bmp_profile(data)) is not None:
             found = colour.from_profile(profile, mode)
-        elif data is not None and kind == "AVIF" and (points := chunks.code_points(data)) is not None:
+        elif data is not None and kind == "AVIF" and (points := items.code_points(data)) is not None:
             found = colour.from_code_points(*points)
         elif nclx := info.get("nclx_profile"):  # of pillow_heif
             found = colour.from_code_points(nclx["color_primaries"], nclx["transfer_characteristics"])

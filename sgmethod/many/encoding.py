@@ -29,8 +29,9 @@ def encode_many(
 ) -> Tally:
     """Encode any number of pictures to output_dir/NAME.sg, with a manifest, output_dir/manifest.jsonl.
 
-    items: paths of pictures, NAME being the file's without its suffix, or with it if another file has that name; or
-    pairs (NAME, picture) with a picture as encode() takes it. They are taken one by one, and may come from a generator.
+    items: paths of pictures, NAME being the file's without its suffix, or with it if another file has that name, in
+    capitals or not; or pairs (NAME, picture) with a picture as encode() takes it. They are taken one by one, and may
+    come from a generator.
     jobs: pictures encoded at a time, 1 to 256, each in a process with its share of the threads. A script that asks for
     more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for
@@ -39,7 +40,8 @@ def encode_many(
     options: keyword arguments of encode().
 
     A picture that cannot be encoded is recorded with its error; the rest continues. Raises SgError for a name that is
-    invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
+    invalid or used twice (if the folder ignores case, "a" and "A" are one) and for a manifest that cannot be written,
+    and OSError if the folder cannot be created.
     """
     jobs = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
 

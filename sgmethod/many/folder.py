@@ -12,6 +12,7 @@ from sgmethod.errors import SgError
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.image import Input
 from sgmethod.many.manifest import Manifest, Row
+from sgmethod.many.names import Names
 from sgmethod.many.run import Finished, OnRow, Run, Tally, Task
 
 Item = str | os.PathLike[str] | tuple[str, Input]
@@ -37,24 +38,25 @@ def into_folder(
     folder.mkdir(parents=True, exist_ok=True)
     with Manifest(folder, options) as manifest:
         run = Run[Row](manifest, resume, len(items) if isinstance(items, Sized) else None)
-        return run.finish(finish(folder, run.rest(_tasks(items))), on_row)
+        return run.finish(finish(folder, run.rest(_tasks(items, folder))), on_row)
 
 
-def _tasks(items: Iterable[Item]) -> Iterator[Task[Row]]:
+def _tasks(items: Iterable[Item], folder: Path) -> Iterator[Task[Row]]:
     """Yield a task for each picture. Raises SgError for a name that is invalid or used twice."""
-    names: dict[str, str | None] = {}  # and the file that has each, if it is one
+    names = Names(folder)
     for item in items:
         name, picture = item if isinstance(item, tuple) else (checked_path(item).stem, item)
-        file_name = None if isinstance(item, tuple) else checked_path(item).name
-        if file_name is not None and names.get(name, file_name) != file_name:
-            name = file_name
         if not isinstance(name, str) or not name or checked_path(name).name != name:
             raise SgError(f"the name of a picture must be a file name without folders, got {name!r}")
-        if name in names:
-            raise SgError(f"two pictures are named {name!r}: give other names, as pairs (name, picture)")
-        names[name] = file_name
         path = os.fsdecode(picture) if isinstance(picture, str | os.PathLike) else None
-        yield Task(picture, Row(f"{name}.sg", path))
+        try:
+            if isinstance(item, tuple):
+                file_name = names.take(f"the picture {name!r}", f"{name}.sg")
+            else:
+                file_name = names.take(os.fsdecode(item), f"{name}.sg", f"{checked_path(item).name}.sg")
+        except SgError as error:
+            raise SgError(f"{error}: give other names, as pairs (name, picture)") from None
+        yield Task(picture, Row(file_name, path))
 
 
 def written(make: Callable[[Any], Made], folder: Path, task: Task[Row]) -> Row:

@@ -28,7 +28,7 @@ from sgmethod.settings.paper import PaperSettings
 from sgmethod.start.placement import place
 
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
-PSNR_ATTEMPTS = 4
+PSNR_UNTIL = (0.22, 0.46, 0.72, 1.0)  # of the time: when attempts end, each a little longer, so that the next has time
 EXPECTED_GROUPS = 2  # bitwidths: most Gaussians have the least, and some one bit more
 PSNR_PER_DOUBLING_DB = 1.7  # first guess in a search for a PSNR: gain from twice as many Gaussians
 
@@ -88,8 +88,8 @@ def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
     pixels = request.size[0] * request.size[1]
     n, steps = max(pixels // 300, 1), 0
     tried: dict[int, tuple[float, StreamV1]] = {}
-    for attempt in range(PSNR_ATTEMPTS):
-        part = replace(request, deadline=request.deadline.at((attempt + 1) / PSNR_ATTEMPTS))
+    for attempt in request.deadline.tries(len(PSNR_UNTIL)):
+        part = replace(request, deadline=request.deadline.at(PSNR_UNTIL[attempt]))
         stream, taken = run(part, n, None)
         steps += taken
         tried[n] = (psnr(draw(stream.scene()), request.pixels), stream)

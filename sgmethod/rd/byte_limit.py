@@ -21,7 +21,7 @@ from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import RdSettings, Times
 
 PRECISION = 1e-3  # of a quantum, as a part
-LONG_FILE = 32  # bytes that certainly hold a header that is not short, with alpha
+LONG_FILE, ITS_ALPHA = 20, 12  # bytes that certainly hold a header that is not short, and what alpha adds
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class ByteBudget(ByteLimit):
         if max_bytes < least:
             kind = "a file with alpha" if has_alpha else "a file of profile rd"
             raise BudgetError(f"{kind} takes at least {least} bytes, the budget is {max_bytes}")
-        return cls(settings, pixels, 0.0, is_short=max_bytes <= SHORT_BYTES).for_bytes(max_bytes)
+        found = cls(settings, pixels, 0.0).for_bytes(max_bytes)
+        return replace(found, is_short=found.max_bytes <= SHORT_BYTES)
 
     def for_bytes(self, max_bytes: int) -> ByteBudget:
         """Return the same for another number of bytes, at most as many as a file can use."""
@@ -74,9 +75,9 @@ class ByteBudget(ByteLimit):
         quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
         return replace(self, quantum=quantum, max_bytes=max_bytes)
 
-    def for_exact_background(self) -> ByteBudget:
+    def for_exact_background(self, has_alpha: bool) -> ByteBudget:
         """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
-        return replace(self, is_short=self.max_bytes < LONG_FILE)
+        return replace(self, is_short=self.max_bytes < LONG_FILE + (ITS_ALPHA if has_alpha else 0))
 
     def for_alpha(self) -> ByteLimit:
         """Alpha takes what it is worth, up to a limit."""

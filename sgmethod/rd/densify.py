@@ -9,11 +9,9 @@ import numpy as np
 from sgmethod.backend.protocol import TILE_HEIGHT, release_memory
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.matching_pursuit import candidates
-from sgmethod.rd.plan import Plan, Stage, State
+from sgmethod.rd.plan import MANY_VALUES, Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
-
-MANY_VALUES = 1 << 23  # samples of a level; growth on a smaller one leaves little memory behind
 
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:
@@ -82,9 +80,9 @@ def _found(plan: Plan, state: State, level: Level, most: int, least_gain: float)
     means, factors = candidates(level.residual(state.gaussians), size, most, least_gain, hidden_by)
     if len(means) == 0:
         return Gaussians.empty(0)
-    spacing = np.float32(level.frame.spacing)
-    shapes = Gaussians(means * spacing, factors * spacing, np.empty((len(means), 3), np.float32))
-    return level.solve_colors(shapes, plan.settings.densify.color_solve_steps, others=state.gaussians)
+    return level.solve_colors(
+        level.shapes(means, factors), plan.settings.densify.color_solve_steps, others=state.gaussians
+    )
 
 
 def _by_place(gaussians: Gaussians, width: int) -> np.ndarray:

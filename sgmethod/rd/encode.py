@@ -15,6 +15,8 @@ stay, and drops those that gain least. Alpha takes two requests, which alpha.py 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
@@ -23,6 +25,7 @@ from sgmethod.rd.plan import Plan, stages
 from sgmethod.rd.rate_control import Coded
 from sgmethod.rd.request import Request
 from sgmethod.rd.search import search
+from sgmethod.rd.sparse import on_islands
 from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
@@ -31,7 +34,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
     """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
-    pyramid = request.pyramid()
+    request, pyramid = on_islands(request)
     gaussians = place(request, pyramid)
     plan = Plan.from_request(request, pyramid, gaussians)
     state = plan.begin(gaussians)
@@ -47,6 +50,8 @@ def encode(request: Request) -> tuple[StreamV2, int]:
                 state = densify(plan, state, stage)
             state = fit(plan, state, stage)
         state = settle(plan, state, plan.times(number))
+        if number == rounds[-1] + rate.further_rounds:  # the last that may follow: a search needs memory of its own
+            state = replace(state, target=state.target.at_rest())
         if state.is_enough or number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
             if rate.is_enough(files[number]):

@@ -10,6 +10,7 @@ from sgmethod.rd.plan import Plan, Stage, State
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
     """Take the steps of a stage."""
+    given = state.target.now
     state = _without_grain(plan, state, stage)
     request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
@@ -25,7 +26,9 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     for progress in stage.pace.together(stage.until, while_target_rests):
         level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
-            state = replace(state, target=state.target.moved(plan.finest.missing(gaussians, half=state.target.half)))
+            error = plan.finest.missing(gaussians, half=state.target.half)
+            into = None if state.target.now is given else state.target.now  # each is as large as the picture
+            state = replace(state, target=state.target.moved(error, into))
             level = replace(level, target=state.target.now)
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
@@ -36,7 +39,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
     """Take grain off the target, once the fit misses about as much of it as it will in the end."""
-    is_whole = plan.finest.frame.spacing == 1
+    frame = plan.finest.frame
+    is_whole = (frame.width, frame.height) == plan.request.size
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
     target = state.target.without(plan.request.objective.grain(plan.finest.missing(state.gaussians)))

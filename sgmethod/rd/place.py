@@ -22,6 +22,4 @@ def place(request: Request, pyramid: Pyramid) -> Gaussians:
     level = pyramid.coarsest(few * (n // 4 if request.deadline.is_short() else n))
     image = level.image().transpose(1, 2, 0) + np.array(request.background, np.float32) / 255
     placed = place_by_structure(np.ascontiguousarray(image), n, s.start, np.random.default_rng(request.seed))
-    spacing = np.float32(level.frame.spacing)
-    shapes = Gaussians(placed.means * spacing, placed.factors * spacing, placed.colors)
-    return level.solve_colors(shapes, s.color_solve_steps)
+    return level.solve_colors(level.shapes(placed.means, placed.factors), s.color_solve_steps)

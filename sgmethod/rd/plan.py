@@ -20,6 +20,8 @@ from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RdSettings, Times
 
+MANY_VALUES = 1 << 23  # samples of a level; work on a smaller one leaves little memory behind
+
 
 @dataclass(frozen=True)
 class Plan:

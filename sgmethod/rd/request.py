@@ -8,6 +8,7 @@ from functools import cached_property
 from sgmethod.backend.protocol import Backend, Coding, Frame
 from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.islands import Islands
 from sgmethod.fitting.level import Histogram, Level, Pyramid, target_of
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
@@ -32,14 +33,20 @@ class Request:
     seed: int = 0
     with_shear: bool = False
 
-    @cached_property
-    def _histogram(self) -> Histogram:
-        return Histogram(self.pixels)
+    @property
+    def histogram(self) -> Histogram:
+        """Statistics of the picture's levels."""
+        return self.objective.histogram
 
     @cached_property
     def background(self) -> tuple[int, int, int]:
         """Level of each channel below all Gaussians."""
-        return coded_background(self._histogram.background, self.rate.is_short)
+        return coded_background(self.histogram.background, self.rate.is_short)
+
+    @property
+    def mean(self) -> tuple[int, int, int]:
+        """The picture's mean colour, as a file can hold it."""
+        return coded_background(self.histogram.mean, self.rate.is_short)
 
     @cached_property
     def grey(self) -> bool:
@@ -64,18 +71,27 @@ class Request:
     @property
     def is_one_colour(self) -> bool:
         """Whether the picture is its background and needs no Gaussian."""
-        return self._histogram.spread == 0
+        return self.histogram.spread == 0
 
     @property
     def is_nearly_flat(self) -> bool:
         """Whether the background may miss no more than rounding to 8 bits does."""
-        return self._histogram.spread <= 2
+        return self.histogram.spread <= 2
 
-    def pyramid(self) -> Pyramid:
-        """Build the picture in the sizes that its file can show."""
+    def whole(self) -> Level:
+        """Build the level of the whole picture."""
         target = target_of(self.pixels, self.background)
-        whole = Level(self.backend, Frame(*self.size), target, self.objective.visibility)
-        return Pyramid.from_whole(whole, self.settings.pyramid, self.rate.expected_gaussians())
+        return Level(self.backend, Frame(*self.size), target, self.objective.visibility)
+
+    def pyramid(self, whole: Level | None = None) -> Pyramid:
+        """Build the picture, or the sheet of its islands, in the sizes that its file can show."""
+        return Pyramid.from_whole(whole or self.whole(), self.settings.pyramid, self.rate.expected_gaussians())
+
+    def islands(self) -> Islands | None:
+        """Find the parts of the picture that differ from its background; None without a colour of more than half."""
+        if not self.histogram.has_majority:
+            return None
+        return Islands.from_pixels(self.pixels, self.histogram.background)
 
     def coding(self, quantum: float) -> Coding:
         """Parameters with which a quantum codes this picture."""

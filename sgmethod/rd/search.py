@@ -9,13 +9,14 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import Moments, RefineLimits, Target
+from sgmethod.backend.protocol import Moments, RefineLimits, Target, release_memory
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import StreamV2, is_upright
-from sgmethod.rd.plan import Plan, State
+from sgmethod.rd.plan import MANY_VALUES, Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
+FEW_BYTES = 32  # of payload: their Gaussians may gain less than the mean colour alone
 QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
 
 
@@ -26,6 +27,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     for the rounding of the other half. Then all are refined again: refining alone finds no single change that helps.
     """
     request, rate, s = plan.request, plan.request.rate, plan.settings.refine
+    if plan.finest.values > MANY_VALUES:
+        release_memory()  # which the fit kept for its next step
 
     @cache  # several quanta have one code
     def coded(quantum: float) -> StreamV2:
@@ -64,9 +67,9 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
         best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
-    if not request.is_nearly_flat:
+    if best.size > FEW_BYTES and not request.is_nearly_flat:
         return best
-    empty = replace(empty, quantum=best.stream.quantum)
+    empty = replace(empty, quantum=best.stream.quantum, texture=None, background=request.mean)
     return rate.best([best, Coded(empty, request.objective)])
 
 

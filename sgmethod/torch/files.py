@@ -79,7 +79,8 @@ def draw(file: File | SgFile, device: Device = None) -> Tensor:
     """
     opened = file if isinstance(file, SgFile) else SgFile(file)
     means, factors, colors, background = gaussians(opened, device)
-    return (255 * render(means, factors, colors, opened.size, background).clamp(0, 1) + 0.5).to(torch.uint8)
+    picture = render(means, factors, colors, opened.size, background, pyramid=True)
+    return (255 * picture.clamp(0, 1) + 0.5).to(torch.uint8)
 
 
 class SgDataset(Dataset[dict[str, Any]]):

@@ -36,7 +36,10 @@ MAX_TOGETHER, SAMPLES_TOGETHER = 256, 1 << 26
 
 
 class Fit(NamedTuple):
-    """N Gaussians for each of B pictures, for render() and pack(). error: mean squared error, 1 being white."""
+    """N Gaussians for each of B pictures, for render() and pack().
+
+    error: mean squared error, 1 being white, as render(pyramid=True) draws.
+    """
 
     means: Tensor  # [B, N, 2]
     factors: Tensor  # [B, N, 3]
@@ -61,7 +64,7 @@ def fit(
     >>> found = fit(torch.rand(2, 3, 24, 32), 20, steps=10)
     >>> found.means.shape, found.background.shape
     (torch.Size([2, 20, 2]), torch.Size([2, 3]))
-    >>> image = sgmethod.torch.render(found.means, found.factors, found.colors, (32, 24), found.background)
+    >>> image = sgmethod.torch.render(*found[:3], (32, 24), found.background, pyramid=True)
 
     images: [B, 3, H, W], sRGB, uint8 or floating point in [0, 1], which is rounded to 8 bits. The result is on their
     device, which also does the work.

@@ -14,6 +14,8 @@ import sgmethod
 from benchmarks.harness.data import golden_path
 from benchmarks.harness.pictures import photo
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Frame
 from sgmethod.exchange.files import C0, WRITTEN
 from sgmethod.exchange.packing import seen
 from sgmethod.metrics import psnr
@@ -57,6 +59,35 @@ def test_out_of_a_file_and_back(name: str) -> None:
     clipped = found.factors[:, ::2].min(1, initial=1) <= np.float32(0.3)
     assert as_set(found.rows(~clipped)) <= as_set(again)
     assert sgmethod.pack(again, *file.size, quantum=file.info.quantum, background=file.background) == data
+
+
+@pytest.mark.parametrize("width", [1e-6, 0.05, 0.15, 0.2])
+def test_a_gaussian_between_pixel_centres_is_left_out(width: float) -> None:
+    """It touches no pixel; no file can hold one as small, and all others were refused with it."""
+    speck, needle = (20.0, 20.0), (30.0, 20.9)  # the needle lies between two rows
+    shapes = [(2, 0, 2), (width, 0, width), (4, 0, min(width, 0.1))]
+    some = Gaussians(np.float32([(5, 5), speck, needle]), np.float32(shapes), np.full((3, 3), 0.5, np.float32))
+    data = sgmethod.pack(some, *SIZE, quantum=0.1)
+    alone = sgmethod.pack(some.rows(np.array([0])), *SIZE, quantum=0.1)
+    assert data == alone
+
+
+def test_seen_is_what_the_decoder_draws() -> None:
+    lot = np.random.default_rng(3)
+    n = 400
+    some = Gaussians(
+        (lot.random((n, 2)) * 20 - 2).astype(np.float32),
+        np.stack([lot.exponential(0.3, n), lot.normal(0, 0.5, n), lot.exponential(0.3, n)], 1).astype(np.float32)
+        + 0.01,
+        np.ones((n, 3), np.float32),
+    )
+    drawn = [
+        bool(Kernels().residual(some.rows(np.array([k])), Frame(16, 16), np.zeros((3, 16, 16), np.int16)).any())
+        for k in range(n)
+    ]
+    assert len(seen(some, (16, 16))) == sum(drawn)
+    assert 50 < sum(drawn) < n - 50
+    assert as_set(seen(some, (16, 16))) == as_set(some.rows(np.flatnonzero(drawn)))
 
 
 def test_gaussians_of_version_1_are_the_nearest_of_this_shape() -> None:
@@ -132,12 +163,13 @@ def test_what_no_pixel_sees_is_left_out() -> None:
 def test_the_first_that_no_file_holds_is_named() -> None:
     some = scattered(200, 2, SIZE)
     for place in (150, 41):
+        some.means[place] = np.floor(some.means[place]) + 0.5  # else it might touch no pixel
         some.factors[place] = 3, 9e4, 3
         with pytest.raises(GaussiansError, match=re.escape(str(some.means[place].tolist()))):
             sgmethod.pack(some, *SIZE, quantum=1)
 
 
-def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1, 0, 0)) -> Gaussians:
+def one(mean: object = (30.5, 20.5), factor: object = (2, 0, 2), color: object = (1, 0, 0)) -> Gaussians:
     return Gaussians(*([values] for values in (mean, factor, color)))  # type: ignore[arg-type]
 
 

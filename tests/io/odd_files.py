@@ -95,8 +95,10 @@ def gif(screen: tuple[int, int], frames: Sequence[tuple[int, int, int, int, int]
     return file + b";"
 
 
-def heif(pixels: np.ndarray, kind: str, properties: Sequence[bytes] = (), **options: object) -> bytes:
-    """An AVIF or HEIC with further properties of its picture, whole boxes. All its offsets are moved."""
+def heif(
+    pixels: np.ndarray, kind: str, properties: Sequence[bytes] = (), others: Sequence[bytes] = (), **options: object
+) -> bytes:
+    """An AVIF or HEIC with further properties, whole boxes: of its picture, and of none, which come before all."""
     saved = io.BytesIO()
     if kind == "AVIF":
         Image.fromarray(pixels).save(saved, kind, quality=100, subsampling="4:4:4", **options)
@@ -105,49 +107,77 @@ def heif(pixels: np.ndarray, kind: str, properties: Sequence[bytes] = (), **opti
     data = bytearray(saved.getvalue())
     for box in properties:
         _add_property(data, box)
+    for box in others:
+        _add_other(data, box)
     return bytes(data)
+
+
+def _length(data: bytearray, at: int) -> int:
+    return int(struct.unpack_from(">I", data, at)[0])
+
+
+def _grow(data: bytearray, name: bytes, by: int) -> int:
+    """Make the first box of a kind longer; returns where it begins."""
+    at = data.index(name) - 4
+    struct.pack_into(">I", data, at, _length(data, at) + by)
+    return at
 
 
 def _add_property(data: bytearray, box: bytes) -> None:
     """ISO/IEC 14496-12 and 23008-12: ipco gets the box, ipma tells the first picture to have it, iloc follows."""
-
-    def length(at: int) -> int:
-        return int(struct.unpack_from(">I", data, at)[0])
-
-    def grow(name: bytes, by: int) -> int:
-        at = data.index(name) - 4
-        struct.pack_into(">I", data, at, length(at) + by)
-        return at
-
     moved = data.index(b"mdat") + 4
-    ipco = grow(b"ipco", len(box))
-    end, here, count = ipco + length(ipco) - len(box), ipco + 8, 1
+    ipco = _grow(data, b"ipco", len(box))
+    end, here, count = ipco + _length(data, ipco) - len(box), ipco + 8, 1
     while here < end:
-        here += length(here)
+        here += _length(data, here)
         count += 1
     data[end:end] = box
-    ipma = grow(b"ipma", 1)
+    ipma = _grow(data, b"ipma", 1)
     number = data[ipma + 18]
     data[ipma + 18] = number + 1
     data.insert(ipma + 19 + number, 0x80 | count)
+    _move_items(data, moved, len(box) + 1)
+
+
+def _add_other(data: bytearray, box: bytes) -> None:
+    """The first property of ipco, which no item has: all others are one place further."""
+    moved = data.index(b"mdat") + 4
+    ipco = _grow(data, b"ipco", len(box))
+    data[ipco + 8 : ipco + 8] = box
+    ipma = data.index(b"ipma") - 4
+    at, end = ipma + 16, ipma + _length(data, ipma)
+    while at < end:
+        first = at + 3
+        at = first + data[first - 1]
+        data[first:at] = bytes(place + 1 for place in data[first:at])
+    _move_items(data, moved, len(box))
+
+
+def _move_items(data: bytearray, moved: int, by: int) -> None:
+    """Everything from `moved` on lies `by` bytes further: the boxes around grow, and iloc follows."""
     for name in (b"iprp", b"meta"):
-        grow(name, len(box) + 1)
+        _grow(data, name, by)
     at = data.index(b"iloc") + 4
     version, base, count = data[at], data[at + 5] >> 4, struct.unpack_from(">H", data, at + 6)[0]
     assert (version < 2, data[at + 4]) == (True, 0x44)
     at += 8
     for _ in range(count):
         at += 2 + 2 * version + 2
-        if base and length(at):
-            struct.pack_into(">I", data, at, length(at) + len(box) + 1)
-        moves = not base or not length(at)
+        if base and _length(data, at):
+            struct.pack_into(">I", data, at, _length(data, at) + by)
+        moves = not base or not _length(data, at)
         at += base
         extents = struct.unpack_from(">H", data, at)[0]
         at += 2
         for _ in range(extents):
-            if moves and length(at) >= moved:
-                struct.pack_into(">I", data, at, length(at) + len(box) + 1)
+            if moves and _length(data, at) >= moved:
+                struct.pack_into(">I", data, at, _length(data, at) + by)
             at += 8
+
+
+def nclx(primaries: int, transfer: int) -> bytes:
+    """Colours as code points (H.273), ISO/IEC 14496-12, 12.1.5."""
+    return struct.pack(">I4s4sHHHB", 19, b"colr", b"nclx", primaries, transfer, 6, 0x80)
 
 
 def clap(width: int, height: int, x: int, y: int, full: tuple[int, int]) -> bytes:

@@ -5,6 +5,7 @@ The values are those of Chromium's canvas on these files, and of libvips 8.14 wh
 
 from __future__ import annotations
 
+import base64
 import io
 import struct
 import tracemalloc
@@ -20,7 +21,7 @@ from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io.colour import MAX_PROFILE_BYTES, ProfileError, from_profile
 from sgmethod.io.image import read_header, read_image_8_bit, read_input
 from tests.io import profiles
-from tests.io.odd_files import bmp, chunk, clap, gif, heif, mirrored, png, tiff, turned
+from tests.io.odd_files import bmp, chunk, clap, gif, heif, mirrored, nclx, png, tiff, turned
 
 W, H = 32, 24
 Y, X = np.mgrid[0:H, 0:W]
@@ -268,6 +269,33 @@ def test_apertures_that_make_no_sense_are_passed_over(numbers: tuple[int, int, i
     no_fraction = struct.pack(">I4s8I", 40, b"clap", 16, 0, 12, 1, 0, 1, 0, 1)
     for box in (clap(*numbers, (W, H)), no_fraction):
         assert read(heif(RGB, "AVIF", [box])).shape == RGB.shape
+
+
+@pytest.mark.parametrize("other", [nclx(12, 13), nclx(9, 16), clap(16, 12, 5, 7, (W, H))])
+@pytest.mark.parametrize("kind", ["AVIF", "HEIC"])
+def test_properties_of_another_item_are_not_the_picture_s(kind: str, other: bytes) -> None:
+    """A gain map has colours of its own, and they may come first."""
+    assert np.array_equal(read(heif(RGB, kind, others=[other])), read(heif(RGB, kind)))
+
+
+# 48 x 32 of RED by avifenc --cicp 12/13/6 and 9/16/9, the name of the box colr changed to free.
+NO_COLOURS = (
+    "AAAAIGZ0eXBhdmlmAAAAAGF2aWZtaWYxbWlhZk1BMUEAAADybWV0YQAAAAAAAAAoaGRscgAAAAAAAAAAcGljdAAAAAAAAAAAAAAAAGxpYmF2aWYA"
+    "AAAADnBpdG0AAAAAAAEAAAAeaWxvYwAAAABEAAABAAEAAAABAAABGgAAACEAAAAoaWluZgAAAAAAAQAAABppbmZlAgAAAAABAABhdjAxQ29sb3IA"
+    "AAAAamlwcnAAAABLaXBjbwAAABRpc3BlAAAAAAAAADAAAAAgAAAAEHBpeGkAAAAAAwgICAAAAAxhdjFDgSAAAAAAABNmcmVlbmNseAA"
+)
+STREAMS = {
+    "P3": "MAA0ABoAAAAAXaXBtYQAAAAAAAAABAAEEAQKDBAAAACltZGF0EgAKCTgVL/sIYGg0gDISEUAAAECygEd5HTIYbFcgDmmg",
+    "PQ": "JABAACYAAAAAXaXBtYQAAAAAAAAABAAEEAQKDBAAAACltZGF0EgAKCTgVL/sISIBMgDISEUAAAECygEhcP/IWPDcgC8ag",
+}
+
+
+def test_an_avif_without_a_box_of_colours_has_those_of_its_stream() -> None:
+    """AV1's sequence header states them too: PQ was encoded as if it were sRGB."""
+    p3, pq = (base64.b64decode(NO_COLOURS + stream) for stream in STREAMS.values())
+    assert np.abs(read(p3).astype(int) - IN_P3).max() <= 3
+    with pytest.raises(ImageError, match="PQ"):
+        read(pq)
 
 
 @pytest.mark.parametrize(("points", "out"), [((12, 13), IN_P3), ((9, 16), "PQ"), ((1, 13), RED)])

@@ -45,7 +45,8 @@ def test_a_budget_of_a_small_float_does_not_overflow(kind: type) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "size"), [("20k", 20_000), ("500", 500), ("1.5MB", 1_500_000), ("1 KiB", 1024), ("1.001kb", 1001)]
+    ("text", "size"),
+    [("20k", 20_000), ("500", 500), ("1.5MB", 1_500_000), ("1 KiB", 1024), ("1.001kb", 1001), ("2.b", 2)],
 )
 def test_a_size_may_be_a_text(text: str, size: int) -> None:
     assert Budget("bytes", text) == Budget("bytes", size)
@@ -91,6 +92,10 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
         (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
         (lambda: sgmethod.encode(PIXELS, bytes="20g"), BudgetError, "such as 20000, 20k or 1.5MB, not '20g'"),
+        (lambda: sgmethod.encode(PIXELS, bytes="20ki"), BudgetError, "not '20ki'"),
+        (lambda: sgmethod.encode(PIXELS, bytes="2_0k"), BudgetError, "not '2_0k'"),
+        (lambda: sgmethod.encode(PIXELS, bytes="\uff12\uff10k"), BudgetError, "such as 20000"),
+        (lambda: sgmethod.encode(PIXELS, bytes="20\u212a"), BudgetError, "such as 20000"),
         (lambda: sgmethod.encode(PIXELS, bytes="0.5"), BudgetError, "bytes must be a whole number, got 0.5"),
         (lambda: sgmethod.encode(PIXELS, bytes="-1k"), BudgetError, "bytes must be a positive number, got '-1k'"),
         (lambda: sgmethod.encode(PIXELS, quality="best"), BudgetError, "or one of preview, web, archive, got 'best'"),

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import BinaryIO
 
@@ -33,13 +33,21 @@ tasks.PERFORM[frames.Encode] = run
 
 
 @contextmanager
-def sandbox(preamble: str = "", extra: Mapping[str, str] | None = None) -> Iterator[tuple[Sandbox, int]]:
-    """A sandbox and the number of its process, which runs the preamble first."""
+def sandbox(
+    preamble: str = "", extra: Mapping[str, str] | None = None, absent: Sequence[str] = ()
+) -> Iterator[tuple[Sandbox, int]]:
+    """A sandbox and the number of its process, which runs the preamble first. absent: layers that tasks may lack."""
     requests, served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     number = str(served.fileno())
-    command = [sys.executable, "-m", MODULE, number]
+    command = [sys.executable, "-m", MODULE, number, *absent]
     if preamble:
-        command = [sys.executable, "-c", f"{preamble}\nfrom service.sandbox import server\nserver.main()", number]
+        command = [
+            sys.executable,
+            "-c",
+            f"{preamble}\nfrom service.sandbox import server\nserver.main()",
+            number,
+            *absent,
+        ]
     known = {**environment(os.environ), "OPENBLAS_NUM_THREADS": "1", **(extra or {})}
     known["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), known.get("PYTHONPATH", ""))))
     with requests:

@@ -20,7 +20,11 @@ from service.settings import Settings
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 
-COMPUTED = {"workers": "cores / 4, at least 1", **dict.fromkeys(("api_keys_file", "link_secret", "webhook_secret"), "")}
+COMPUTED = {
+    "workers": "cores / 4, at least 1",
+    "job_memory_bytes": "8 GiB, or what the machine or container has",
+    **dict.fromkeys(("api_keys_file", "link_secret", "webhook_secret"), ""),
+}
 
 
 @pytest.fixture(autouse=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 from typing import Any
 
@@ -55,6 +56,18 @@ def test_values_and_gradients(dtype: torch.dtype, pyramid: bool, seed: int) -> N
     exact_image.backward(by_image)
     for one, other in zip(found, wanted, strict=True):
         assert (one.grad - other.grad).abs().max() < 1e-3 * other.grad.abs().max()  # worst seen 2.5e-6
+
+
+def test_the_default_is_the_sum_of_the_gaussians() -> None:
+    """Drawn on coarser levels, one of colour 1 is off by 3 of 255 levels, which fits of others' Gaussians would see."""
+    factors = torch.tensor([[8.0, 0.0, 8.0]])
+    image = render(torch.tensor([[20.0, 17.0]]), factors, torch.ones(1, 3), SIZE)
+    y, x = torch.meshgrid(torch.arange(SIZE[1]) + 0.5, torch.arange(SIZE[0]) + 0.5, indexing="ij")
+    sigma = ((x - 20) ** 2 + (y - 17) ** 2) / 128
+    wanted = (torch.exp(-sigma) - math.exp(-CUTOFF)).clamp(min=0)
+    assert (image - wanted).abs().max() < 1e-5  # worst seen below 1e-6
+    on_levels = render(torch.tensor([[20.0, 17.0]]), factors, torch.ones(1, 3), SIZE, pyramid=True)
+    assert 0.01 < (on_levels - wanted).abs().max() < 0.03
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script.*:DeprecationWarning")  # of torch's own forward mode
@@ -120,7 +133,7 @@ def test_it_draws_what_a_file_shows(scale: float) -> None:
     file = sgmethod.open(data)
     means, factors, colors, below = sgmethod.torch.gaussians(file)
     assert below.tolist() == pytest.approx(background)
-    image = render(means, factors, colors, file.size, below, scale)
+    image = render(means, factors, colors, file.size, below, scale, pyramid=True)
     levels = (255 * image.clamp(0, 1)).permute(1, 2, 0).numpy()
     assert np.abs(levels - file.pixels(scale)).max() < 0.501
 

@@ -51,7 +51,7 @@ def test_a_data_set_of_gaussians() -> None:
     n = file.info.gaussians
     (batch,) = DataLoader(SgDataset(["picture.sg"] * 2, most_gaussians=n + 9), batch_size=2)
     assert batch["mask"].sum(1).tolist() == [n, n]
-    images = render(batch["means"], batch["factors"], batch["colors"], file.size, batch["background"])
+    images = render(batch["means"], batch["factors"], batch["colors"], file.size, batch["background"], pyramid=True)
     assert np.abs(255 * images[1].clamp(0, 1).permute(1, 2, 0).numpy() - file.pixels()).max() < 0.51
     few = SgDataset([file_bytes := Path("picture.sg").read_bytes()], most_gaussians=5)[0]
     assert few["mask"].all()

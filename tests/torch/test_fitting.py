@@ -23,7 +23,7 @@ BATCH = torch.stack([PHOTO[:, y : y + HEIGHT, 3 * y : 3 * y + WIDTH] for y in (0
 
 
 def pictures(found: Fit, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Tensor:
-    return render(found.means, found.factors, found.colors, size, found.background)
+    return render(found.means, found.factors, found.colors, size, found.background, pyramid=True)
 
 
 def same(one: Fit, other: Fit) -> bool:

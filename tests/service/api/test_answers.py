@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+import select
+import shutil
+from contextlib import ExitStack
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 
@@ -12,7 +15,7 @@ from PIL import Image
 
 from benchmarks.harness.data import PICTURE
 from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import wait_until
+from benchmarks.harness.processes import PATIENCE_S, wait_until
 from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
 from service.keys import digest
 from service.pictures import MEDIA_TYPES
@@ -153,6 +156,32 @@ def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> Non
     done = web.published(PICTURE)
     assert web.client.get(f"/decode/{done}.png").status_code == 200
     assert web.figures()["sgmethod_free_bytes"] > 0
+
+
+def test_unfinished_uploads_leave_room_on_the_disk(start_service: StartService, tmp_path: Path) -> None:
+    """Space was checked once a body was there: forty that never ended filled the disk of the job table."""
+    size = shutil.disk_usage(tmp_path).free // 9  # so that two fit, each twice, beside the room for four
+    web = start_service("web", max_upload_bytes=size)
+    head = b"POST /encode HTTP/1.1\r\nHost: localhost\r\nContent-Type: image/png\r\n"
+    sizes = b"Content-Length: %d" % size, b"Transfer-Encoding: chunked", b"Content-Length: %d" % size
+    with ExitStack() as stack:
+        clients = [stack.enter_context(web.connect()) for _ in sizes]
+        for client, announced in zip(clients, sizes, strict=True):
+            client.sendall(head + announced + b"\r\n\r\n")
+        ((refused,), _, _) = select.select(clients, [], [], PATIENCE_S)
+        answer = refused.recv(65536)
+        assert answer.startswith(b"HTTP/1.1 503")
+        assert b"retry-after: " in answer
+        assert b"the disk has no room for this upload" in answer
+        assert web.post().status_code == 202  # a small one stays in memory
+        assert web.client.get("/readyz").status_code == 200
+
+    def has_room() -> bool:
+        with web.connect() as client:
+            client.sendall(head + sizes[0] + b"\r\n\r\n")
+            return not select.select([client], [], [], 0.5)[0]
+
+    wait_until(has_room)
 
 
 def test_quotas_of_one_key_and_of_all(start_service: StartService) -> None:

@@ -112,7 +112,7 @@ def test_neither_streams_nor_waits_hold_up_the_end(start_service: StartService) 
 
 
 def job(state: JobState, error: JobError | None = None) -> Job:
-    return Job(1, "0" * 32, None, "interactive", state, None, REQUEST, IMAGE, 1, 0, 0.0, None, None, None, error, 0)
+    return Job(1, "0" * 32, None, "interactive", state, None, REQUEST, IMAGE, 1, 0, 0, 0.0, None, None, None, error, 0)
 
 
 def point(phase: str, step: int, steps: int) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import pytest
 from benchmarks.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
 from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService
 from service.sandbox import confinement
+from service.sandbox.confinement import LAYERS
 from service.sandbox.frames import Crashed, Ended, Preview
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task
 
@@ -60,10 +61,11 @@ ATTEMPTS = (
     *("call('prctl', 1, 0, 0, 0, 0)", "signal.setitimer(signal.ITIMER_PROF, 0)"),
 )
 # What a system may lack, or what the service may run as.
+NO_LANDLOCK, AS_ROOT = "confinement._refuse_files = lambda: False", "confinement._become_nobody = lambda: None"
 SYSTEMS = {
-    "whole": "",
-    "without Landlock": "confinement._refuse_files = lambda: False",
-    "without Landlock, as root": "confinement._refuse_files = lambda: False; confinement._become_nobody = lambda: None",
+    "whole": ("", ()),
+    "without Landlock": (NO_LANDLOCK, LAYERS[:1]),
+    "without Landlock, as root": (f"{NO_LANDLOCK}; {AS_ROOT}", (LAYERS[0], LAYERS[2])),
 }
 
 
@@ -74,7 +76,8 @@ def outcomes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     secret.write_text(SECRET)
     before = secret.stat()
     program = PROBE.format(secret=str(secret), other=os.getpid(), attempts=ATTEMPTS)
-    with sandbox(TAKEN_OVER + SYSTEMS[request.param], FAKE_CODEC) as (tasks, _):
+    preamble, absent = SYSTEMS[request.param]
+    with sandbox(TAKEN_OVER + preamble, FAKE_CODEC, absent) as (tasks, _):
         report = messages_of(tasks, task(), program.encode())[0]
     assert isinstance(report, Preview), report
     assert secret.read_text() == SECRET
@@ -86,6 +89,14 @@ def outcomes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 @pytest.mark.parametrize("attempt", ATTEMPTS)
 def test_what_a_taken_over_task_tries(outcomes: dict[str, str], attempt: str) -> None:
     assert outcomes[attempt].startswith("refused: ")
+
+
+def test_a_task_with_fewer_layers_than_the_system_is_refused() -> None:
+    """The sandbox probed again when it started: if that failed once, as without memory, all tasks went on without."""
+    with sandbox(TAKEN_OVER + NO_LANDLOCK, FAKE_CODEC) as (tasks, _):
+        (report,) = messages_of(tasks, task(), b"answer.send(frames.Preview(file=b'it ran'))")
+    assert isinstance(report, Crashed)
+    assert "not confined by Landlock" in report.detail
 
 
 HOARD = """
@@ -131,7 +142,7 @@ def test_memory_of_every_kind_is_limited(system: str) -> None:
     """Beyond what the codec takes, which forks share."""
     greedy = task(memory_bytes=MEMORY_BYTES)
     with (
-        sandbox(TAKEN_OVER + SYSTEMS[system], FAKE_CODEC) as (tasks, _),
+        sandbox(TAKEN_OVER + SYSTEMS[system][0], FAKE_CODEC, SYSTEMS[system][1]) as (tasks, _),
         file_of(HOARD.encode()) as file,
         tasks.start(greedy, file) as running,
     ):
@@ -157,7 +168,8 @@ except RuntimeError:
 answer.send(frames.Preview(file=str(started).encode()))
 time.sleep(1000)
 """
-    with sandbox(TAKEN_OVER + "import threading\n" + SYSTEMS[system], FAKE_CODEC) as (tasks, _), ExitStack() as held:
+    preamble, absent = SYSTEMS[system]
+    with sandbox(f"{TAKEN_OVER}import threading\n{preamble}", FAKE_CODEC, absent) as (tasks, _), ExitStack() as held:
         for threads in (1, 10, 1):
             file = held.enter_context(file_of(program.encode()))
             what = task(threads=threads)
@@ -223,12 +235,11 @@ def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> No
 def test_a_sandbox_that_is_required(
     run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    monkeypatch.setattr(confinement, "absent_layers", lambda: ["Landlock"])
     monkeypatch.setattr("service.commands.absent_layers", lambda: ["Landlock"])
     result = run_command(command, data_dir=tmp_path, port=0, require_sandbox=1)
     assert result.status == 1
     assert "cannot start: SG_REQUIRE_SANDBOX is set, and this system does not offer Landlock" in result.stderr
-    monkeypatch.setattr(confinement, "absent_layers", lambda: ["Landlock", "seccomp"])
+    monkeypatch.setattr("service.checking.absent_layers", lambda: ["Landlock", "seccomp"])
     missing = "Landlock and seccomp"
     result = run_command("check", data_dir=tmp_path, require_sandbox=1)
     assert f"FAILED  sandbox: SG_REQUIRE_SANDBOX is set, and this system does not offer {missing}" in result.stdout
@@ -240,7 +251,7 @@ def test_missing_layers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confinement, "_refuse_files", lambda: False)
     monkeypatch.setattr(confinement, "_become_nobody", lambda: False)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    absent, root = confinement.check_layers(required=False)
+    absent, root = confinement.check_layers(confinement.absent_layers(), required=False)
     missing = "Landlock and a user other than root"
     assert absent == f"uploads are read without {missing}, which this system does not offer"
     assert "runs as root" in root

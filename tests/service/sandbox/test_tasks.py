@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import io
+import os
 import signal
 import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,8 @@ from benchmarks.harness.processes import encoder_of, wait_until
 from benchmarks.harness.service import FAKE_CODEC
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
-from service.sandbox import frames
-from service.sandbox.client import Sandbox, TaskError
+from service.sandbox import confinement, frames, server
+from service.sandbox.client import OutOfMemoryError, Sandbox, TaskError
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 
@@ -158,7 +160,33 @@ def test_ends(taken_over: Sandbox, program: str, end: object) -> None:
 def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
     program = b"import os, time\nfor number in range(3, 64):\n    if number != answer._descriptor:\n        try:\n"
     program += b"            os.close(number)\n        except OSError:\n            pass\ntime.sleep(1000)"
-    assert messages_of(taken_over, task(), program)[-1] == Ended(status=-signal.SIGKILL)
+    assert messages_of(taken_over, task(), program)[-1] == Ended(status=server.TAKEN_OVER)
+
+
+def test_one_that_the_system_kills_is_no_fault_of_its_client(taken_over: Sandbox) -> None:
+    """As when memory runs out: three decodes in 1 GB were answered 422, \"its decoder crashed\"."""
+    what = task()
+
+    def kill() -> None:
+        wait_until(lambda: encoder_of(what.job_id) is not None)
+        number = encoder_of(what.job_id)
+        assert number is not None
+        os.kill(number, signal.SIGKILL)
+
+    with ThreadPoolExecutor(1) as system:
+        killed = system.submit(kill)
+        with pytest.raises(OutOfMemoryError, match="memory runs out"):
+            asked(taken_over, what, b"import time\ntime.sleep(1000)")
+        killed.result()
+
+
+def test_tasks_are_killed_before_the_service(taken_over: Sandbox) -> None:
+    program = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)"
+    what = task()
+    with file_of(program) as file, taken_over.start(what, file) as running:
+        wait_until(lambda: running.read(0.1) or running.begun)
+        number = encoder_of(what.job_id)
+        assert int(Path(f"/proc/{number}/oom_score_adj").read_text()) == int(confinement.OOM_SCORE)
 
 
 def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:

@@ -1,0 +1,236 @@
+"""Islands: the parts of a picture that differ from its background, for pictures that are nearly all background.
+
+Reduced pictures lose stars, and a word on a page; on the whole picture, fitting even one Gaussian takes seconds. So the
+islands are laid out side by side on a small sheet, and the fit sees only that. Gaussians stay in pixels of the whole
+picture; each is moved to the sheet together with the island that it is in, or else nearest to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.protocol import (
+    Backend,
+    Coding,
+    Descent,
+    Frame,
+    Loss,
+    Moments,
+    RefineLimits,
+    Target,
+    Visibility,
+)
+from sgmethod.opencv import cv2
+from sgmethod.scene import FloatArray, Gaussians, Pixels
+from sgmethod.settings.shared import OptimiserSettings
+
+TILE = 4  # pixels; around an island lie one to two tiles of background
+
+
+class Box(NamedTuple):
+    """A rectangle of width x height pixels: its corner in the picture, and on the sheet."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+    sheet_x: int
+    sheet_y: int
+
+    @property
+    def in_picture(self) -> tuple[slice, slice]:
+        """Rows and columns of the picture."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
+    @property
+    def on_sheet(self) -> tuple[slice, slice]:
+        """Rows and columns of the sheet."""
+        return slice(self.sheet_y, self.sheet_y + self.height), slice(self.sheet_x, self.sheet_x + self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class Islands:
+    """Islands of a picture, and their places on a sheet.
+
+    width, height: of the sheet; to_sheet, to_picture: how far a Gaussian moves, by the tile of its centre in the
+    picture or on the sheet, float32 [rows, columns, 2].
+    """
+
+    boxes: tuple[Box, ...]
+    width: int
+    height: int
+    to_sheet: FloatArray
+    to_picture: FloatArray
+
+    @classmethod
+    def from_pixels(cls, pixels: Pixels, background: tuple[int, int, int]) -> Islands | None:
+        """Find the islands of a picture [H, W, 3]; None if all of it is background."""
+        height, width = pixels.shape[:2]
+        differs = cv2.bitwise_not(cv2.inRange(pixels, background, background))
+        tiles = -(-height // TILE), -(-width // TILE)
+        padded = np.zeros((tiles[0] * TILE, tiles[1] * TILE), np.uint8)
+        padded[:height, :width] = differs
+        land = padded.reshape(tiles[0], TILE, -1).max(1).reshape(*tiles, TILE).max(2)
+        rectangles = _rectangles(np.asarray(cv2.dilate(land, np.ones((3, 3), np.uint8)), np.uint8))
+        if not rectangles:
+            return None
+        boxes = _laid_out([_cut(rectangle, width, height) for rectangle in rectangles])
+        sheet = max(b.sheet_x + b.width for b in boxes), max(b.sheet_y + b.height for b in boxes)
+        corners = np.array([(b.x, b.y) for b in boxes], np.float32)
+        on_sheet = np.array([(b.sheet_x, b.sheet_y) for b in boxes], np.float32)
+        nearest = _nearest(tiles, [box.in_picture for box in boxes])
+        back = _nearest((-(-sheet[1] // TILE), -(-sheet[0] // TILE)), [box.on_sheet for box in boxes])
+        return cls(boxes, *sheet, (on_sheet - corners)[nearest], (corners - on_sheet)[back])
+
+    @property
+    def pixels(self) -> int:
+        """Number of the sheet's pixels."""
+        return self.width * self.height
+
+    def laid(self, planes: NDArray[Any], between: NDArray[Any] | int) -> NDArray[Any]:
+        """Lay planes [..., H, W] of the picture out on the sheet. between: values [..., 1, 1] between islands."""
+        sheet = np.empty((*planes.shape[:-2], self.height, self.width), planes.dtype)
+        sheet[...] = between
+        for box in self.boxes:
+            sheet[(..., *box.on_sheet)] = planes[(..., *box.in_picture)]
+        return sheet
+
+    def put_back(self, sheet: NDArray[Any], planes: NDArray[Any]) -> NDArray[Any]:
+        """Return planes [..., H, W] of the picture with the islands of a sheet."""
+        planes = planes.copy()
+        for box in self.boxes:
+            planes[(..., *box.in_picture)] = sheet[(..., *box.on_sheet)]
+        return planes
+
+
+def moved(means: FloatArray, by: FloatArray) -> FloatArray:
+    """Move means [N, 2], each by what `by` [rows, columns, 2] says of its tile."""
+    x, y = np.clip(means.T // TILE, 0, np.array(by.shape[1::-1])[:, None] - 1).astype(np.intp)
+    return np.asarray(means + by[y, x], np.float32)
+
+
+def _rectangles(land: NDArray[np.uint8]) -> list[tuple[int, int, int, int]]:
+    """Rectangles (x, y, width, height) of tiles that cover all land [rows, columns] and do not touch each other."""
+    land = land.copy()
+    while True:
+        found = cv2.connectedComponentsWithStats(land, connectivity=8)[2][1:, :4].tolist()
+        before = np.count_nonzero(land)
+        for x, y, width, height in found:
+            land[y : y + height, x : x + width] = 1
+        if np.count_nonzero(land) == before:
+            return [(x, y, width, height) for x, y, width, height in found]
+
+
+def _cut(rectangle: tuple[int, int, int, int], width: int, height: int) -> Box:
+    """Convert a rectangle of tiles to pixels within a picture of width x height, at no place of a sheet yet."""
+    x, y, across, down = (TILE * side for side in rectangle)
+    return Box(x, y, min(across, width - x), min(down, height - y), 0, 0)
+
+
+def _laid_out(boxes: list[Box]) -> tuple[Box, ...]:
+    """Lay boxes out in rows, the highest first, on a sheet about as wide as high."""
+    area = sum(box.width * box.height for box in boxes)
+    widest = max(math.isqrt(area), *(box.width for box in boxes), 0)
+    laid, x, y, row = [], 0, 0, 0
+    for box in sorted(boxes, key=lambda box: -box.height):
+        if x + box.width > widest:
+            x, y, row = 0, y + row, 0
+        laid.append(box._replace(sheet_x=x, sheet_y=y))
+        x, row = x + -(-box.width // TILE) * TILE, max(row, -(-box.height // TILE) * TILE)
+    return tuple(laid)
+
+
+def _nearest(tiles: tuple[int, int], places: list[tuple[slice, slice]]) -> NDArray[np.intp]:
+    """Index of the box nearest to each tile. places: pixels of the boxes."""
+    index = np.full(tiles, -1, np.intp)
+    for number, (rows, columns) in enumerate(places):
+        index[rows.start // TILE : -(-rows.stop // TILE), columns.start // TILE : -(-columns.stop // TILE)] = number
+    _, nearest = cv2.distanceTransformWithLabels(
+        (index < 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    inside = index >= 0
+    by_label = np.empty(nearest.max() + 1, np.intp)
+    by_label[nearest[inside]] = index[inside]
+    return np.asarray(by_label[nearest], np.intp)
+
+
+@dataclass(frozen=True)
+class OnSheet:
+    """A Backend whose frames are of the sheet, while its Gaussians and their refining are of the whole picture.
+
+    share: pixels of the sheet, as a part of the picture's; beside: mean squared error of the background, which the file
+    may have rounded; target, visibility: those of the whole picture.
+    """
+
+    backend: Backend
+    islands: Islands
+    share: float
+    beside: float
+    target: Target
+    visibility: Visibility | None
+
+    def _on_sheet(self, gaussians: Gaussians) -> Gaussians:
+        return replace(gaussians, means=moved(gaussians.means, self.islands.to_sheet))
+
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
+        return self.backend.residual(self._on_sheet(gaussians), frame, target, first_row, half=half)
+
+    def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
+        """Mean over the whole picture."""
+        on_sheet = self.backend.error(self._on_sheet(gaussians), frame, target, visibility)
+        return on_sheet * self.share + self.beside * (1 - self.share)
+
+    def gradients(
+        self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
+    ) -> tuple[float, Gaussians]:
+        return self.backend.gradients(self._on_sheet(gaussians), frame, target, visibility)
+
+    def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
+        loss = self.backend.regularised(frame, image, lambda_g)
+        return lambda gaussians: loss(self._on_sheet(gaussians))
+
+    def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
+        return self.backend.gram(self._on_sheet(gaussians), frame, visibility)
+
+    def step(
+        self,
+        gaussians: Gaussians,
+        gradient: Gaussians,
+        moments: Moments,
+        settings: OptimiserSettings,
+        rate: float,
+        values: int,
+    ) -> None:
+        self.backend.step(gaussians, gradient, moments, settings, rate, values)
+
+    def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
+        self.backend.add_rate_gradient(gaussians, gradient, quantum, weight)
+
+    def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
+        self.backend.keep_in_range(gaussians, width, height)
+
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        size = self.islands.width, self.islands.height
+        on_sheet = replace(descent, price=descent.price / self.share, width=size[0], height=size[1])
+        moving = self._on_sheet(gaussians)
+        self.backend.steps(moving, moments, on_sheet, rates)
+        gaussians.means[:] = moved(moving.means, self.islands.to_picture)
+        self.backend.keep_in_range(gaussians, descent.width, descent.height)
+
+    def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
+        return self.backend.rounded(gaussians, coding)
+
+    def refine(
+        self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
+    ) -> bytes:
+        whole = self.target if limits.spacing > 1 else self.islands.put_back(target, self.target)
+        limits = replace(limits, price=limits.price * limits.spacing**2, spacing=1)
+        return self.backend.refine(gaussians, coding, whole, limits, self.visibility)

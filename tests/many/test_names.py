@@ -1,0 +1,78 @@
+"""Names of a run's files, in folders that ignore case or the form of é, and in those that do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unicodedata import normalize
+
+import pytest
+from PIL import Image
+
+from sgmethod import SgError, encode_many
+from sgmethod.cli.main import main
+from sgmethod.many.names import Names
+
+COMPOSED, DECOMPOSED = normalize("NFC", "é"), normalize("NFD", "é")
+
+
+def taken(folder: Path, *sources: str) -> list[str]:
+    names = Names(folder)
+    return [names.take(source, f"{Path(source).stem}.sg", f"{Path(source).name}.sg") for source in sources]
+
+
+@pytest.mark.parametrize(
+    ("sources", "names"),
+    [
+        (["IMG_1.JPG", "img_1.png", "a/IMG_2.JPG"], ["IMG_1.sg", "img_1.png.sg", "IMG_2.sg"]),
+        (["a.jpg", "A.jpg"], ["a.sg", "A.jpg.sg"]),
+        (["straße.jpg", "STRASSE.JPG"], ["straße.sg", "STRASSE.JPG.sg"]),
+        ([f"{COMPOSED}.jpg", f"{DECOMPOSED}.png"], [f"{COMPOSED}.sg", f"{DECOMPOSED}.png.sg"]),
+        ([f"{COMPOSED}.jpg", f"E{DECOMPOSED[1:]}.png"], [f"{COMPOSED}.sg", f"E{DECOMPOSED[1:]}.png.sg"]),
+        (["\udcff.jpg", "\udcff.png"], ["\udcff.sg", "\udcff.png.sg"]),  # a byte that is no text
+    ],
+)
+def test_names_differ_on_every_file_system(sources: list[str], names: list[str], tmp_path: Path) -> None:
+    assert taken(tmp_path / "missing", *sources) == names
+    assert not (tmp_path / "missing").exists()  # the file system has not been asked
+
+
+def test_names_without_an_alternative_depend_on_the_folder(tmp_path: Path) -> None:
+    """The third spelling of one name, and names that a caller gives: an error only where they would be one file."""
+    (tmp_path / "a").touch()
+    ignored = (tmp_path / "A").exists()
+    names = Names(tmp_path)
+    assert names.take("one", "a.sg") == "a.sg"
+    if ignored:
+        with pytest.raises(SgError, match=r"^one and two would both become .*A\.sg$"):
+            names.take("two", "A.sg")
+    else:
+        assert names.take("two", "A.sg") == "A.sg"
+        assert taken(tmp_path, "a.jpg", "A.jpg", "a.JPG") == ["a.sg", "A.jpg.sg", "a.JPG.sg"]
+        with pytest.raises(SgError, match=r"^two and three would both become .*A\.sg$"):
+            names.take("three", "A.sg")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_folder_that_ignores_case_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where names keep their case, a folder that ignores it is imitated."""
+    touch, exists = Path.touch, Path.exists
+    monkeypatch.setattr(Path, "touch", lambda path: touch(path.with_name(path.name.lower())))
+    monkeypatch.setattr(Path, "exists", lambda path: exists(path.with_name(path.name.lower())))
+    with pytest.raises(SgError, match=r"'a' and the picture 'A' would both become .*A\.sg: give other names"):
+        encode_many([("a", Image.new("RGB", (8, 8))), ("A", Image.new("RGB", (8, 8)))], tmp_path, effort=1)
+    assert [path.name for path in tmp_path.glob("*.sg")] == ["a.sg"]
+
+
+def test_a_run_resumes_with_the_same_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("photos").mkdir()
+    Image.new("RGB", (8, 8), "red").save("photos/img.png")
+    Image.new("RGB", (8, 8), "blue").save("photos/IMG.JPG")
+    for line in ("encode photos --effort 1 --quiet --resume", "preview photos --quiet --resume"):
+        verb = line.split()[0]
+        for _ in range(2):
+            assert main([*line.split(), "--output-dir", verb]) == 0
+            assert {path.name for path in Path(verb).glob("*.sg")} == {"IMG.sg", "img.png.sg"}
+        assert len(Path(verb, "manifest.jsonl").read_text().splitlines()) == 2
+    assert main(["decode", "encode", "--output-dir", "decode", "--quiet"]) == 0
+    assert {path.name for path in Path("decode").iterdir()} == {"IMG.png", "img.png.png"}

@@ -1,0 +1,101 @@
+"""Sparse pictures: the fit sees the islands in a picture's background, and nothing of them is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sgmethod import decode, encode
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Descent, Frame, Moments
+from sgmethod.budget import Budget
+from sgmethod.fitting.islands import Islands, moved
+from sgmethod.rd import encode as rd
+from sgmethod.rd.sparse import on_islands
+from sgmethod.scene import Gaussians, Pixels
+from sgmethod.settings.shared import Tune
+from tests.rd.short import requested, short
+
+GREY = (128, 128, 128)
+
+
+def dots(number: int, side: int = 600) -> Pixels:
+    """White pixels on grey."""
+    pixels = np.full((side, side, 3), GREY, np.uint8)
+    pixels[tuple(np.random.default_rng(2).integers(0, side, (2, number)))] = 255
+    return pixels
+
+
+class Watched(Kernels):
+    """Kernels that note the pixels that each call for steps looks at."""
+
+    def __init__(self) -> None:
+        self.pixels: list[int] = []
+
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        self.pixels.append(descent.frame.width * descent.frame.height)
+        super().steps(gaussians, moments, descent, rates)
+
+
+@pytest.mark.parametrize("number", [1, 30])
+@pytest.mark.parametrize("tune", ["psnr", "visual"])
+def test_steps_look_at_islands_only(number: int, tune: Tune) -> None:
+    """One dot used to take as many pixels as the whole picture has, 12 s at four megapixels."""
+    backend = Watched()
+    rd.encode(requested(dots(number), Budget("bytes", 300), tune, settings=short(40), backend=backend))
+    assert max(backend.pixels) <= number * 12 * 12 * 1.5  # 144 and 4,320 were seen
+
+
+@pytest.mark.parametrize("options", [{"tune": "psnr"}, {}], ids=["psnr", "visual"])
+def test_a_dot_does_not_vanish(options: Any) -> None:
+    """At 30 bytes, there was none: all went into the page's grey, which a short file rounds to 132."""
+    pixels = dots(1, 800)
+    drawn = decode(encode(pixels, bytes=30, **options).data).astype(int)
+    y, x = np.argwhere(pixels[..., 0] == 255)[0]
+    assert abs(drawn[y, x] - 255).max() <= 12  # 5 was seen
+    drawn[y, x] = GREY
+    assert abs(drawn - 128).max() <= 12  # 8 was seen
+
+
+def test_errors_are_those_of_the_whole_picture() -> None:
+    pixels = dots(5)
+    plain = requested(pixels, Budget("bytes", 300))
+    request, pyramid = on_islands(plain)
+    level, whole = pyramid.finest, plain.whole()
+    assert (level.frame.width, level.frame.height) != plain.size
+    places = np.argwhere(pixels[..., 0] == 255)[:, ::-1].astype(np.float32) + 0.5
+    gaussians = Gaussians(places, np.tile(np.float32([0.6, 0, 0.6]), (5, 1)), np.full((5, 3), 0.3, np.float32))
+    found = request.backend.error(gaussians, level.frame, level.target)
+    assert found == pytest.approx(Kernels().error(gaussians, Frame(*plain.size), whole.target), rel=1e-5)
+    _, on_sheet = level.gradients(gaussians)
+    _, right = whole.gradients(gaussians)
+    for one, other in zip(on_sheet.arrays, right.arrays, strict=True):
+        np.testing.assert_allclose(level.values * one, whole.values * other, rtol=1e-3, atol=1e-3)
+
+
+def test_islands_go_to_the_sheet_and_back() -> None:
+    pixels = dots(40, 203)
+    islands = Islands.from_pixels(pixels, GREY)
+    assert islands is not None
+    planes = pixels.transpose(2, 0, 1)
+    sheet = islands.laid(planes, 128)
+    assert (sheet == 255).sum() == (planes == 255).sum()  # each island once
+    np.testing.assert_array_equal(islands.put_back(sheet, np.full_like(planes, 128)), planes)
+    places = np.argwhere(pixels[..., 0] == 255)[:, ::-1].astype(np.float32) + 0.5
+    there = moved(places, islands.to_sheet)
+    assert (sheet[(0, *there.astype(int).T[::-1])] == 255).all()
+    np.testing.assert_array_equal(moved(there, islands.to_picture), places)
+
+
+def test_a_plain_picture_has_none() -> None:
+    assert Islands.from_pixels(np.full((20, 30, 3), GREY, np.uint8), GREY) is None
+
+
+def test_a_photograph_is_fitted_whole() -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    request = requested(pixels, Budget("bytes", 300))
+    same, pyramid = on_islands(request)
+    assert same is request and pyramid.finest.islands is None
