@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, NoReturn
 
@@ -13,11 +14,12 @@ BAD_INPUT = 2
 BUDGET_HELP = {
     "bpp": ("F", "maximum size in bits per pixel (default: {default}, but at most {most} bytes)"),
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
-    "quality": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
+    "quality": ("Q", "target SSIMULACRA 2, up to 100 and not on JPEG's scale, or preview (40), web (60), archive (80)"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
     "gaussians": ("N", "number of Gaussians; with profile rd, at most this many"),
 }
 MAX_SEED = 2**32 - 1
+CLOSE = 0.7  # similarity of words, from which one may have been meant
 
 # argparse's own usage would not show inputs and outputs as separate names.
 USAGES = {
@@ -104,8 +106,11 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         named |= {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
         super().__init__(*arguments, **named)
+        self.commands: dict[str, argparse.ArgumentParser] = {}
 
     def error(self, message: str) -> NoReturn:
+        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
+            message += suggestion(choice[1], re.findall(r"[\w-]+", choice[2]))
         self.exit(BAD_INPUT, f"sgmethod: {one_line(message)} (see: {self.prog} --help)\n")
 
 
@@ -126,14 +131,25 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """
     whole = parser(argv)
     arguments, more = whole.parse_known_args(argv)
-    if more and (not hasattr(arguments, "names") or any(one.startswith("-") and one != "-" for one in more)):
-        whole.error(f"unrecognized arguments: {' '.join(more)}")
+    options = [one for one in more if one.startswith("-") and one != "-"]
+    if more and (options or not hasattr(arguments, "names")):
+        command = whole.commands[arguments.run]
+        known = [text for action in command._actions for text in action.option_strings]
+        command.error(f"unrecognized arguments: {' '.join(more)}{suggestion((options or more)[0], known)}")
     if more:
         arguments.names += [_path(one) for one in more]
     return arguments
 
 
-def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return the known word that was probably meant, as a question; empty if none is close."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(word.partition("=")[0], known, 1, CLOSE)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def parser(argv: Sequence[str]) -> _Parser:
     """Build the parser; its result names the command as `run`.
 
     Only commands named in argv get arguments: a decode need not import every profile for the arguments of encode.
@@ -154,6 +170,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
             name, help=texts[0], description=texts[0], epilog=texts[1], usage=USAGES.get(name)
         )
         command.set_defaults(run=name)
+        whole.commands[name] = command
         if name in argv:
             add(command)
     return whole

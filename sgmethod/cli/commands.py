@@ -31,8 +31,12 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield labels and texts: the main facts, then every other field that fits on a line."""
+    """Yield labels and texts: the main facts, then other fields that fit on a line.
+
+    Only the JSON has what concerns the coding alone.
+    """
     main = {"width", "height", "bytes", "bpp", "version", "checksum", "profile", "gaussians", "bits"}
+    main |= {"quantum", "upright", "short"}
     bits = fields["bits"]
     whole = sum(bits.values())
     yield "picture", f"{fields['width']} x {fields['height']} pixels"

@@ -182,7 +182,7 @@ def test_summary_and_trace(run: Run) -> None:
     ("name", "parts", "lines"),
     [
         ("v1-paper", "headers positions covariances colors", {"picture": "40 x 56 pixels", "position bits": "12"}),
-        ("v2-grey", "headers texture alpha payload", {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"}),
+        ("v2-grey", "headers texture alpha payload", {"picture": "48 x 40 pixels", "grey": "yes", "alpha": "no"}),
     ],
 )
 def test_info(run: Run, name: str, parts: str, lines: dict[str, str]) -> None:
@@ -239,7 +239,11 @@ def test_version(module: bool) -> None:
         ("compare photo.png picture.sg", "differ in size: 128 x 96 and 40 x 56"),
         ("info", "IN.sg"),
         (ENCODE + "more", "--output-dir"),
-        (DECODE + "--more", "unrecognized arguments: --more"),
+        (DECODE + "--more", "unrecognized arguments: --more (see: sgmethod decode --help)"),
+        (ENCODE + "--qualty 60", "did you mean --quality? (see: sgmethod encode --help)"),
+        (DECODE + "--widht=60", "--widht=60; did you mean --width? (see: sgmethod decode --help)"),
+        (ENCODE + "--tune psn", "did you mean psnr? (see: sgmethod encode --help)"),
+        ("encod photo.png", "did you mean encode? (see: sgmethod --help)"),
         ("info picture.sg more", "unrecognized arguments: more"),
         (ENCODE + "--bp 1", "--bp"),
         (ENCODE + "--bpp x", "--bpp"),
