@@ -29,7 +29,7 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   if (other && isLeft) label("left-label", true, leftName, size(other.bytes));
   else label("left-label", isLeft, "Original", size(item.originalBytes ?? 0));
   const bytes = item.sg && size(item.sg.length);
-  if (item.soFar) label("right-label", true, "So far", size(item.soFar.bytes));
+  if (item.soFar) label("right-label", true, "So far"); // larger than the file will be
   else if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
   else if (smooth) label("right-label", item.decoded, "Gaussians", bytes, "without texture");
   else label("right-label", item.decoded, "Gaussians", bytes);

@@ -134,8 +134,7 @@ class _Report:
     def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
         self._left -= Counter([outcome.input])
-        rate = f"{tally.per_second:{'.3g' if tally.per_second < 100 else ',.0f'}}"
-        pace = self._pace = f", {rate} pictures/s{remaining(tally.seconds, done / self._whole)}"
+        pace = self._pace = f", {pace_of(tally.per_second)}{remaining(tally.seconds, done / self._whole)}"
         if self._shown:
             redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)
@@ -161,6 +160,13 @@ class _Report:
             running = [(name, now_s - self._began.setdefault(name, now_s)) for name in islice(self._left, self._jobs)]
             names = ", ".join(f"{one_line(Path(name).name)} {seconds:.0f} s" for name, seconds in running)
             redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
+
+
+def pace_of(per_second: float) -> str:
+    """Format a pace as seconds a picture or, if they take less than one, as pictures a second."""
+    if 0 < per_second < 1:
+        return f"{1 / per_second:.3g} s a picture"
+    return f"{per_second:{'.3g' if per_second < 100 else ',.0f'}} pictures/s"
 
 
 def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:

@@ -16,6 +16,7 @@ from PIL import Image
 
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.cli import naming
+from sgmethod.cli.several import pace_of
 from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, on_terminal, run, start
 from tests.io.odd_files import tiff
 
@@ -41,7 +42,9 @@ def test_many_files_are_decoded(run: Run) -> None:
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
     assert re.fullmatch(
-        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, [\d.,]+ pictures/s, \d+ s left\)", done
+        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes"
+        r" \(2 of 3, [\d.,]+ (?:pictures/s|s a picture), \d+ s left\)",
+        done,
     )
     assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
     bad, missing = ran.err.splitlines()
@@ -106,7 +109,7 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     assert status == 0
     first, second, third, end = seen.decode().replace("\r\n", "\n").split("\r\x1b[K")[:4]
     assert first == "\r0 of 2: a.sg 0 s\x1b[K"
-    after = r"\r1 of 2, [\d.,]+ pictures/s, \d+ s left: b\.sg 0 s\x1b\[K"
+    after = r"\r1 of 2, [\d.,]+ (?:pictures/s|s a picture), \d+ s left: b\.sg 0 s\x1b\[K"
     assert re.fullmatch(rf"a\.sg -> out/a\.png: .* bytes\n{after}", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
@@ -266,3 +269,10 @@ def test_pillows_warnings_are_not_printed(jobs: str) -> None:
         encode("odd.tiff", effort=1)
     arguments = ["odd.tiff", "odder.tiff", "--output-dir", "out", "--jobs", jobs, "--effort", "1"]
     assert start("encode", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE).communicate()[1] == ""
+
+
+@pytest.mark.parametrize(
+    ("per_second", "words"), [(0.0895, "11.2 s a picture"), (0.999, "1 s a picture"), (2.5, "2.5 pictures/s")]
+)
+def test_a_slow_pace_is_in_seconds(per_second: float, words: str) -> None:
+    assert pace_of(per_second) == words
