@@ -45,7 +45,7 @@ export class Item {
   constructor(name, changed) {
     Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
-    this.size = this.opened = this.soFar = null; // soFar: { tag, image, bytes }
+    this.size = this.opened = this.soFar = null; // soFar: { tag, image }
   }
 
   update(change = {}) {
@@ -195,7 +195,7 @@ export class Item {
       await decoder.ask("open", { key, bytes });
       const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
       decoder.ask("close", { key });
-      this.update({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
+      this.update({ soFar: { tag, image }, size: [image.width, image.height], grown: true });
       before?.close();
     } catch {
       return;
