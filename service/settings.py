@@ -31,7 +31,7 @@ MIN_DECODE_BYTES = 512 << 20
 MAX_WORKERS = 64  # processes of one machine
 MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
 WEBHOOK, ORIGIN = r"https?://[^/,\s][^,\s]*", r"https?://[^/,\s*]+"
-OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
+OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS", "SG_ISA"})  # the client's, and the kernels'
 
 
 def default_workers() -> int:

@@ -27,9 +27,12 @@ from pathlib import Path
 
 from service.sandbox import filter as calls
 
-# Paths of programs and libraries, languages, memory, and OpenBLAS's kernels, on which the last digit of a fit depends.
-# Any other variable may be a secret.
-KEPT_VARIABLES = ("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES", "OPENBLAS_")
+# Paths of programs and libraries, languages, memory, and kernels, on which the last digit of a fit depends. Any other
+# variable may be a secret.
+KEPT_VARIABLES = (
+    *("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES"),
+    *("OPENBLAS_", "SG_ISA"),
+)
 LAYERS = ("Landlock", "seccomp", "a user other than root")  # the layers that a system may lack
 NOBODY = 65_534
 LEEWAY_BYTES = 2 << 30  # of address space: libraries, stacks and arenas reserve more than they use

@@ -9,30 +9,46 @@ bindings/ is the interface to Python.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NoReturn
+import os
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from sgmethod.errors import NativeModuleError
+
+ISAS = ("baseline", "avx2", "avx512")  # as core/isa.h numbers them
 
 
 class _Missing:
     """A placeholder for kernels that cannot be loaded: fails on first use, so that imports and --help still work."""
 
-    def __init__(self, error: ImportError) -> None:
-        self._error = error
+    def __init__(self, why: str) -> None:
+        self._why = why
 
     def __getattr__(self, _name: str) -> NoReturn:
-        raise NativeModuleError(
-            f"the compiled part of sgmethod cannot be loaded ({self._error}); "
-            "in a checkout, run: pip install --editable .; elsewhere, install sgmethod again"
-        ) from self._error
+        raise NativeModuleError(self._why)
+
+
+def _limited(kernels: Any) -> Any:
+    """Return the kernels, which use no better instruction set than SG_ISA names."""
+    name = os.environ.get("SG_ISA", "")
+    if name:
+        known = ISAS[: kernels.best_isa() + 1]
+        if name not in known:
+            return _Missing(f"SG_ISA must be {' or '.join(known)} on this processor, not {name[:40]!r}")
+        kernels.limit_isa(known.index(name))
+    return kernels
 
 
 if TYPE_CHECKING:
     from sgmethod.native import _native as native
 else:
     try:
-        from sgmethod.native import _native as native
+        from sgmethod.native import _native
     except ImportError as error:
-        native = _Missing(error)
+        native = _Missing(
+            f"the compiled part of sgmethod cannot be loaded ({error}); "
+            "in a checkout, run: pip install --editable .; elsewhere, install sgmethod again"
+        )
+    else:
+        native = _limited(_native)
 
 __all__ = ["native"]

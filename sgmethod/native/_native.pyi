@@ -36,6 +36,7 @@ MAX_SLANT: float  # of |l2| / l3 during a fit
 MAX_AMPLITUDE: float  # of each colour during a fit
 FAINT: float  # least |colour|^2 in a step
 
+def limit_isa(isa: int) -> None: ...
 def best_isa() -> int:
     """Best instruction set of this processor: 0 the baseline, 1 AVX2, 2 AVX-512."""
 

@@ -70,6 +70,7 @@ NB_MODULE(_native, m) {
   m.attr("MAX_AMPLITUDE") = sg::kMaxAmplitude;
   m.attr("FAINT") = sg::kFaint;
   m.def("best_isa", &sg::best_isa);
+  m.def("limit_isa", &sg::limit_isa, nb::arg("isa"));
   m.def("available_cores", &sg::available_cores);
   m.def("thread_count", &sg::thread_count);
   m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));

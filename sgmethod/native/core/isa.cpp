@@ -1,5 +1,8 @@
 #include "core/isa.h"
 
+#include <algorithm>
+#include <atomic>
+
 #include "core/platform.h"
 
 #if SG_X86
@@ -8,6 +11,8 @@
 
 namespace sg {
 namespace {
+
+std::atomic<int> highest{kAvx512};
 
 #if SG_X86
 // Features of the processor that the system supports. Queried once, because a virtual machine may answer slowly. Not by
@@ -45,10 +50,12 @@ const Processor& processor() {
 }  // namespace
 
 #if SG_X86
-int best_isa() { return processor().isa; }
+int best_isa() { return std::min(processor().isa, highest.load(std::memory_order_relaxed)); }
 bool has_bit_operations() { return processor().bit_operations; }
 #else
 int best_isa() { return kBaseline; }
 #endif
+
+void limit_isa(int isa) { highest.store(isa, std::memory_order_relaxed); }
 
 }  // namespace sg
