@@ -29,7 +29,7 @@ from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
-from sgmethod.io.formats import SUFFIXES
+from sgmethod.io.formats import OTHER_SUFFIXES, SUFFIXES
 from sgmethod.io.image import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.numerics import quiet
@@ -115,7 +115,7 @@ class Encoded:
         Raises SgError for the name of a picture, such as photo.jpg: no program would open the file.
         """
         target = checked_path(path)
-        if target.suffix.lower() in SUFFIXES:
+        if target.suffix.lower() in SUFFIXES | OTHER_SUFFIXES:
             raise SgError(f"{target} names a picture, and this is an .sg file: use {target.with_suffix('.sg')}")
         write_atomically(target, self.data)
 

@@ -111,6 +111,9 @@ def test_what_is_shown_is_short_and_what_is_listed_is_all() -> None:
     assert set(sgmethod.__all__) <= set(dir(sgmethod))
     result.save("out.sg")
     assert Path("out.sg").read_bytes() == result.data
+    for other in ("out.tif", "out.jp2", "out.psd", "out.svg"):
+        with pytest.raises(SgError, match="names a picture"):
+            result.save(other)
     with pytest.raises(SgError, match=r"out\.JPG names a picture, .* use out\.sg"):
         result.save("out.JPG")
     result.save("out.sg.part")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sgmethod.arguments import AnyInt, checked_integer
+from sgmethod.budget import BUDGET_KINDS, Budget
 from sgmethod.codec import encode
-from sgmethod.errors import noted
+from sgmethod.errors import SgError, noted
 from sgmethod.io.image import Input
 from sgmethod.many.folder import Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
@@ -49,7 +51,20 @@ def encode_many(
         make = partial(caught, partial(written, partial(_encode, options), folder.absolute()))
         return finish_locally(make, tasks, jobs)
 
-    return into_folder(items, output_dir, options, finish, resume, on_row)
+    return into_folder(items, output_dir, _with_one_budget(options), finish, resume, on_row)
+
+
+def _with_one_budget(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options in which equal budgets look equal, for the manifest: quality "web", 60 and 60.0."""
+    names = [name for name in BUDGET_KINDS if options.get(name) is not None]
+    given = options.get("budget")
+    with suppress(SgError):  # which each picture raises, as it does for several
+        if len(names) == 1 and given is None:
+            given = Budget(names[0], options[names[0]])
+        if isinstance(given, Budget):
+            others = {name: value for name, value in options.items() if name not in BUDGET_KINDS}
+            return {**others, "budget": (given.kind, float(given.value))}
+    return dict(options)
 
 
 def _encode(options: dict[str, Any], picture: Input) -> Made:

@@ -21,7 +21,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.harness.pictures import photo
-from sgmethod import ImageWarning, Row, SgError, Tally, encode, encode_many
+from sgmethod import Budget, ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded, encode_many as encode_on_server
 from sgmethod.errors import noted
 from sgmethod.io.image import warn
@@ -277,3 +277,12 @@ def test_a_killed_run_goes_on() -> None:
     assert sorted(names) == sorted(f"{path.stem}.sg" for path in paths())
     for row in (rows()[0], rows()[-1]):
         assert (Path("out") / row["name"]).read_bytes() == encode(row["input"], effort=1, gaussians=9).data
+
+
+def test_equal_budgets_are_one_to_a_run_that_resumes(tmp_path: Path) -> None:
+    """Each made all files anew, though they are the same."""
+    picture = [("a", np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8))]
+    same = ({"quality": "web"}, {"quality": 60}, {"quality": 60.0}, {"budget": Budget("quality", 60)})
+    skipped = [encode_many(picture, tmp_path, resume=True, effort=1, **budget).skipped for budget in same]
+    assert skipped == [0, 1, 1, 1]
+    assert encode_many(picture, tmp_path, resume=True, effort=1, quality=61).skipped == 0
