@@ -1,7 +1,8 @@
 """Whether a worker of this host is alive: each touches a file every few seconds, whose age tells.
 
 Container engines ask every few seconds for each worker, so this imports next to nothing. And it asks no database, since
-a worker that waits for one is alive.
+a worker that waits for one is alive. The file is a temporary one: with a database and a bucket, a worker needs no data
+folder.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import os
 import socket
 import sys
+import tempfile
 import time
+import zlib
 from pathlib import Path
 
 TOUCH_S = 2.0
@@ -44,7 +47,8 @@ def main() -> int:
 
 
 def _file(data_dir: Path) -> Path:
-    return data_dir / "alive" / socket.gethostname()
+    service = zlib.crc32(os.fsencode(data_dir.absolute()))  # there may be several on this machine
+    return Path(tempfile.gettempdir()) / f"sgmethod-{os.geteuid()}" / f"{service:08x}-{socket.gethostname()}"
 
 
 def _age_s(file: Path) -> float:

@@ -116,7 +116,8 @@ class Sandbox:
                     raise TaskError("it exceeds the time limit")
                 case Ended(status=status) if status == -signal.SIGKILL:  # not by us, since the client still waits
                     log.warning("%s", KILLED)
-                    raise OutOfMemoryError(KILLED)
+                    if not left:
+                        raise OutOfMemoryError(KILLED)
         raise TaskError("its decoder crashed")
 
     async def try_out(self, patience_s: float) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from service.alive import touch
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
 from service.commands import _where
-from service.opening import open_job_table
 from service.settings import Settings
 
 
@@ -36,8 +35,8 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
     assert "there is no job table yet" in result.stdout
-    open_job_table(Settings(data_dir=tmp_path / "data", database_url=database_url)).close()
-    assert "0 queued, 0 running" in run_command("check", data_dir=tmp_path / "data", database_url=database_url).stdout
+    made = run_command("check", "--set-up", data_dir=tmp_path / "data", database_url=database_url)
+    assert "0 queued, 0 running" in made.stdout
 
 
 def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> None:
@@ -97,28 +96,35 @@ def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], word
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
-def test_a_worker_of_this_host_is_alive(run_command: RunCommand, tmp_path: Path) -> None:
+def test_a_worker_of_this_host_is_alive(
+    run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Containers ask whether their own one is; others do not count, and no database is asked."""
-    ours, other, gone = (tmp_path / "alive" / f"{socket.gethostname()}{end}" for end in ("", "0", "1"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    data = tmp_path / "data"
 
-    def status() -> int:
-        result = run_command("alive", data_dir=tmp_path, database_url="postgresql://nobody@127.0.0.1:1/x")
+    def status(data_dir: Path = data) -> int:
+        result = run_command("alive", data_dir=data_dir, database_url="postgresql://nobody@127.0.0.1:1/x")
         assert ("no worker of" in result.stderr) == (result.status != 0)
         return result.status
 
     assert status() == 1
     assert list(tmp_path.iterdir()) == []  # a look makes nothing
-    ours.parent.mkdir()
-    other.touch()
-    gone.touch()
-    os.utime(gone, (0, 0))
-    assert status() == 1
-    touch(tmp_path)
-    assert status() == 0
-    assert sorted(ours.parent.iterdir()) == [ours, other]
+    touch(data)
+    (folder,) = (tmp_path / "tmp").iterdir()
+    (ours,) = folder.iterdir()
+    assert (status(), status(tmp_path / "of another service")) == (0, 1)
     for shift_s, expected in ((-20, 1), (20, 1), (0, 0)):
         os.utime(ours, 2 * (time.time() + shift_s,))
         assert status() == expected
+    other, gone = (ours.with_name(f"{ours.name}{end}") for end in "01")  # of other hosts
+    ours.rename(other)
+    gone.touch()
+    os.utime(gone, (0, 0))
+    assert status() == 1
+    touch(data)
+    assert sorted(folder.iterdir()) == [ours, other]
+    assert not data.exists()
 
 
 def test_a_health_check_is_cheap() -> None:

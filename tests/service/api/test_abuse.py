@@ -203,5 +203,5 @@ def test_a_task_that_is_killed_harms_no_other(start_service: StartService, crowd
     with ThreadPoolExecutor(1) as pool:
         refused = wait_until(killed_twice)
     assert refused is not None
-    assert_problem(refused, 422, "crashed")
+    assert_problem(refused, 503, "out of memory")
     assert web.client.post("/decode", content=PICTURE).status_code == 200

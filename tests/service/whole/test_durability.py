@@ -33,6 +33,7 @@ from benchmarks.harness.processes import (
     worker_of,
 )
 from benchmarks.harness.service import FAKE_CODEC, Service, StartService
+from service.sandbox.client import KILLED
 
 
 @pytest.fixture
@@ -233,7 +234,7 @@ def test_rule_5_poison(solo: Service) -> None:
         killed.add(encoder or 0)
     job = solo.wait(job_id)
     assert (job["state"], job["attempt"], job["result"]) == ("failed", 4, None)
-    assert job["error"] == {"code": "crashed", "detail": "the encoder crashed (Killed)"}
+    assert job["error"] == {"code": "crashed", "detail": f"{KILLED}: the encode needs more than there is"}
     healthy = solo.accepted()
     assert solo.wait(healthy)["state"] == "done"
     assert_settled(solo, healthy)
