@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
@@ -10,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.jobs.job import Job, JobError, JobState, JsonObject, Priority
 from service.settings import Settings
-from sgmethod.trace import share_of
+from sgmethod.trace import seconds_left
 
 Figure = float | int | str | None
 
@@ -38,9 +39,11 @@ EXAMPLE_JOB: dict[str, Any] = {
     "result": None,
     "notes": [],
     "error": None,
-    "progress": 0.06,
+    "progress": 0.15,
+    "seconds_left": 4.1,
     "trace": [
-        {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bytes": 12288, "gaussians": 1200, "phase": "fit"}
+        {"seconds": 0.8, "step": 87, "steps": 350, "psnr": 28.4, "bytes": 41217, "gaussians": 12578}
+        | {"phase": "joint", "share": 0.15},
     ],
 }
 
@@ -101,12 +104,15 @@ class TraceView(BaseModel):
 
     progress: float = Field(description="estimated progress, 0 to 1; never decreases")
     trace: list[dict[str, Figure]] = Field(
-        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; sparser with time"
+        description="seconds, step, steps, psnr (dB), bytes, gaussians, phase and share (the part of the time that is "
+        "over), oldest first; sparser with time"
     )
 
 
 class JobView(TraceView, JobSummary):
     """A job with its trace."""
+
+    seconds_left: float | None = Field(description="estimate while the job is running, once there is one")
 
     model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE_JOB]})
 
@@ -156,8 +162,10 @@ def summary(job: Job, settings: Settings) -> JobSummary:
 
 def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
     """Return the job with its trace and progress."""
-    done = 1.0 if job.state == "done" else progress(trace)
-    return JobView.model_validate({**_members(job, settings), "progress": done, "trace": trace})
+    done, left_s = 1.0 if job.state == "done" else progress(trace), None
+    if job.state == "running" and job.started_at is not None:
+        left_s = seconds_left(trace, time.time() - job.started_at, job.request.time_limit_s)
+    return JobView.model_validate({**_members(job, settings), "progress": done, "seconds_left": left_s, "trace": trace})
 
 
 def _members(job: Job, settings: Settings) -> JsonObject:
@@ -180,4 +188,4 @@ def _members(job: Job, settings: Settings) -> JsonObject:
 
 def progress(trace: Sequence[JsonObject]) -> float:
     """Estimate the share of the work that is done, 0 to 1."""
-    return max((share_of(point["phase"], point["step"], point["steps"]) for point in trace), default=0.0)
+    return max((point.get("share", 0.0) for point in trace), default=0.0)

@@ -93,8 +93,6 @@ export function stateOf(job, stopping, paceS = null) {
   if (!last) return { words: "Starting the encoder", done: null };
   if (stopping) return { words: "Finishing early", done: null };
   if (job.progress === 1 && last.step === last.steps) return { words: "Writing and measuring the file", done: null };
-  const whole = Math.min(last.seconds / job.progress, job.time_limit_s);
-  const left = job.progress > 0.05 ? Math.max(whole - last.seconds, 0) : null;
-  const rest = left === null ? "" : `, about ${seconds(left)} left`;
+  const rest = job.seconds_left >= 0.5 ? `, about ${seconds(job.seconds_left)} left` : "";
   return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };
 }

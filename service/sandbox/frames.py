@@ -77,6 +77,7 @@ class TracePoint(Model):
     bytes: Count
     gaussians: Count
     phase: str = Field(max_length=20)
+    share: float = Field(ge=0, le=1)
 
 
 class Preview(Model):

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,6 +15,8 @@ from itertools import islice
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, TextIO
+
+from PIL import Image
 
 from sgmethod.cli import files
 from sgmethod.cli.arguments import one_line
@@ -110,6 +113,8 @@ class _Report:
         self.failed: list[Conversion] = []
         self.done = 0
         self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
+        self._pixels = Counter() if arguments.quiet else Counter({one: pixels_of(one) for one in set(pictures)})
+        self._done_pixels, self._all_pixels = 0, sum(self._pixels[picture] for picture in pictures)
         self._shown = not arguments.quiet and os.isatty(2)
         self._left, self._jobs, self._pace = Counter(pictures), getattr(arguments, "jobs", 1), ""
         self._began: dict[str, float] = {}
@@ -134,7 +139,9 @@ class _Report:
     def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
         self._left -= Counter([outcome.input])
-        pace = self._pace = f", {pace_of(tally.per_second)}{remaining(tally.seconds, done / self._whole)}"
+        self._done_pixels += self._pixels[outcome.input]
+        left_s = tally.seconds * (self._all_pixels / self._done_pixels - 1) if self._done_pixels else None
+        pace = self._pace = f", {pace_of(tally.per_second)}{remaining(left_s)}"
         if self._shown:
             redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)
@@ -160,6 +167,15 @@ class _Report:
             running = [(name, now_s - self._began.setdefault(name, now_s)) for name in islice(self._left, self._jobs)]
             names = ", ".join(f"{one_line(Path(name).name)} {seconds:.0f} s" for name, seconds in running)
             redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
+
+
+def pixels_of(picture: str) -> int:
+    """Number of a picture's pixels by its header; 1 if it has none that Pillow reads."""
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(picture) as image:
+            return image.width * image.height
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return 1
 
 
 def pace_of(per_second: float) -> str:

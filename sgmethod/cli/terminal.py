@@ -6,17 +6,18 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, TextIO
 
-from sgmethod.trace import share_of
+from sgmethod.trace import seconds_left
 
 if TYPE_CHECKING:
     from sgmethod.trace import Progress, TracePoint
 
 BAR_CELLS = 24
-FIRST_SHARE = 0.08  # of an encode; before it an estimate is far off
+TICK_S = 1.0
 
 
 @contextmanager
@@ -44,10 +45,31 @@ def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
     if not shown:
         yield None
         return
+    points: list[TracePoint] = []
+    started, lock, ended = [0.0], Lock(), Event()
+
+    def draw() -> None:
+        now = time.perf_counter()
+        with lock:
+            redraw(sys.stderr, bar(points, now - began, now - started[0]) if points else "start")
+
+    def add(point: TracePoint) -> None:
+        points.append(point)
+        started[0] = time.perf_counter() - point.seconds
+        draw()
+
+    def tick() -> None:  # seconds may pass between two points
+        while not ended.wait(TICK_S):
+            draw()
+
+    ticking = Thread(target=tick, daemon=True)
     try:
-        redraw(sys.stderr, "start")  # reading and placing take seconds of a large picture
-        yield lambda point: redraw(sys.stderr, bar(point, time.perf_counter() - began))
+        draw()  # reading and placing take seconds of a large picture
+        ticking.start()
+        yield add
     finally:
+        ended.set()
+        ticking.join()
         redraw(sys.stderr, "")
 
 
@@ -58,21 +80,23 @@ def redraw(stream: TextIO, text: str) -> None:
     stream.flush()
 
 
-def bar(point: TracePoint, waited_s: float) -> str:
-    """Format the progress of a fit and the seconds waited. No PSNR, because tuning for the eye lowers it."""
-    done = share_of(point.phase, point.step, point.steps)
+def bar(trace: Sequence[TracePoint], waited_s: float, seconds: float) -> str:
+    """Format the progress of a fit and the seconds waited. No PSNR, because tuning for the eye lowers it.
+
+    seconds: since the encode began.
+    """
+    point, done = trace[-1], max(point.share for point in trace)
+    left_s = seconds_left([trace[0].to_dict(), point.to_dict()], seconds)
     phase = "write" if point.phase == "done" else point.phase
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
-    left = remaining(point.seconds, done) if done >= FIRST_SHARE else ""
-    return f"{phase:<6} [{bar}] {done:4.0%}  {point.gaussians:,} Gaussians  {waited_s:.1f} s{left}"
+    return f"{phase:<6} [{bar}] {done:4.0%}  {point.gaussians:,} Gaussians  {waited_s:.1f} s{remaining(left_s)}"
 
 
-def remaining(seconds: float, done: float) -> str:
-    """Format the estimated time left, once there is something to estimate it from."""
-    if not 0 < done < 1:
+def remaining(left_s: float | None) -> str:
+    """Format an estimate of the time left, if there is one."""
+    if left_s is None or left_s < 0.5:
         return ""
-    left = seconds * (1 - done) / done
-    if left < 120:
-        return f", {left:.0f} s left"
-    return f", {left / 60:.0f} min left" if left < 7200 else f", {left / 3600:.0f} h left"
+    if left_s < 120:
+        return f", {left_s:.0f} s left"
+    return f", {left_s / 60:.0f} min left" if left_s < 7200 else f", {left_s / 3600:.0f} h left"

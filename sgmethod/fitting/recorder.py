@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from sgmethod.fitting.deadline import Clock
-from sgmethod.trace import Preview, Progress, TracePoint
+from sgmethod.trace import Preview, Progress, TracePoint, share_of
 
 REPORT_INTERVAL_S = 0.1
 
@@ -23,12 +23,19 @@ class Recorder:
     _slow_s: list[float] = field(default_factory=list)  # duration of the last measurement for the trace
 
     def report(
-        self, phase: str, step: int, steps: int, mse: float | Callable[[], float], gaussians: int, size: int = 0
+        self,
+        phase: str,
+        step: int,
+        steps: int,
+        mse: float | Callable[[], float],
+        gaussians: int,
+        size: int = 0,
+        tries: int = 1,
     ) -> None:
         """Add a point if one is due.
 
         mse: the error, or a function that measures it only for the trace, in at most a twentieth of the time; size: of
-        the file in bytes, 0 while unknown.
+        the file in bytes, 0 while unknown; tries: quanta that the search usually tries.
         """
         seconds = self.clock.seconds()
         interval_s = max(REPORT_INTERVAL_S, 20 * self._slow_s[-1] if self._slow_s else 0.0)
@@ -39,7 +46,8 @@ class Recorder:
             mse = mse()
             self._slow_s[:] = [self.clock.seconds() - seconds]
         psnr = -10 * math.log10(max(mse, 1e-12))
-        point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), size, gaussians, phase)
+        share = round(share_of(phase, step, steps, tries), 4)
+        point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), size, gaussians, phase, share)
         self.points.append(point)
         if self.on_progress:
             self.on_progress(point)

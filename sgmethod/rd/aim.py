@@ -31,6 +31,8 @@ class Aim(RateControl, ABC):
     is out of reach; round_slack_db: a smaller miss is not worth another round.
     """
 
+    usual_tries = 4
+
     aim_db: float = 0.0
     tries: int = 1
     steering_limit: float = 1.0

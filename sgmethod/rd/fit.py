@@ -33,7 +33,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
         steps += len(rates)
-        request.recorder.report("joint", steps, plan.all_steps(steps), decoded_error, size, state.size)
+        all_steps, tries = plan.all_steps(steps), request.rate.usual_tries
+        request.recorder.report("joint", steps, all_steps, decoded_error, size, state.size, tries)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
@@ -106,8 +106,11 @@ class RateControl:
     """Rate control at a fixed quantum. Each kind of budget overrides the methods that it answers differently.
 
     pixels: size of the picture; quantum: the initial quantum; is_short: whether to write a short file; further_rounds:
-    rounds beyond the effort's, while the budget is missed. Times (`at`) are parts of a run of the schedule, 0 to 1.
+    rounds beyond the effort's, while the budget is missed; usual_tries: quanta that a search usually tries. Times
+    (`at`) are parts of a run of the schedule, 0 to 1.
     """
+
+    usual_tries: ClassVar[int] = 1
 
     settings: RdSettings
     pixels: int

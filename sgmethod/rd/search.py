@@ -38,7 +38,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         return len(coded(StreamV2.coded_quantum(quantum, rate.is_short)).payload)
 
     report = partial(_report, plan, state, rounds)
-    report(0, 1)
+    usual = rate.usual_tries
+    report(0, usual)
     texture = request.objective.texture(coded(state.quantum))
     if texture is not None and not rate.affords(texture):
         texture = None
@@ -52,6 +53,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         if quantum is None:
             break
         tried.append(refined(state.gaussians, quantum, limit))
+        report(len(tried), max(usual, len(tried) + 1))
         quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
     if rate.is_cut_short(payload(state.quantum), limit):
         tried.append(refined(state.gaussians, state.quantum, limit))
@@ -80,7 +82,8 @@ def _report(plan: Plan, state: State, rounds: int, step: int, steps: int) -> Non
         def decoded_error() -> float:
             return plan.error(plan.rounded(state.gaussians, state.quantum))
 
-        plan.request.recorder.report("search", step, steps, decoded_error, len(state.gaussians), state.size)
+        gaussians, tries = len(state.gaussians), plan.request.rate.usual_tries
+        plan.request.recorder.report("search", step, steps, decoded_error, gaussians, state.size, tries)
 
 
 def _refined(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import os
@@ -19,11 +20,14 @@ from PIL import Image
 
 from sgmethod import decode
 from sgmethod.cli import encoding, naming
+from sgmethod.cli.naming import Conversion
+from sgmethod.cli.several import _Report, pixels_of
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.client import RemoteEncoded
 from sgmethod.errors import ImageError
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.many import processes
+from sgmethod.many.run import Tally
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
 from tests.cli.test_cli import PHOTO, Ran, Run, in_folder, names, on_terminal, run, start, start_interruptible
@@ -219,20 +223,32 @@ def group(leader: int) -> list[str]:
 
 
 def test_seconds_left() -> None:
-    assert remaining(6.0, 0.25) == ", 18 s left"
+    first = TracePoint(1.0, 1, 1000, 17.5, 0, 9, "joint", 0.05)
 
-    def drawn(step: int, phase: str) -> str:
-        return bar(TracePoint(6.0, step, 1000, 28.456, 0, 100, phase), 8.5)
+    def drawn(phase: str, share: float, waited_s: float = 0.0) -> str:
+        return bar([first, TracePoint(6.0, 1, 1000, 28.456, 0, 100, phase, share)], 8.5, 6.0 + waited_s)
 
-    assert drawn(250, "joint").endswith("  8.5 s, 18 s left")
-    assert [line[:10] for line in (drawn(1000, "fit"), drawn(0, "search"))] == ["fit    [##", "search [##"]
-    assert ("100%" in drawn(1000, "joint"), "100%" in drawn(1000, "done")) == (False, True)
-    assert drawn(1000, "done").startswith("write  [##")
-    assert drawn(40, "joint").endswith("  8.5 s")  # too early
-    assert remaining(10, 1 / 1000) == ", 3 h left"  # of pictures, each of which is finished
-    assert (remaining(6.0, 0.0), remaining(6.0, 1.0)) == ("", "")
-    assert (remaining(10, 1 / 13), remaining(3600, 1 / 10)) == (", 2 min left", ", 9 h left")
-    assert remaining(119, 0.5) == ", 119 s left"
+    assert drawn("joint", 0.3).endswith("  8.5 s, 14 s left")
+    assert drawn("joint", 0.3, waited_s=4).endswith("  8.5 s, 10 s left")  # points of large pictures are seconds apart
+    assert [drawn(phase, 0.9)[:10] for phase in ("fit", "search")] == ["fit    [##", "search [##"]
+    assert drawn("done", 1.0).startswith("write  [##")
+    for share, waited_s in ((0.1, 0), (0.9, 60), (1.0, 0)):  # too early, longer than it should take, the end
+        assert drawn("joint", share, waited_s).endswith("  8.5 s")
+    assert [remaining(seconds) for seconds in (None, 0.2, 119, 120, 32400)] == [
+        *("", "", ", 119 s left", ", 2 min left", ", 9 h left")
+    ]
+
+
+def test_the_rest_of_a_folder_is_counted_by_its_pixels(capsys: pytest.CaptureFixture[str]) -> None:
+    small, large, broken = "small.png", "large.png", "broken.jpg"
+    for name, side in ((small, 8), (large, 72)):
+        Image.new("RGB", (side, side), "teal").save(name)
+    Path(broken).write_text("no picture")
+    assert [pixels_of(one) for one in (small, large, broken)] == [64, 5184, 1]
+    report = _Report([small, large], argparse.Namespace(quiet=False, jobs=1, json=False))
+    report.show(Conversion("small", small, target="small.sg", summary="done"), Tally(encoded=1, seconds=1))
+    report.end()
+    assert capsys.readouterr().out.endswith("small.sg: done (1 of 2, 1 pictures/s, 81 s left)\n")
 
 
 def test_jobs_of_a_batch_are_found_again_on_a_server(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

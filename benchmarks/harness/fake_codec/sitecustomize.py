@@ -43,7 +43,7 @@ def encode(
     pixels = read_input(image, keep_alpha=True)
     for step in range(STEPS + 1):
         seconds = time_limit_s * step / STEPS
-        on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint"))
+        on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint", step / STEPS))
         if step < STEPS:
             _sleep(time_limit_s / STEPS, stop)
         if stop():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import httpx
@@ -19,8 +21,10 @@ from benchmarks.harness.service import Service, StartService, assert_problem
 from service.api.models import summary, with_trace
 from service.jobs.job import Job, JobError, JobState
 from service.settings import Settings
+from sgmethod.trace import share_of
 
 Event = tuple[str, dict[str, Any]]
+TRACED = ("progress", "seconds_left", "trace")  # not in the events of states
 SETTINGS = Settings()
 
 
@@ -54,7 +58,7 @@ def test_a_job_from_the_queue_to_its_result(quick: Service) -> None:
     progress = [data["progress"] for name, data in seen if name == "trace"]
     assert progress == sorted(progress)
     job = quick.job(job_id)
-    assert seen[-1][1] == {name: value for name, value in job.items() if name not in ("progress", "trace")}
+    assert seen[-1][1] == {name: value for name, value in job.items() if name not in TRACED}
     points = [point for name, data in seen if name == "trace" for point in data["trace"]]
     assert points == job["trace"]
 
@@ -116,7 +120,8 @@ def job(state: JobState, error: JobError | None = None) -> Job:
 
 
 def point(phase: str, step: int, steps: int) -> dict[str, Any]:
-    return {"phase": phase, "step": step, "steps": steps, "psnr": 30.0}
+    share = share_of(phase, step, steps)
+    return {"phase": phase, "step": step, "steps": steps, "psnr": 30.0, "seconds": 10 * share, "share": share}
 
 
 def test_progress_never_falls() -> None:
@@ -129,9 +134,20 @@ def test_progress_never_falls() -> None:
     seen = [with_trace(job("running"), trace[:length], SETTINGS).progress for length in range(len(trace) + 1)]
     assert seen == sorted(seen)
     assert seen[0] == 0
-    assert seen[26] == pytest.approx(0.3, abs=0.02)
-    assert seen[52] == pytest.approx(0.6)
+    assert seen[26] == pytest.approx(0.2, abs=0.02)
+    assert seen[52] == pytest.approx(0.38)
     assert with_trace(job("done"), [], SETTINGS).progress == 1
+
+
+@pytest.mark.parametrize(("waited_s", "limit_s", "left_s"), [(3, 60, 7), (5, 60, 5), (30, 60, 0), (3, 6, 3)])
+def test_seconds_left(waited_s: float, limit_s: float, left_s: float) -> None:
+    running = replace(job("running"), started_at=time.time() - waited_s)
+    running = replace(running, request=replace(running.request, time_limit_s=limit_s))
+    trace = [point("fit", 0, 50), point("fit", 40, 50)]
+    assert with_trace(running, trace, SETTINGS).seconds_left == pytest.approx(left_s, abs=0.2)
+    for too_early in (trace[:1], [*trace[:1], point("fit", 5, 50)]):
+        assert with_trace(running, too_early, SETTINGS).seconds_left is None
+    assert with_trace(replace(running, state="queued"), trace, SETTINGS).seconds_left is None
 
 
 def test_the_error_of_a_crash_is_shown_once_the_job_has_failed() -> None:

@@ -111,9 +111,9 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert "dB" not in page.text("#status")
     assert not page.is_seen("#chart-card")
     page.cancel()
-    for limit, left in ((60, 8), (5, 3)):
-        text = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'time_limit_s': limit})}, false).words")
-        assert text == f"Fitting 250 Gaussians, about {left} s left"
+    for left, words in ((8.2, ", about 8 s left"), (0.2, ""), (None, "")):
+        text = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'seconds_left': left})}, false).words")
+        assert text == f"Fitting 250 Gaussians{words}"
     fitted = {**JOB, "progress": 1, "trace": [{**POINT, "step": 100, "steps": 100}]}
     last = page.imported("progress.js", f"it.stateOf({json.dumps(fitted)}, false)")
     assert last == {"words": "Writing and measuring the file", "done": None}  # seconds, for a large picture
