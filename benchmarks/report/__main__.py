@@ -42,6 +42,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "seen-local": partial(seen.means_table, local.FIGURES),
     "stability": stability.rules_table,
     "scenes": scenes.needs_table,
+    "sparse": scenes.sparse_table,
     "savings": scenes.savings_table,
     "service": service.situations,
 }

@@ -41,10 +41,12 @@ class Histogram:
     def __init__(self, pixels: NDArray[np.uint8]) -> None:
         number = pixels.shape[0] * pixels.shape[1]
         counts = _counts(pixels)
-        most = counts.argmax(1).astype(np.uint8)
+        most = counts.argmax(1)
         red, green, blue = (round(float(c)) for c in counts @ np.arange(256) / number)
         self.mean = self.background = red, green, blue
-        self.has_majority = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
+        self.has_majority = bool(
+            counts.max(1).min() > number / 2 and cv2.countNonZero(cv2.inRange(pixels, most, most)) > number / 2
+        )
         if self.has_majority:
             self.has_majority = _distance(pixels, most) <= _distance(pixels, np.array(self.mean))
         if self.has_majority:
