@@ -13,8 +13,9 @@ from fastapi import Depends, Path as PathParameter, Request
 from service.api.cache import PictureCache
 from service.api.callers import Caller
 from service.api.metrics import Metrics
+from service.api.models import HealthView
 from service.api.problems import ProblemError
-from service.api.turns import ClientTasks, Streams, Turns
+from service.api.turns import ClientTasks, Streams, Together, Turns
 from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
 from service.keys import KeyRing
@@ -34,7 +35,8 @@ class Context:
     """The parts of the running service.
 
     tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; streams: bounds event streams
-    and requests that wait; stopping: returns whether the service is shutting down.
+    and requests that wait; stopping: returns whether the service is shutting down; readiness: the check of all parts,
+    which anyone may ask for and which writes to disk.
 
     reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: threads for
     probes. The pools are separate, so that a lock or a silent bucket does not block anything else.
@@ -50,6 +52,7 @@ class Context:
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics
+    readiness: Together[HealthView] = field(default_factory=Together)
     watching_table: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
     watching_storage: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
     reading: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
 
 from anyio import fail_after, to_thread
@@ -34,6 +35,10 @@ async def ready(context: UseContext) -> models.HealthView:
 
     The job table and the storage accept writes, the disk has room, the sandbox does tasks, and workers take jobs.
     """
+    return await context.readiness.result(partial(_ready, context))
+
+
+async def _ready(context: Context) -> models.HealthView:
     counts = await _counts(context)
     if counts is None:
         raise ProblemError(503, "the job table is not responding, or takes no changes", reason="table")

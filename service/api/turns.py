@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Generic, TypeVar
 
 from starlette.datastructures import UploadFile
 
@@ -37,6 +37,22 @@ HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # besides the file itself
 WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases to read the size, and touches neither
 KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # results of a trial are cached, since anyone may request one
+
+
+T = TypeVar("T")
+
+
+class Together(Generic[T]):
+    """A check whose running call answers all who ask meanwhile. Use it in the event loop only."""
+
+    def __init__(self) -> None:
+        self._running: asyncio.Future[T] | None = None
+
+    async def result(self, check: Callable[[], Awaitable[T]]) -> T:
+        """Return the result of the call that runs, or of a new one."""
+        if self._running is None or self._running.done():
+            self._running = asyncio.ensure_future(check())
+        return await asyncio.shield(self._running)
 
 
 class Turns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import re
@@ -19,6 +20,8 @@ from benchmarks.harness.job_table import grow_older
 from benchmarks.harness.processes import PATIENCE_S, wait_until
 from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
 from service.api.context import WORK_THREADS
+from service.api.problems import ProblemError
+from service.api.turns import Together
 
 pytestmark = pytest.mark.thorough
 
@@ -157,3 +160,26 @@ def test_refusals_by_reason(start_service: StartService) -> None:
     reasons = {name: number for name, number in web.figures().items() if name.startswith("sgmethod_refusals_total")}
     expected = {"queue": 2, "invalid": 2}
     assert reasons == {f'sgmethod_refusals_total{{reason="{reason}"}}': number for reason, number in expected.items()}
+
+
+def test_one_check_answers_all_who_ask_meanwhile() -> None:
+    calls: list[int] = []
+
+    async def check() -> int:
+        calls.append(len(calls))
+        await asyncio.sleep(0.05)
+        if len(calls) == 2:
+            raise ProblemError(503, "busy", reason="disk")
+        return len(calls)
+
+    async def ask() -> None:
+        check_of_all: Together[int] = Together()
+        leaving = asyncio.ensure_future(check_of_all.result(check))
+        await asyncio.sleep(0)
+        leaving.cancel()  # a client that goes takes nobody's answer along
+        assert await asyncio.gather(*(check_of_all.result(check) for _ in range(9))) == [1] * 9
+        answers = await asyncio.gather(*(check_of_all.result(check) for _ in range(9)), return_exceptions=True)
+        assert {type(answer) for answer in answers} == {ProblemError}
+        assert await check_of_all.result(check) == 3
+
+    asyncio.run(ask())
