@@ -18,26 +18,29 @@ from sgmethod.many.processes import in_processes
 
 @dataclass(frozen=True)
 class Tally:
-    """Progress of a run. pictures: how many there are in all, None if unknown; seconds: wall time."""
+    """Progress of a run. files: how many there will be, one for each picture or shard; None if unknown.
+
+    seconds: wall time.
+    """
 
     encoded: int = 0
     skipped: int = 0
     failed: int = 0
     bytes: int = 0
     seconds: float = 0.0
-    pictures: int | None = None
+    files: int | None = None
 
     @property
     def per_second(self) -> float:
-        """Finished pictures a second, without those skipped."""
+        """Finished files a second, without those skipped."""
         return (self.encoded + self.failed) / self.seconds if self.seconds else 0.0
 
     @property
     def seconds_left(self) -> float | None:
         """Estimated time left; None if unknown."""
-        if self.pictures is None or not self.per_second:
+        if self.files is None or not self.per_second:
             return None
-        return (self.pictures - self.encoded - self.skipped - self.failed) / self.per_second
+        return (self.files - self.encoded - self.skipped - self.failed) / self.per_second
 
     def with_row(self, row: Row, seconds: float) -> Tally:
         """Return the tally with one more row."""
@@ -63,11 +66,11 @@ Finished = Generator[AnyRow, None, None]
 
 
 class Run(Generic[AnyRow]):
-    """A run that notes its rows in a manifest, if it has one. pictures: how many there are, if known."""
+    """A run that notes its rows in a manifest, if it has one. files: how many there will be, if known."""
 
-    def __init__(self, manifest: Manifest | None = None, resume: bool = False, pictures: int | None = None) -> None:
+    def __init__(self, manifest: Manifest | None = None, resume: bool = False, files: int | None = None) -> None:
         self._manifest, self._resume = manifest, resume
-        self._began, self._tally = time.perf_counter(), Tally(pictures=pictures)
+        self._began, self._tally = time.perf_counter(), Tally(files=files)
 
     def rest(self, tasks: Iterable[Task[AnyRow]]) -> Iterator[Task[AnyRow]]:
         """Yield tasks with their keys, except, if the run resumes another, those that are done."""

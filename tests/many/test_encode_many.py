@@ -71,7 +71,7 @@ def test_every_picture_is_a_file_and_a_line() -> None:
         assert (row["figures"]["psnr"], row["error"]) == (encoded.stats.psnr, None)
     assert rows()[3]["error"].startswith("the file is not a PNG")
     assert tally.bytes == sum(row["bytes"] for row in rows())
-    assert tally.pictures == 4
+    assert tally.files == 4
     assert seen[1][1].seconds_left == pytest.approx(seen[1][1].seconds)
     assert seen[1][1].per_second == pytest.approx(2 / seen[1][1].seconds)
 
@@ -119,7 +119,7 @@ def test_pictures_in_memory() -> None:
 
     tally = encode_many(items(), "out", gaussians=9, profile="rd")
     assert counts(tally) == (4, 0, 1)
-    assert (tally.pictures, tally.seconds_left) == (None, None)
+    assert (tally.files, tally.seconds_left) == (None, None)
     assert [row["input"] for row in rows()] == [None, "0.png", None, None, None]
     assert Path("out/array.sg").read_bytes() == Path("out/path.sg").read_bytes() == Path("out/bytes.sg").read_bytes()
     assert counts(encode_many(items(), "out", resume=True, gaussians=9, profile="rd")) == (0, 4, 1)
