@@ -12,6 +12,7 @@ import signal
 import socket
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -162,9 +163,9 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
 
 
 def _document(app: FastAPI) -> Callable[[], Response]:
-    """Return the handler of the OpenAPI document, which is made once."""
-    body = bytes(JSONResponse(app.openapi()).body)
-    return lambda: Response(body, media_type="application/json")
+    """Return the handler of the OpenAPI document, which the first request makes: at the start, others would wait."""
+    body = cache(lambda: bytes(JSONResponse(app.openapi()).body))
+    return lambda: Response(body(), media_type="application/json")
 
 
 def _page(path: Path) -> Callable[[], FileResponse]:
