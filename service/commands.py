@@ -22,7 +22,7 @@ from service.process.loops import StopSignal
 from service.process.supervisor import is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
-from service.settings import Settings, unknown_settings
+from service.settings import Settings, add_secrets, unknown_settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 
@@ -40,12 +40,13 @@ def main() -> int:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # inherited; if ignored, children leave no status
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until the command sets its own handler
     try:
+        add_secrets(os.environ)
         settings = Settings()
         set_up_logging()
     except ValidationError as error:
         _warn(map(_fault_in_words, error.errors()))
         return BAD_SETTING
-    except SgError as error:  # the kernels, which count the cores, are missing
+    except (OSError, SgError) as error:  # a file of a secret, or the kernels, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
     supervisor = getattr(arguments, "supervisor", None)

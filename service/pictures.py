@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -33,12 +35,19 @@ OPTIONS: dict[PictureFormat, dict[str, Any]] = {"webp": {"method": 0}, "avif": {
 # Without a colour profile, which would be a tenth of a small file.
 COMPARISONS: dict[ComparisonFormat, tuple[str, dict[str, Any]]] = {
     "jpg": ("JPEG", {"optimize": True}),
-    "webp": ("WEBP", {"method": 4}),
+    "webp": ("WEBP", {}),
     "avif": ("AVIF", {"max_threads": 1}),
 }
-# A search takes seven files: at these speeds 3.3, 0.9 or 0.2 s of a core for 0.37 megapixels. The last loses 0.6 dB.
+# Seven AVIF files take 3.3, 0.9 or 0.2 s of a core for 0.37 megapixels at these speeds. The last loses 0.6 dB.
 AVIF_SPEEDS = ((600_000, 6), (3_000_000, 8))
 FASTEST_AVIF = 9
+SMALL_PIXELS = 3_000_000
+# Method 3 takes eight times as long as 2 for 50 megapixels, and the file of 2 is a seventh larger than that of 4.
+WEBP_METHOD, FAST_WEBP_METHOD = 4, 2
+# For the quality of a larger picture: pixels of its sample, the side of the sample's squares, which cost bytes at their
+# edges, and pixels of all files of the whole picture. One AVIF of 50 megapixels takes half of a decode's time.
+SAMPLE_PIXELS, SQUARE = 2_000_000, 512
+SEARCHED_PIXELS: dict[ComparisonFormat, int] = {"jpg": 300_000_000, "webp": 100_000_000, "avif": 40_000_000}
 NEAR = 0.03  # files whose sizes differ by no more than this share count as equally large
 PNG_LEVEL = 1
 
@@ -57,21 +66,40 @@ def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = No
     )
 
 
-def as_large(encoded: Callable[[int], bytes], size: int) -> bytes:
-    """Search all qualities for the largest file of at most `size` bytes, or the next larger one if it is not NEAR."""
+def as_large(
+    encoded: Callable[[int], bytes], size: int, estimate: Callable[[int], float] | None = None, tries: int = 7
+) -> bytes:
+    """Search all qualities for the largest file of at most `size` bytes, or the next larger one if it is not NEAR.
+
+    estimate: bytes at a quality, roughly, which make the first of few tries a good one.
+    """
     under = over = None
-    low, high = 0, 101
-    while high - low > 1:
-        quality = (low + high) // 2
+    low, high, scale = 0, 101, 1.0
+    while high - low > 1 and tries:
+        quality = (low + high) // 2 if estimate is None else _largest(estimate, size / scale, low, high)
         file = encoded(quality)
         if len(file) <= size:
             under, low = file, quality
         else:
             over, high = file, quality
+        if estimate is not None:
+            if (1 - NEAR) * size <= len(file) <= size:
+                break
+            scale = len(file) / estimate(quality)
+        tries -= 1
     if under is not None and (over is None or len(under) >= (1 - NEAR) * size):
         return under
     assert over is not None  # one of them is there
     return over
+
+
+def _largest(estimate: Callable[[int], float], size: float, low: int, high: int) -> int:
+    """Return the best quality by the estimate, between `low` and `high` and equal to neither."""
+    low += 1
+    while high - low > 1:
+        quality = (low + high) // 2
+        low, high = (quality, high) if estimate(quality) <= size else (low, quality)
+    return low
 
 
 def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn: bool = False) -> bytes:
@@ -81,19 +109,39 @@ def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn:
     """
     from PIL import Image  # the web process, which imports this module, never encodes
 
+    count = pixels.shape[0] * pixels.shape[1]
     name, options = COMPARISONS[kind]
     if kind == "avif":
-        height, width = pixels.shape[:2]
-        speeds = (speed for max_pixels, speed in AVIF_SPEEDS if width * height <= max_pixels)
+        speeds = (speed for max_pixels, speed in AVIF_SPEEDS if count <= max_pixels)
         sampling = "4:4:4" if drawn else "4:2:0"
         options = {**options, "speed": next(speeds, FASTEST_AVIF), "subsampling": sampling}
+    elif kind == "webp":
+        options = {"method": WEBP_METHOD if count <= SMALL_PIXELS else FAST_WEBP_METHOD}
 
-    def encoded(quality: int) -> bytes:
+    def encoded(quality: int, of: Pixels = pixels) -> bytes:
         file = io.BytesIO()
-        Image.fromarray(pixels).save(file, name, quality=quality, **options)
+        Image.fromarray(of).save(file, name, quality=quality, **options)
         return file.getvalue()
 
-    return as_large(encoded, size)
+    if count <= SMALL_PIXELS:
+        return as_large(encoded, size)
+    sample = _sample(pixels)
+    ratio = count / (sample.shape[0] * sample.shape[1])
+    estimate = cache(lambda quality: ratio * len(encoded(quality, sample)))
+    return as_large(encoded, size, estimate, max(1, SEARCHED_PIXELS[kind] // count))
+
+
+def _sample(pixels: Pixels) -> Pixels:
+    """Return squares from all parts of a large picture, side by side."""
+    height, width = pixels.shape[:2]
+    apart = math.sqrt(height * width / SAMPLE_PIXELS)
+    rows, columns = (
+        [round(place) for place in np.linspace(0, side - SQUARE, max(1, int(side / (SQUARE * apart))))]
+        for side in (height, width)
+    )
+    return np.concatenate(
+        [np.concatenate([pixels[y : y + SQUARE, x : x + SQUARE] for x in columns], axis=1) for y in rows]
+    )
 
 
 class PictureOptions(BaseModel):

@@ -7,7 +7,7 @@ means, and a test compares names and defaults.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable
+from collections.abc import Iterable, MutableMapping
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
@@ -33,6 +33,8 @@ MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, t
 WEBHOOK, ORIGIN = r"https?://[^/,\s][^,\s]*", r"https?://[^/,\s*]+"
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS", "SG_ISA"})  # the client's, and the kernels'
 
+SECRETS = ("SG_", "AWS_", "PG")  # names of the service's, the bucket's and the database's variables begin so
+
 
 def default_workers() -> int:
     """Return one worker for every four cores: an encode gains little beyond four threads."""
@@ -47,6 +49,20 @@ def default_job_memory_bytes() -> int:
 def listed(text: str) -> list[str]:
     """Split a setting at its commas."""
     return list(filter(None, map(str.strip, text.split(","))))
+
+
+def add_secrets(variables: MutableMapping[str, str]) -> None:
+    """Add variables from the files of Compose's secrets, or of systemd's credentials, named like the variables.
+
+    A variable that has a value keeps it. Raises OSError.
+    """
+    folder = Path(variables.get("CREDENTIALS_DIRECTORY") or "/run/secrets")
+    for path in folder.glob("*"):
+        if path.name.startswith(SECRETS) and not variables.get(path.name) and path.is_file():
+            try:
+                variables[path.name] = path.read_text().strip()  # often with a line end
+            except ValueError as error:
+                raise OSError(f"{path} is not a text file") from error
 
 
 def unknown_settings(names: Iterable[str]) -> list[str]:

@@ -12,6 +12,7 @@ import signal
 import socket
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,7 @@ FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
+KEYS_READ_ALIKE = 5  # times in a row: a file that is being written may end after any line
 KEEP_ALIVE_S = 75  # longer than a proxy keeps connections, so that it does not send a request as one closes
 
 log = logging.getLogger(__name__)
@@ -81,7 +83,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 async def _reload_keys(context: Context) -> None:
-    """Reload the file of keys when it changes. If it cannot be read, the previous keys stay."""
+    """Reload the file of keys once it has changed and rests. If it cannot be read, the previous keys stay."""
+    seen: dict[str, str] = {}
+    alike = 0
     while context.settings.api_keys_file is not None:
         await asyncio.sleep(KEYS_POLL_S)
         with log_errors("reloading the API keys"):
@@ -89,8 +93,9 @@ async def _reload_keys(context: Context) -> None:
                 names = await to_thread.run_sync(context.settings.read_keys)
             except ValueError as error:
                 log_seldom(log, f"kept the previous API keys: {error}")
-                continue
-            if context.keys.replace(names):
+                names = {}
+            seen, alike = names, alike + 1 if names == seen else 1
+            if names and alike >= KEYS_READ_ALIKE and context.keys.replace(names):
                 log.info("reloaded the API keys")
 
 
@@ -158,9 +163,9 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
 
 
 def _document(app: FastAPI) -> Callable[[], Response]:
-    """Return the handler of the OpenAPI document, which is made once."""
-    body = bytes(JSONResponse(app.openapi()).body)
-    return lambda: Response(body, media_type="application/json")
+    """Return the handler of the OpenAPI document, which the first request makes: at the start, others would wait."""
+    body = cache(lambda: bytes(JSONResponse(app.openapi()).body))
+    return lambda: Response(body(), media_type="application/json")
 
 
 def _page(path: Path) -> Callable[[], FileResponse]:

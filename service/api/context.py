@@ -99,7 +99,7 @@ def no_such_job() -> ProblemError:
     return ProblemError(404, "there is no such job")
 
 
-async def _known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> Job:
+async def known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> Job:
     """Return the job if the caller may see it. A job of another owner looks like none."""
     if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
         raise no_such_job()
@@ -109,4 +109,4 @@ async def _known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> J
     return job
 
 
-KnownJob = Annotated[Job, Depends(_known_job)]
+KnownJob = Annotated[Job, Depends(known_job)]

@@ -12,7 +12,7 @@ from fastapi.responses import JSONResponse
 from starlette.datastructures import UploadFile
 
 from service.api import models
-from service.api.context import Context, KnownJob, UseCaller, UseContext
+from service.api.context import Context, JobId, UseCaller, UseContext, known_job
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
 from service.api.pictures import bitstream, open_image, picture
@@ -99,15 +99,16 @@ async def encode(
 
 
 async def encode_again(
-    job: KnownJob, request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
+    job_id: JobId, request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
     """Start a new job with the image of an existing one, without uploading it again.
 
     410 once that image has been deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
-    asked = _Asked(caller.owner, key, read_options(await fields_alone(request)), job.id)
+    asked = _Asked(caller.owner, key, read_options(await fields_alone(request)), job_id)
     again = await _first(asked, context)
     if again is None:
+        job = await known_job(job_id, context, caller)
         await context.read(context.table.check_queue, caller.owner, key)
         async with context.accepting.turn(caller.client):
             with await context.store(open_image, context, job) as file:

@@ -181,8 +181,9 @@ async def preview(
 async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext, request: Request) -> Response:
     """Return the job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller.
 
-    If no quality setting gives such a file, the next larger one. For a screenshot or a drawing, WebP is lossless if
-    that is no larger, and AVIF is 4:4:4. 410 once the image has been deleted.
+    If no quality setting gives such a file, the next larger one. For a picture beyond 3 megapixels the size may be
+    further off, as a sample of it says which settings to try. For a screenshot or a drawing, WebP is lossless if that
+    is no larger, and AVIF is 4:4:4. 410 once the image has been deleted.
     """
     size = int(_result_of(job).stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:

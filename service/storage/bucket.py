@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -31,6 +33,7 @@ HINTS = {
 # Clients wait, so a store that is silent for this long counts as unreachable.
 SILENCE = timedelta(seconds=5)
 TIMEOUT = timedelta(seconds=60)  # of one request: enough for the largest image at 1 MB a second
+SLOW_FOR_S = 600.0  # without what must be stored soon: uploads may wait for each other
 RETRIES_END_AFTER = timedelta(seconds=3)  # so that a request without an answer is not repeated
 
 
@@ -69,6 +72,7 @@ class BucketStorage:
         for name, value in os.environ.items():
             if name.startswith("AWS_") and value != value.strip():
                 raise OSError(errno.EINVAL, f"{name} begins or ends with a space or a line end")
+        self._slow_until = -math.inf
         # Plain HTTP is used only if the endpoint says so.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}
@@ -82,6 +86,16 @@ class BucketStorage:
         with _as_os_errors():
             # One request for the whole object, so that a broken upload leaves no parts behind.
             obstore.put(self._patient, check_key(key), data, use_multipart=False)
+
+    def put_soon(self, key: str, data: bytes) -> None:
+        if time.monotonic() < self._slow_until:
+            raise OSError(errno.EAGAIN, "the object store was slow")
+        try:
+            with _as_os_errors():
+                obstore.put(self._store, check_key(key), data, use_multipart=False)
+        except OSError:
+            self._slow_until = time.monotonic() + SLOW_FOR_S
+            raise
 
     def get(self, key: str) -> bytes:
         with _as_os_errors():

@@ -82,7 +82,8 @@ class Attempt:
     def show(self, bitstream: bytes) -> None:
         """Store a preview in the background: a slow storage must not hold up the encode.
 
-        Previews are dropped while one is being stored.
+        Previews are dropped while one is being stored, and for a while after one that took too long: the bitstream
+        might wait for them.
         """
         if self._showing is not None and self._showing.is_alive():
             return
@@ -91,7 +92,7 @@ class Attempt:
 
     def _store_preview(self, bitstream: bytes) -> None:
         with contextlib.suppress(OSError):  # a preview is optional
-            self._storage.put(preview_key(self.claim.id, self.claim.attempt), bitstream)
+            self._storage.put_soon(preview_key(self.claim.id, self.claim.attempt), bitstream)
 
     def beat(self, *, now: bool = False) -> None:
         """Renew the lease and send the trace, if it is time to or `now`. Raises ClaimLostError.

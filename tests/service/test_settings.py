@@ -16,7 +16,7 @@ from benchmarks.harness.data import ROOT
 from benchmarks.harness.processes import PATIENCE_S, Outcome, failing, run, wait_until
 from benchmarks.harness.service import RunCommand
 from service.process import supervisor
-from service.settings import Settings
+from service.settings import Settings, add_secrets
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 
@@ -44,6 +44,27 @@ def test_the_operators_page_has_every_setting_with_its_default() -> None:
     rows = re.findall(r"^\| `SG_(\w+)` \| (.*?) \| .+ \|$", text, re.MULTILINE)
     fields = {name: COMPUTED.get(name, str(field.default)) for name, field in Settings.model_fields.items()}
     assert rows == [(name.upper(), default or "none") for name, default in fields.items()]
+
+
+def test_secrets_may_be_files(tmp_path: Path) -> None:
+    """As Compose and systemd hand them over."""
+    for name in ("SG_LINK_SECRET", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD", "other"):
+        (tmp_path / name).write_text(f"{name} of a file\n")
+    (tmp_path / "SG_FOLDER").mkdir()
+    given = {"CREDENTIALS_DIRECTORY": str(tmp_path), "SG_LINK_SECRET": "", "PGPASSWORD": "given"}
+    add_secrets(variables := dict(given))
+    of_files = {name: f"{name} of a file" for name in ("SG_LINK_SECRET", "AWS_SECRET_ACCESS_KEY")}
+    assert variables == {**given, **of_files}
+    add_secrets(none := {"CREDENTIALS_DIRECTORY": str(tmp_path / "nowhere")})
+    assert len(none) == 1
+
+    (tmp_path / "SG_QUEUE_LENGTH").write_text("none\n")
+    refused = run_alone("check", CREDENTIALS_DIRECTORY=tmp_path)
+    assert refused.status == 2
+    assert refused.stderr.startswith("SG_QUEUE_LENGTH: ")
+    (tmp_path / "SG_QUEUE_LENGTH").write_bytes(b"\xff")
+    refused = run_alone("check", CREDENTIALS_DIRECTORY=tmp_path)
+    assert (refused.status, refused.stderr) == (1, f"cannot start: {tmp_path}/SG_QUEUE_LENGTH is not a text file\n")
 
 
 def test_limits_never_exceed_what_the_encoder_reads() -> None:

@@ -134,6 +134,25 @@ def test_another_codec_has_the_bytes_or_the_next_larger_size() -> None:
         assert len(comparison_file(pixels, "jpg", wanted)) >= 0.97 * wanted
 
 
+def test_a_large_picture_is_encoded_by_another_codec_only_a_few_times() -> None:
+    tried: list[int] = []
+
+    def encoded(quality: int) -> bytes:
+        tried.append(quality)
+        return bytes(1000 * quality)
+
+    for wanted, off, tries in ((50_500, 1.4, 3), (50_500, 0.6, 3), (500, 1.4, 1)):
+        tried.clear()
+        file = as_large(encoded, wanted, lambda quality, off=off: 1000 * quality * off, 3)
+        assert len(file) == max(1000, wanted // 1000 * 1000)
+        assert len(tried) <= tries
+    tried.clear()
+    assert len(as_large(encoded, 50_500, lambda quality: 1250 * quality, 1)) == 40_000
+    for kind, size in (("jpg", 300_000), ("webp", 200_000), ("avif", 200_000)):
+        large = np.asarray(Image.fromarray(pictures.pixels_of(PHOTOGRAPH)).resize((2400, 1600)))
+        assert 0.7 * size < len(comparison_file(large, kind, size)) < 1.3 * size
+
+
 @pytest.mark.parametrize(
     ("query", "words"),
     [

@@ -158,6 +158,19 @@ def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> No
     assert_problem(again(waiting), 429, "4 jobs")
 
 
+def test_a_repeated_request_gets_its_job_after_the_first_is_deleted(keeping: Service) -> None:
+    source = keeping.accepted()
+    path = f"/jobs/{source}/encode?bpp=0.5"
+    first = keeping.client.post(path, headers={"Idempotency-Key": "again"})
+    assert first.status_code == 202, first.text
+    assert keeping.client.delete(f"/jobs/{source}").status_code == 204
+    repeated = keeping.client.post(path, headers={"Idempotency-Key": "again"})
+    assert (repeated.status_code, repeated.json()) == (202, first.json())
+    assert_problem(keeping.client.post(f"/jobs/{source}/encode", headers={"Idempotency-Key": "again"}), 422)
+    for headers in ({}, {"Idempotency-Key": "new"}):
+        assert_problem(keeping.client.post(path, headers=headers), 404)
+
+
 @pytest.mark.thorough
 def test_fields_in_a_body_count(keeping: Service) -> None:
     """They were ignored, and the image encoded at 0.3 bpp."""

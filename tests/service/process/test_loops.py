@@ -61,6 +61,36 @@ def test_keys_are_read_until_they_can_be(
     assert all(str(error) in caplog.text for error in wrong)
 
 
+def test_a_file_of_keys_that_is_being_written_locks_no_client_out(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its first lines look like a whole file."""
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(app, "KEYS_POLL_S", 0.0)
+    both, first, third = {"1": "ann", "2": "bob"}, {"1": "ann"}, {"3": "cat"}
+    reads = iter([both, ValueError("no key"), *[first] * 4, ValueError("key 2 is none"), first, both, *[third] * 5])
+    held: list[bool] = []
+    ring = KeyRing(both)
+
+    def read_keys() -> dict[str, str]:
+        held.append(ring._names == both)
+        if isinstance(read := next(reads, third), ValueError):
+            raise read
+        return read
+
+    async def follow() -> None:
+        parts: Any = SimpleNamespace(settings=SimpleNamespace(api_keys_file=Path(), read_keys=read_keys), keys=ring)
+        reloading = asyncio.create_task(app._reload_keys(parts))
+        async with asyncio.timeout(PATIENCE_S):
+            while ring._names != third and not reloading.done():
+                await asyncio.sleep(0.01)
+        reloading.cancel()
+
+    asyncio.run(follow())
+    assert all(held[:14])
+    assert caplog.text.count("reloaded the API keys") == 1
+
+
 def test_what_comes_again_and_again_is_logged_once_a_minute(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

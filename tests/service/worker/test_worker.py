@@ -157,6 +157,7 @@ def test_a_storage_that_is_slow_holds_up_no_encode(
         stored.append(data)
 
     monkeypatch.setattr(storage, "put", slow)
+    monkeypatch.setattr(storage, "put_soon", slow)
     for number in range(3):
         attempt.show(b"preview %d" % number)
     attempt.conclude(Encoded({}, b"data"))
