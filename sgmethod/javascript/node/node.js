@@ -25,13 +25,14 @@ export async function previewOf(photograph, options = {}) {
   if (!(characters >= 0)) throw new RangeError("characters must be a number from 0 on");
   return inTurn(async () => {
     const data = await dataOf(photograph);
-    if (!cache) return made(data, bytes, characters);
+    const make = () => made(data, data === photograph ? "the photograph" : photograph, bytes, characters);
+    if (!cache) return make();
     const key = createHash("sha256").update(`${VERSION} ${bytes} ${characters} `).update(data).digest("hex");
     const file = join(cache, `${key}.json`);
     try {
       return JSON.parse(await readFile(file));
     } catch {
-      const preview = await made(data, bytes, characters);
+      const preview = await make();
       await keep(cache, file, JSON.stringify(preview)).catch(() => {}); // where nothing can be written, it is made again
       return preview;
     }
@@ -61,9 +62,8 @@ async function inTurn(task) {
 
 async function dataOf(photograph) {
   if (typeof photograph === "string" || photograph instanceof URL) return readFile(photograph);
-  if (photograph instanceof ArrayBuffer) return new Uint8Array(photograph);
   if (photograph instanceof Uint8Array) return photograph;
-  throw new TypeError("photograph must be a path or the bytes of an image file");
+  throw new TypeError("photograph must be a path, or the bytes of an image file as a Uint8Array");
 }
 
 async function keep(folder, file, text) {
@@ -73,23 +73,31 @@ async function keep(folder, file, text) {
   await rename(unfinished, file);
 }
 
-async function made(data, bytes, characters) {
+async function made(data, name, bytes, characters) {
   const sharp = await import("sharp").then(({ default: module }) => module, () => null);
   const photograph = sharp?.(data);
   if (!photograph?.autoOrient) throw new Error(MISSING);
-  const { width, height } = (await photograph.metadata()).autoOrient;
+  const { size, pixels, width, height } = await read(photograph).catch((error) => {
+    throw new Error(`${name} cannot be read: ${error.message}`, { cause: error });
+  });
+  const { text, color, dark } = await encoded(pixels, width, height, { bytes });
+  const uri = characters ? await dataUri(pixels, width, height, { characters, sharp }) : "";
+  return { text, uri, ...size, color, dark };
+}
+
+/** The size at which a photograph is displayed, and what previews show of it: upright sRGB with alpha. */
+async function read(photograph) {
+  const size = (await photograph.metadata()).autoOrient;
   const small = photograph.autoOrient().resize(MAX_SIDE, MAX_SIDE, { fit: "inside", withoutEnlargement: true });
   const rgba = small.toColourspace("srgb").ensureAlpha().raw();
   const { data: pixels, info } = await rgba.toBuffer({ resolveWithObject: true });
-  const { text, color, dark } = await encoded(pixels, info.width, info.height, { bytes });
-  const uri = characters ? await dataUri(pixels, info.width, info.height, { characters, sharp }) : "";
-  return { text, uri, width, height, color, dark };
+  return { size, pixels, width: info.width, height: info.height };
 }
 
 const idle = []; // worker threads
 
 async function encoded(...picture) {
-  const worker = idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url));
+  const worker = idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { execArgv: [] }); // --eval, say, is not its
   worker.ref();
   worker.postMessage(picture);
   const [answer] = await once(worker, "message");

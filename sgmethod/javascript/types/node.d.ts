@@ -20,8 +20,8 @@ export interface Made extends Omit<Preview, "bytes"> {
 /**
  * The preview of a photograph, made in a worker thread. Needs sharp 0.34 or later.
  *
- * @param photograph a path, a file URL, or the bytes of an image file
+ * @param photograph a path, a file URL, or the bytes of an image file, such as a Buffer
  * @throws Error if the file cannot be read, or if sharp is missing; TypeError for something else than a photograph, or
  * for an unknown option; RangeError for wrong bytes or characters
  */
-export function previewOf(photograph: string | URL | ArrayBufferLike | ArrayBufferView, options?: Options): Promise<Made>;
+export function previewOf(photograph: string | URL | Uint8Array, options?: Options): Promise<Made>;
