@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PHOTOGRAPHS
+from benchmarks.harness.data import PHOTOGRAPHS, ROOT
 from benchmarks.harness.processes import PATIENCE_S, Outcome, run, wait_until
 from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
@@ -29,6 +29,7 @@ from sgmethod.scene import Pixels
 from tests.io.profiles import DISPLAY_P3, rgb
 from tests.service.browser import Page
 from tests.service.page.bundled import install, packed
+from tests.service.page.test_recipes import blocks, code_of
 
 pytestmark = pytest.mark.thorough
 
@@ -168,6 +169,45 @@ def test_sharp_that_is_missing_is_named(tmp_path: Path) -> None:
     assert previews(tmp_path, ("a.png", {})) == [missing]
 
 
+ELEVENTY = """
+const { default: configure } = await import("./eleventy.config.mjs");
+const addShortcode = async (name, made) => console.log(await made("photos/door.png", 'A "red" door'));
+configure({ addPassthroughCopy() {}, addShortcode });
+"""
+
+
+def test_eleventy(site: Path) -> None:
+    (site / "eleventy.config.mjs").write_text(blocks("Eleventy")[0])
+    (site / "photos").mkdir()
+    shutil.copy(PARROT, site / "photos" / "door.png")
+    done = node(site, ELEVENTY)
+    assert done.status == 0, done.stderr
+    size = 'width="128" height="96" loading="lazy" decoding="async"'
+    style = r'style="background:#\w+ url\(data:image/webp;base64,\S+\) center/cover"'
+    img = rf'<img src="/photos/door.png" alt="A &quot;red&quot; door" {size} {style}>'
+    found = re.fullmatch(rf'<sg-img preview="(\S+)">{img}</sg-img>\n', done.stdout)
+    assert found
+    assert len(from_text(found[1])) <= 200
+
+
+@pytest.mark.parametrize("document", ["docs/previews.md", "sgmethod/javascript/README.md"])
+def test_a_page_in_one_script(each_browser: Page, site: Path, document: str) -> None:
+    """The first steps of the documents."""
+    (script,) = [code for code in code_of((ROOT / document).read_text()) if "writeFileSync(" in code]
+    (site / "photos").mkdir()
+    for name in ("photo.jpg", "photos/photo.jpg"):
+        Image.open(PARROT).save(site / name)
+    assert node(site, script).status == 0
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(site))) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            each_browser.open(f"http://127.0.0.1:{server.server_port}/index.html")
+            wait_until(lambda: [one["loaded"] for one in each_browser.run(SHOWN)] == [128])
+            assert each_browser.run("return Boolean(customElements.get('sg-img'))")
+        finally:
+            server.shutdown()
+
+
 CONFIGURATION = """
 import { previews } from "sgmethod/vite";
 export default { plugins: [previews({ bytes: 100 })], build: { assetsInlineLimit: 0 } };
@@ -277,7 +317,7 @@ def test_a_development_server(each_browser: Page, vite_site: Path) -> None:
             assert before == found[0]["text"]
             assert each_browser.run("return Boolean(customElements.get('sg-img'))")
             Image.open(PARROT).rotate(180).save(vite_site / "photo.png")
-            wait_until(lambda: [one["text"] for one in each_browser.run(SHOWN)][:1] not in ([], [before]))
+            wait_until(lambda: [one["text"] for one in each_browser.run(SHOWN) or []][:1] not in ([], [before]))
             assert [line for line in each_browser.complaints() if "[vite]" not in line] == []
         finally:
             server.terminate()
