@@ -23,7 +23,9 @@ const INTERNAL = /^(isShort|quantum|background|grey|upright|parts|payload|sample
 const preview = 'export { SgError, decodePreview } from "./src/preview.js";';
 const element = 'export { SgImage } from "./src/sg-img.js";';
 const decoder = 'export { decode, info } from "./src/decoder.js";';
-const encoder = ["encoder", "uri", "element"].map((name) => `export * from "./src/encoder/${name}.js";`).join("");
+const encoder = ["encodePreview", "dataUri", "elementOf"]
+  .map((name, i) => `export { ${name} } from "./src/encoder/${["encoder", "uri", "element"][i]}.js";`)
+  .join("");
 const ENTRIES = {
   preview: { contents: preview, isWhole: false },
   "sg-img": { contents: preview + element, isWhole: false },
