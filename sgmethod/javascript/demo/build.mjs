@@ -40,7 +40,7 @@ const html = `<div class="snippet" id="plain-html"><pre tabindex="0"><code id="e
 const { pictures } = JSON.parse(readFileSync(join(page, "wall", "wall.json")));
 const samples = SAMPLES.map((name) => {
   const { previews: [text] } = pictures.find(({ src }) => src === `samples/${name}.webp`);
-  return `<button type="button" data-sample="${name}" aria-pressed="false"><sg-img preview="${text}"></sg-img><span>${name}</span></button>`;
+  return `<button type="button" data-sample="${name}" aria-pressed="false"><sg-img preview="${text}" alt=""></sg-img><span>${name}</span></button>`;
 });
 const repository = process.env.GITHUB_REPOSITORY; // which pages are published from
 const address = `${process.env.GITHUB_SERVER_URL}/${repository}`;

@@ -11,7 +11,7 @@ const WAIT_MS = 120; // of a slider, before placeholders follow it
 
 const $ = (id) => document.getElementById(id);
 const maker = startWorker(); // reads the photograph, and makes what is small
-let filer = startWorker(); // makes files, which takes seconds; replaced when nobody needs its answer any more
+let filer = null; // makes a file, which takes seconds; ended when nobody needs it any more
 const stage = newStage(startWorker(), $("stage"), $("canvas"));
 const tiles = {};
 let photograph = null; // { blob, name, width, height }
@@ -77,7 +77,7 @@ function showSize() {
 /** Make the preview, and then what is as long. */
 async function showPreviews() {
   const before = performance.now();
-  const { text } = await maker.ask("preview", { bytes: bytes() });
+  const { text, bytes: small } = await maker.ask("preview", { bytes: bytes() });
   const seconds = (performance.now() - before) / 1000;
   const one = Object.assign(document.createElement("sg-img"), { preview: text, alt: "The preview" });
   fill("ours", one, `${chars(text.length)}, made in ${seconds.toFixed(1)} s`);
@@ -87,7 +87,7 @@ async function showPreviews() {
 <sg-img preview="${text}">
   <img src="${photograph.name}" alt="" width="${photograph.width}" height="${photograph.height}" loading="lazy">
 </sg-img>`;
-  document.documentElement.dataset.shown = text; // for tests, and for whoever looks
+  if (!file && !ready) await stage.show(small); // until there is a larger one
   const characters = text.length;
   const { blob, length } = await maker.ask("webp", { characters });
   if (blob) fill("webp", imgOf(blob, "WebP"), chars(length));
@@ -98,21 +98,21 @@ async function showPreviews() {
   fill("thumbhash", canvasOf(thumb), chars(thumb.text.length));
 }
 
-function showFile(bytes, words) {
+async function showFile(bytes, words) {
+  await stage.show(bytes);
   file = bytes;
   $("file-words").textContent = `${sizeOf(bytes.length)}${words}`;
   $("save").disabled = false;
-  return stage.show(bytes);
 }
 
 /** Make the .sg file of the photograph, or take the one of a sample. */
 async function makeFile(given) {
-  filer.stop();
+  filer?.stop();
   $("working").hidden = true;
   if (given) return showFile(given, ", made by the Python package, whose encoder gets more out of a file than this page’s.");
   const limit = 1000 * $("kilobytes").value;
   filer = startWorker();
-  $("working").textContent = `Making a file of ${sizeOf(limit)}: some seconds`;
+  $("working").textContent = `Making a file of ${sizeOf(limit)}, which takes up to half a minute`;
   $("working").hidden = false;
   const began = performance.now();
   await filer.ask("open", { blob: photograph.blob });
@@ -122,7 +122,11 @@ async function makeFile(given) {
 }
 
 async function open(blob, name, given = null) {
+  filer?.stop();
   maker.forget();
+  file = null;
+  $("save").disabled = true;
+  $("file-words").textContent = "";
   const size = await maker.ask("open", { blob });
   photograph = { blob, name, ...size };
   document.documentElement.style.setProperty("--ratio", `${size.width} / ${size.height}`);
@@ -145,7 +149,7 @@ async function openFiles([given]) {
   if (!given) return;
   for (const button of $("samples").children) button.ariaPressed = "false";
   if (!given.name.endsWith(".sg")) return open(given, given.name);
-  filer.stop();
+  filer?.stop();
   $("working").hidden = true;
   stage.setPhotograph(null, null);
   await showFile(new Uint8Array(await given.arrayBuffer()), `: ${given.name}`);
