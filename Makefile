@@ -9,7 +9,7 @@ export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 # Each worker of pytest has a core of its own, and threads that share one wait for each other.
 PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
-.PHONY: help serve quick test thorough coverage sanitize versions fuzz wheel npm lock bench
+.PHONY: help serve quick test thorough coverage sanitize versions fuzz wheel npm demo lock bench
 
 help:
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -61,10 +61,13 @@ wheel: $(VENV)/.test ## build the source archive and a wheel in dist, check both
 	build/wheel/bin/python tests/smoke.py
 
 npm: ## build the npm package in dist, for browsers and Node
-	mkdir -p build/npm dist
-	cp -r sgmethod/javascript/. LICENSE build/npm/
-	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent build \
-	  && npm pack --silent --pack-destination ../../dist
+	$(INSTALL_NPM) && npm run --silent build && mkdir -p ../../dist && npm pack --silent --pack-destination ../../dist
+
+demo: ## build the page on which anybody tries previews in build/demo: static files, for any server
+	$(INSTALL_NPM) && node demo/build.mjs ../.. ../demo
+
+INSTALL_NPM = mkdir -p build/npm && cp -r sgmethod/javascript/. LICENSE build/npm/ && cd build/npm \
+  && npm install --silent --no-audit --no-fund --no-package-lock
 
 # Where PyTorch's CPU builds lie, which PyPI lacks for Linux.
 TORCH_WHEELS ?= https://download.pytorch.org/whl/cpu/torch/

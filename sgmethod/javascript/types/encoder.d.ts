@@ -1,3 +1,5 @@
+export { elementOf } from "./element.js";
+
 export interface Preview {
   /** For an attribute in HTML; decodePreview() and <sg-img> draw it. */
   text: string;
@@ -31,21 +33,6 @@ export function dataUri(
   height: number,
   options?: { characters?: number; sharp?: (...given: any[]) => any },
 ): Promise<string>;
-
-/**
- * An <sg-img> with an <img> inside, as HTML, for templates that take strings. The page's style sheet needs the two rules
- * of the README; a style attribute holds nothing but the placeholder, and without a uri there is none.
- *
- * @param preview what encodePreview() returns, or its stored fields
- * @param attributes of the <img>, which are escaped here: src, alt (empty by default), srcset and so on; width and height
- * are the preview's, loading "lazy" and decoding "async" unless given; null leaves one out. uri: what dataUri()
- * returns, which is shown without JavaScript, and until the element draws the preview
- * @throws TypeError if preview is something else
- */
-export function elementOf(
-  preview: Pick<Preview, "text" | "width" | "height" | "color">,
-  attributes: { src: string; uri?: string; [attribute: string]: string | number | null | undefined },
-): string;
 
 /**
  * Encode a picture of any size in a few hundred bytes; alpha is kept.

@@ -260,7 +260,10 @@ const all = [
   { src: "a.jpg" },
   { src: "a?b&c=<'>", alt: 'A "red" door', uri: "data:image/webp;base64,AAAA", width: 60, loading: null },
 ];
-console.log(JSON.stringify(all.map((attributes) => elementOf(preview, attributes))));
+const own = { ...preview, src: "b.jpg", uri: "data:,", script: "/sg-img.js" };
+const made = all.map((attributes) => elementOf(preview, attributes));
+made.push(elementOf(own), elementOf(own, { uri: "", script: "" }));
+console.log(JSON.stringify(made));
 try {
   elementOf("woOAaA", { src: "a.jpg" });
 } catch (error) {
@@ -292,5 +295,9 @@ def test_an_element_as_html(tmp_path: Path) -> None:
         "decoding": "async",
     }
     shown["style"] = "background:#102030 url(data:image/webp;base64,AAAA) center/cover"
-    assert tags == [outer, ("img", plain), outer, ("img", shown)]
+    assert tags[:4] == [outer, ("img", plain), outer, ("img", shown)]
+    bare = plain | {"src": "b.jpg"}
+    loader = ("script", {"type": "module", "async": "", "src": "/sg-img.js"})
+    with_style = bare | {"style": "background:#102030 url(data:,) center/cover"}
+    assert tags[4:] == [outer, loader, ("img", with_style), outer, ("img", bare)]
     assert error == "TypeError"

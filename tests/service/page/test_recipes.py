@@ -20,7 +20,7 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.harness.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
-from benchmarks.harness.processes import PATIENCE_S, run, wait_until
+from benchmarks.harness.processes import PATIENCE_S, wait_until
 from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
@@ -44,7 +44,12 @@ BOX = """
 def blocks(heading: str) -> list[str]:
     """The code below a heading."""
     (section,) = re.findall(rf"^## {heading}$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)
-    found: list[str] = re.findall(r"^```\w+\n(.*?)^```$", section, re.M | re.S)
+    return code_of(section)
+
+
+def code_of(text: str) -> list[str]:
+    """The code in a document."""
+    found: list[str] = re.findall(r"^```\w+\n(.*?)^```$", text, re.M | re.S)
     return found
 
 
@@ -112,49 +117,6 @@ def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium,
         finally:
             Held.may.set()
             server.shutdown()
-
-
-SHARP = """
-const image = new Proxy({}, { get: (_, name) => {
-  if (name === "metadata") return async () => ({ autoOrient: { width: 900, height: 1200 } });
-  const data = new Uint8Array(4 * 9 * 12).fill(255);
-  if (name === "toBuffer") return async () => ({ data, info: { width: 9, height: 12 } });
-  return () => image;
-} });
-export default () => image;
-"""
-ELEVENTY = """
-const { default: configure } = await import("./eleventy.config.mjs");
-const addShortcode = async (name, made) => console.log(await made("door.png", 'A "red" door'));
-configure({ addPassthroughCopy() {}, addShortcode });
-"""
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("mode", ["build", "serve"])
-def test_eleventy(tmp_path: Path, mode: str) -> None:
-    """With a stand-in for sharp. A development server gets no previews."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
-    (tmp_path / "preview.mjs").write_text(blocks("Frameworks")[0])
-    (tmp_path / "eleventy.config.mjs").write_text(blocks("Eleventy")[0])
-    encoder = JAVASCRIPT / "encoder"
-    modules = [(encoder / f"{name}.js").as_uri() for name in ("encoder", "uri", "element")]
-    exports = "".join(f'export * from "{module}";' for module in modules)
-    for name, entry, code in (("sharp", ".", SHARP), ("sgmethod", "./encoder", exports)):
-        package = tmp_path / "node_modules" / name
-        package.mkdir(parents=True)
-        (package / "package.json").write_text(json.dumps({"type": "module", "exports": {entry: "./index.js"}}))
-        (package / "index.js").write_text(code)
-    done = run("node", "--input-type=module", "--eval", ELEVENTY, folder=tmp_path, ELEVENTY_RUN_MODE=mode)
-    assert done.status == 0, done.stderr
-    image = (
-        r'<img src="/door.png" alt="A &quot;red&quot; door" width="900" height="1200" loading="lazy" decoding="async">'
-    )
-    found = re.fullmatch(rf'<sg-img preview="(\S*)">{image}</sg-img>\n', done.stdout)
-    assert found
-    assert bool(found[1]) == (mode == "build")
-    assert not found[1] or len(from_text(found[1])) <= 200
 
 
 def test_fastapi() -> None:

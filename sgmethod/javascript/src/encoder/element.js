@@ -2,13 +2,17 @@
 
 const ENTITIES = { "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "'": "&#39;" };
 
-/** An <sg-img> with an <img> inside, as HTML. preview: what encodePreview() returns; attributes: of the <img>, escaped
- * here; null leaves one out; uri: what dataUri() returns, to be seen below the photograph until the preview is drawn. */
-export function elementOf({ text, width, height, color }, { src, uri, ...attributes }) {
-  if (typeof text !== "string") throw new TypeError("preview must be what encodePreview() returns");
+/** An <sg-img> with an <img> inside, as HTML. preview: what encodePreview() or previewOf() returns; attributes: of the
+ * <img>, escaped here; null leaves one out. Some may come with the preview: src; uri: what dataUri() returns, to be seen
+ * below the photograph until the preview is drawn; script: the address of sg-img.js, for pages that do not load it. */
+export function elementOf(preview, attributes) {
+  if (typeof preview?.text !== "string") throw new TypeError("preview must be what encodePreview() returns");
+  const { text, width, height, color } = preview;
+  const { src, uri, script, ...others } = { src: preview.src, uri: preview.uri, script: preview.script, ...attributes };
   const style = uri ? `background:${color} url(${uri}) center/cover` : null;
-  const all = { src, alt: "", width, height, loading: "lazy", decoding: "async", style, ...attributes };
-  return `<sg-img${written({ preview: text })}><img${written(all)}></sg-img>`;
+  const img = { src, alt: "", width, height, loading: "lazy", decoding: "async", style, ...others };
+  const loader = script ? `<script${written({ type: "module", async: "", src: script })}></script>` : "";
+  return `<sg-img${written({ preview: text })}>${loader}<img${written(img)}></sg-img>`;
 }
 
 const written = (attributes) =>

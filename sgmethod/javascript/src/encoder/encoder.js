@@ -41,14 +41,7 @@ export function encodePreview(rgba, width, height, options) {
   if (!(Number.isInteger(bytes) && bytes >= MIN_BYTES && bytes <= MAX_BYTES)) {
     throw new RangeError(`bytes must be a whole number from ${MIN_BYTES} to ${MAX_BYTES}`);
   }
-  const picture = pictureOf(rgba, width, height);
-  const size = reducedSize(width, height, PIXELS_PER_BYTE * bytes);
-  const small = sqrt((size[0] * size[1]) / (PIXELS_PER_BYTE * bytes)); // below 1 for a picture that was small already
-  const least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), NARROWEST_PX);
-  const [coarse, fine] = picturesOf(picture, size, expectedIn(bytes), least);
-  const [red, green, blue, alpha] = averaged(fine, 1, 1).means;
-  const average = [red, green, blue].map((sum) => sum / (alpha || 1));
-  const file = encoded([coarse, fine], size, average, alpha, least, bytes);
+  const [file, average] = encodeFile(rgba, width, height, bytes);
   const text = btoa(String.fromCharCode(...file.subarray(1)));
   return {
     text: text.replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", ""),
@@ -64,6 +57,18 @@ export function encodePreview(rgba, width, height, options) {
       .join("")}`,
     dark: luminance(average) < DARK,
   };
+}
+
+/** The file of a picture, also a larger one than a preview's, and the average colour, 0 to 1. Throws TypeError. */
+export function encodeFile(rgba, width, height, bytes) {
+  const picture = pictureOf(rgba, width, height);
+  const size = reducedSize(width, height, PIXELS_PER_BYTE * bytes);
+  const small = sqrt((size[0] * size[1]) / (PIXELS_PER_BYTE * bytes)); // below 1 for a picture that was small already
+  const least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), NARROWEST_PX);
+  const [coarse, fine] = picturesOf(picture, size, expectedIn(bytes), least);
+  const [red, green, blue, alpha] = averaged(fine, 1, 1).means;
+  const average = [red, green, blue].map((sum) => sum / (alpha || 1));
+  return [encoded([coarse, fine], size, average, alpha, least, bytes), average];
 }
 
 /** Relative luminance of an sRGB colour (WCAG 2). */

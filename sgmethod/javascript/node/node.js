@@ -1,0 +1,108 @@
+// Previews of photographs for build scripts and uploads, kept in a folder. sharp reads the photographs here, since it does
+// not like worker threads (github.com/lovell/sharp/issues/2263); the texts are made in some.
+
+import { createHash } from "node:crypto";
+import { once } from "node:events";
+import { existsSync } from "node:fs";
+import { mkdir, readFile, rename, writeFile } from "node:fs/promises";
+import { availableParallelism } from "node:os";
+import { join } from "node:path";
+import { Worker } from "node:worker_threads";
+import { dataUri } from "./encoder.js";
+
+export { elementOf } from "./element.js";
+
+const MAX_SIDE = 1024; // pixels: more than the largest preview shows
+const MISSING = "previews need sharp 0.34 or later, which reads image files: npm install sharp";
+
+/** A promise of the preview of a photograph: text, uri, width, height, color and dark.
+ *
+ * photograph: a path, a file URL, or the bytes of an image file; bytes: of the text's file; characters: of uri at most,
+ * 0 for none; cache: the folder that keeps previews by content and options, or false. Needs sharp. */
+export async function previewOf(photograph, options = {}) {
+  const { bytes = 200, characters = 400, cache = folderOfCache(), ...others } = options;
+  for (const name in others) throw new TypeError(`previewOf() has no option ${name}, only bytes, characters and cache`);
+  if (!(characters >= 0)) throw new RangeError("characters must be a number from 0 on");
+  return inTurn(async () => {
+    const data = await dataOf(photograph);
+    const make = () => made(data, data === photograph ? "the photograph" : photograph, bytes, characters);
+    if (!cache) return make();
+    const key = createHash("sha256").update(`${VERSION} ${bytes} ${characters} `).update(data).digest("hex");
+    const file = join(cache, `${key}.json`);
+    try {
+      return JSON.parse(await readFile(file));
+    } catch {
+      const preview = await make();
+      await keep(cache, file, JSON.stringify(preview)).catch(() => {}); // where nothing can be written, it is made again
+      return preview;
+    }
+  });
+}
+
+/** Where build tools keep what they can make again; nowhere without node_modules, as in a server that was bundled. */
+function folderOfCache() {
+  const packages = join(process.cwd(), "node_modules");
+  return existsSync(packages) && join(packages, ".cache", "sgmethod");
+}
+
+const waiting = [];
+let running = 0;
+
+/** Do tasks as many at a time as there are processors, so that few photographs are in memory. */
+async function inTurn(task) {
+  if (running < availableParallelism()) running++;
+  else await new Promise((turn) => waiting.push(turn));
+  try {
+    return await task();
+  } finally {
+    if (waiting.length) waiting.shift()();
+    else running--;
+  }
+}
+
+async function dataOf(photograph) {
+  if (typeof photograph === "string" || photograph instanceof URL) return readFile(photograph);
+  if (photograph instanceof Uint8Array) return photograph;
+  throw new TypeError("photograph must be a path, or the bytes of an image file as a Uint8Array");
+}
+
+async function keep(folder, file, text) {
+  const unfinished = `${file}.${process.pid}`;
+  await mkdir(folder, { recursive: true });
+  await writeFile(unfinished, text);
+  await rename(unfinished, file);
+}
+
+async function made(data, name, bytes, characters) {
+  const sharp = await import("sharp").then(({ default: module }) => module, () => null);
+  const photograph = sharp?.(data);
+  if (!photograph?.autoOrient) throw new Error(MISSING);
+  const { size, pixels, width, height } = await read(photograph).catch((error) => {
+    throw new Error(`${name} cannot be read: ${error.message}`, { cause: error });
+  });
+  const { text, color, dark } = await encoded(pixels, width, height, { bytes });
+  const uri = characters ? await dataUri(pixels, width, height, { characters, sharp }) : "";
+  return { text, uri, ...size, color, dark };
+}
+
+/** The size at which a photograph is displayed, and what previews show of it: upright sRGB with alpha. */
+async function read(photograph) {
+  const size = (await photograph.metadata()).autoOrient;
+  const small = photograph.autoOrient().resize(MAX_SIDE, MAX_SIDE, { fit: "inside", withoutEnlargement: true });
+  const rgba = small.toColourspace("srgb").ensureAlpha().raw();
+  const { data: pixels, info } = await rgba.toBuffer({ resolveWithObject: true });
+  return { size, pixels, width: info.width, height: info.height };
+}
+
+const idle = []; // worker threads
+
+async function encoded(...picture) {
+  const worker = idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { execArgv: [] }); // --eval, say, is not its
+  worker.ref();
+  worker.postMessage(picture);
+  const [answer] = await once(worker, "message");
+  worker.unref(); // an idle one does not keep the process
+  idle.push(worker);
+  if (answer instanceof Error) throw answer;
+  return answer;
+}

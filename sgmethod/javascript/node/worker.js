@@ -1,0 +1,12 @@
+// Encodes previews in a worker thread.
+
+import { parentPort } from "node:worker_threads";
+import { encodePreview } from "./encoder.js";
+
+parentPort.on("message", (picture) => {
+  try {
+    parentPort.postMessage(encodePreview(...picture));
+  } catch (error) {
+    parentPort.postMessage(error);
+  }
+});

@@ -1,0 +1,26 @@
+import type { Preview } from "./encoder.js";
+
+/** Attributes of an <img>, and what an <sg-img> shows and loads beside it. */
+export interface Attributes {
+  /** Of the photograph; the preview's by default. */
+  src?: string | null;
+  /** What dataUri() returns, which is shown without JavaScript, and until the element draws; the preview's by default. */
+  uri?: string | null;
+  /** The address of sg-img.js, for pages that do not load it themselves; the preview's by default. */
+  script?: string | null;
+  [attribute: string]: string | number | null | undefined;
+}
+
+/**
+ * An <sg-img> with an <img> inside, as HTML, for templates that take strings. The page's style sheet needs the two rules
+ * of sgmethod/sg-img.css; a style attribute holds nothing but the placeholder, and without a uri there is none.
+ *
+ * @param preview what previewOf() or encodePreview() returns, or its stored fields
+ * @param attributes of the <img>, which are escaped here: src, alt (empty by default), srcset and so on; width and height
+ * are the preview's, loading "lazy" and decoding "async" unless given; null leaves one out
+ * @throws TypeError if preview is something else
+ */
+export function elementOf(
+  preview: Pick<Preview, "text" | "width" | "height" | "color"> & Pick<Attributes, "src" | "uri" | "script">,
+  attributes?: Attributes,
+): string;

@@ -1,0 +1,27 @@
+import type { Preview } from "./encoder.js";
+
+export { elementOf } from "./element.js";
+
+export interface Options {
+  /** Maximum size of the file in `text`, 16 to 1,024; 200 by default. */
+  bytes?: number;
+  /** Maximum length of `uri`; 400 by default, 0 for none. */
+  characters?: number;
+  /** The folder that keeps previews by content and options; false for none. By default, node_modules/.cache/sgmethod,
+   * where there is a folder node_modules. */
+  cache?: string | false;
+}
+
+export interface Made extends Omit<Preview, "bytes"> {
+  /** A small WebP for readers without JavaScript; "" if the photograph has transparency. */
+  uri: string;
+}
+
+/**
+ * The preview of a photograph, made in a worker thread. Needs sharp 0.34 or later.
+ *
+ * @param photograph a path, a file URL, or the bytes of an image file, such as a Buffer
+ * @throws Error if the file cannot be read, or if sharp is missing; TypeError for something else than a photograph, or
+ * for an unknown option; RangeError for wrong bytes or characters
+ */
+export function previewOf(photograph: string | URL | Uint8Array, options?: Options): Promise<Made>;

@@ -1,0 +1,28 @@
+"""Sites with the npm package that `make npm` has packed, and packages of npm's registry."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmarks.harness.data import ROOT
+from benchmarks.harness.processes import run
+
+
+def packed() -> Path:
+    """The package as npm installs it."""
+    files = sorted((ROOT / "dist").glob("sgmethod-*.tgz"))
+    if not files or shutil.which("npm") is None:
+        pytest.skip("the npm package is not built: make npm, which needs Node and npm")
+    return files[-1]
+
+
+def install(folder: Path, *packages: str) -> None:
+    """Install the package and others in a folder; skip the test where the registry is out of reach."""
+    package = packed()
+    (folder / "package.json").write_text('{ "private": true, "type": "module" }')
+    done = run("npm", "install", "--silent", "--no-audit", "--no-fund", package, *packages, folder=folder)
+    if done.status:
+        pytest.skip(f"npm cannot install {' '.join(packages)}: {done.stderr[-300:]}")
