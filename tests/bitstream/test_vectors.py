@@ -15,6 +15,7 @@ from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
+from tests.bitstream.remake import maps_of, refusals, row_of
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}
@@ -35,10 +36,8 @@ def test_the_plain_decoder_finds_the_same(name: str) -> None:
         layers.append((of["alpha"], *file.alpha, file.alpha_integers()))
     for layer, header, payload, integers in layers:
         assert layer["payload"] == payload.hex()
-        assert layer["integers"] == [
-            [one.of_class.k, *plain_decoder_v2.deinterleave(one.cell), *one.colour, *one.shape, *one.parts, *one.place]
-            for one in integers
-        ]
+        assert layer["integers"] == [row_of(one) for one in integers]
+        assert layer.get("map", []) == (maps_of(integers) if "map" in layer else [])
         gaussians = [plain_decoder_v2.gaussian_of(header, one) for one in integers]
         assert layer["gaussians"] == [[*g[:5], *g[5], drawing.level_of(*g[2:5])] for g in gaussians]
 
@@ -97,6 +96,12 @@ def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any])
                 plain.part(k)
         else:
             assert len(stream.gaussians(prefix)) == len(plain.part(k)) == n
+
+
+def test_files_to_refuse_are_as_they_are_made() -> None:
+    assert {of["reason"]: of["bytes"] for of in VECTORS["refuse"]} == {
+        reason: data.hex() for reason, data in refusals().items()
+    }
 
 
 @pytest.mark.parametrize("of", VECTORS["refuse"], ids=lambda of: of["reason"])

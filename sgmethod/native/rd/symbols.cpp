@@ -85,7 +85,7 @@ uint32_t spread_bits(uint32_t v) {
 }
 
 uint32_t cells_along(int side, int bits) {
-  return static_cast<uint32_t>(std::min((side >> bits) + 1 + 2 * kBorderCells, 1 << 16));
+  return static_cast<uint32_t>(std::min(((side - 1) >> bits) + 1 + 2 * kBorderCells, 1 << 16));
 }
 
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s,
