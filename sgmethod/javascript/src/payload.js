@@ -43,7 +43,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
       const within = more > 0 ? part * 2 ** more + take(more, SHAPE, DISTANCE) : part >> -more;
       const cell = (within + 0.5) / 2 ** bits + first;
       WHOLE: {
-        const isWithin = cell >= -2 && cell < min(floor(pixels / side) + 5, 65536) - 2;
+        const isWithin = cell >= -2 && cell < min(floor((pixels - 1) / side) + 5, 65536) - 2;
         refuseUnless(isWithin, "a place is out of range");
       }
       return cell * side;

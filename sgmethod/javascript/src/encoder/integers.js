@@ -22,7 +22,7 @@ export const levelOf = (code) => (8 * code + (code >> 2)) / 255;
 
 /** How wide a class's cells are, in pixels, and how many of them lie along a side of the picture. */
 const sideOf = (k) => 2 ** max(0, (k + 1) >> 1);
-const cellsAlong = (pixels, side) => min(floor(pixels / side) + 5, FARTHEST);
+const cellsAlong = (pixels, side) => min(floor((pixels - 1) / side) + 5, FARTHEST);
 
 /** Set the Gaussian that integers stand for, as their `g`, and return them. */
 export function withGaussian(s, { quantum }) {
