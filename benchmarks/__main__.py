@@ -57,6 +57,7 @@ FULL = {
     "strict": "robustness extremes --sets strict",
     "speed": f"speed {KODAK}",
     "scenes": f"scenes {KODAK}",
+    "sparse": "scenes --sparse",
     "gains/whole": f"ablation gains {KODAK} --tables whole",
     "gains/optimiser": f"ablation gains {KODAK} --tables optimiser",
     "gains/numbers": f"ablation gains {KODAK} --tables numbers --most 12",
@@ -70,7 +71,7 @@ FULL = {
 # Measured by one thread: their times are those of a processor, or do not matter, and several may run side by side.
 ONE_THREAD = (
     *("rd/paper", "previews/kodak", "perceptual/kodak", "stiff", "stability", "strict"),
-    *("scenes", "gains/whole", "gains/optimiser", "gains/numbers", "ablation", "positions"),
+    *("scenes", "sparse", "gains/whole", "gains/optimiser", "gains/numbers", "ablation", "positions"),
 )
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 

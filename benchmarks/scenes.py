@@ -1,10 +1,11 @@
 """What a scene does not need: Gaussians, bytes and seconds by content at one PSNR, and what each saving saves.
 
     SG_THREADS=1 python -m benchmarks.scenes --images KODAK [--psnr 34] [--repeats 3]
+    SG_THREADS=1 python -m benchmarks.scenes --sparse
 
-Scenes have 256x256 pixels: half are parts of Kodak's photographs, half are drawn here. Then come pictures of 2000x2000
-pixels that are nearly empty, with a budget, because one colour exceeds any PSNR. Seconds are processor time, on which
-other work on the machine has little effect.
+Scenes have 256x256 pixels: half are parts of Kodak's photographs, half are drawn here. --sparse encodes pictures of
+2000x2000 pixels that are nearly empty, with a budget, because one colour exceeds any PSNR. Seconds are processor time,
+on which other work on the machine has little effect.
 """
 
 from __future__ import annotations
@@ -121,12 +122,21 @@ def of_sparse(scene: str) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=Path, required=True, help="folder with Kodak's photographs")
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--images", type=Path, help="folder with Kodak's photographs")
+    which.add_argument("--sparse", action="store_true")
     parser.add_argument("--psnr", type=float, default=34.0)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=RUNS / "scenes.json")
+    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    record = Record(options.out, "benchmarks.scenes", {"psnr": options.psnr})
+    if options.sparse:
+        record = Record(options.out or RUNS / "sparse.json", "benchmarks.scenes", {"bytes": LARGE_BYTES})
+        for scene in sparse():
+            if not record.has(scene=scene):
+                with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:  # its memory is its own
+                    record.add({"scene": scene, **alone.submit(of_sparse, scene).result()})
+        return
+    record = Record(options.out or RUNS / "scenes.json", "benchmarks.scenes", {"psnr": options.psnr})
     for scene, pixels in scenes(options.images).items():
         if record.has(scene=scene):
             continue
@@ -141,10 +151,6 @@ def main() -> None:
             s = file.stats
             figures = {"gaussians": s.gaussians, "bytes": s.bytes, "psnr": min(s.psnr, EXACT_DB), "steps": s.steps}
             record.add({"scene": scene, "without": saving, **figures, "cpu_s": median(took[saving])})
-    for scene in sparse():
-        if not record.has(scene=scene):
-            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:  # its memory is its own
-                record.add({"scene": scene, "without": "", **alone.submit(of_sparse, scene).result()})
 
 
 if __name__ == "__main__":

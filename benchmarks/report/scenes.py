@@ -13,14 +13,13 @@ def by_scene() -> dict[str, dict[str, Row]]:
     """Rows by scene, and by the saving that was refused ("" for none)."""
     found: dict[str, dict[str, Row]] = {scene: {} for scene in ORDER}
     for row in rows("scenes"):
-        if row["scene"] in found:
-            found[row["scene"]][row["without"]] = row
+        found[row["scene"]][row["without"]] = row
     return found
 
 
 def sparse_rows() -> list[Row]:
     """Rows of the large scenes."""
-    by_name = {row["scene"]: row for row in rows("scenes")}
+    by_name = {row["scene"]: row for row in rows("sparse")}
     return [by_name[scene] for scene in SPARSE]
 
 
