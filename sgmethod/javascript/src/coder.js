@@ -35,15 +35,15 @@ export function adapt(models, at, found) {
   }
 }
 
-/** How many bits a number still takes: see number(). */
-export const bitsAfter = (number) => (number > 3 && number < 15 ? (number >> 1) - 1 : 0);
+/** How many bits follow a number's symbol. */
+export const bitsAfter = (symbol) => (symbol > 3 && symbol < 15 ? (symbol >> 1) - 1 : 0);
 
 /** The functions that decode a payload with these models. A state is 0 or 1; a short file has one state for both.
- * onCost(bits, state, row) is called for each value decoded, with the bits of information that it took and the row of
- * its model. */
+ * onCost(bits, state, row) is called for each symbol and number, with the bits of information that it takes and the row
+ * of its model. */
 export function newCoder(payload, models, isShort, onCost) {
   const queue = new Uint8Array(64); // of raw bits, a ring
-  let [at, head, tail] = [0, 0, 0]; // the next byte, the first bit of the queue, its end
+  let [at, head, tail, rests] = [0, 0, 0, 0]; // the next byte, the queue's first bit and its end, bits of numbers to come
   const byte = () => payload[at++] ?? 0;
   const half = () => byte() + 256 * byte();
   const first = () => half() + 65536 * half();
@@ -75,34 +75,42 @@ export function newCoder(payload, models, isShort, onCost) {
   };
 
   /** Append whole bytes until the queue holds `count` bits. */
-  const fetch = (count) => {
+  const fill = (count) => {
     while (tail - head < count) for (let bits = byte() + 256; bits > 1; bits >>= 1) queue[tail++ & 63] = bits & 1;
   };
 
-  const take = (count, state, row) => {
+  /** Fetch the rests of the numbers since the last time, and some bits more. */
+  const fetch = (more) => {
+    fill(rests + more);
+    rests = 0;
+  };
+
+  const take = (count) => {
     let value = 0;
     for (let weight = 1; weight < 2 ** count; weight *= 2) value += queue[head++ & 63] * weight;
-    WHOLE: onCost?.(count, state, row);
     return value;
   };
 
-  /** A number, of which bitsAfter() are still to be fetched and taken: its symbol, or if it is whole already and large,
-   * 16 times the number and 15. */
+  /** A number, whose rest is still to be fetched and taken: its symbol, or 16 times the number and 15 if it has none. */
   const number = (state, row, second) => {
     const found = symbol(state, row, second);
-    if (found < 15) return found;
-    fetch(5);
-    const bits = take(5, state, row);
-    fetch(bits);
-    return 16 * (2 ** bits + take(bits, state, row)) + 15;
+    let bits = bitsAfter(found);
+    WHOLE: onCost?.(bits, state, row);
+    if (found < 15) {
+      rests += bits;
+      return found;
+    }
+    fill(5);
+    bits = take(5);
+    fill(bits);
+    WHOLE: onCost?.(5 + bits, state, row);
+    return 16 * (2 ** bits + take(bits)) + 15;
   };
 
-  /** The whole of a number. */
-  const whole = (number, state, row) => {
-    if (number < 4) return number;
-    if (number > 15) return (number - 15) / 16;
+  /** The whole of a number, whose rest is taken. */
+  const whole = (number) => {
     const bits = bitsAfter(number);
-    return ((2 + (number & 1)) << bits) + take(bits, state, row);
+    return number < 4 ? number : number < 15 ? ((2 + (number & 1)) << bits) + take(bits) : (number - 15) / 16;
   };
 
   const bytesRead = () => at;
@@ -111,5 +119,5 @@ export function newCoder(payload, models, isShort, onCost) {
   const isEnded = () =>
     states.every((state) => state === 65536) && !take(tail - head) && payload.subarray(at).every((rest) => rest === 0);
 
-  return [symbol, fetch, take, number, whole, bytesRead, isEnded];
+  return [symbol, number, fetch, take, whole, bytesRead, isEnded];
 }

@@ -14,16 +14,19 @@ export function lg(x) {
 
 /** lg() of a number in single precision, after something tiny is added. */
 const L = (x, times = 1) => lg(fround(x + times * TINY));
-const limited = (x) => min(max(x, -255), 255);
 
 /** Index of a class in tables. */
 export const groupOf = (k) => min(k + 4, 13);
 
-/** What units of the networks say, each of 19 numbers: four weights, that of its output, and biases by group. */
-function predicted(at, end, group, a, b, c, d) {
+const limited = (x) => min(max(x, -255), 255);
+const features = new Int32Array(4);
+
+/** What units of the networks say of the features, each of 19 numbers: four weights, that of its output, and biases by group. */
+function predicted(at, end, group) {
   let sum = 0;
   for (; at < end; at += 19) {
-    const unit = 64 * NET[at + 5 + group] + NET[at] * a + NET[at + 1] * b + NET[at + 2] * c + NET[at + 3] * d;
+    let unit = 64 * NET[at + 5 + group];
+    for (let i = 0; i < 4; i++) unit += NET[at + i] * features[i];
     sum += NET[at + 4] * (max(unit, 0) >> 6);
   }
   return sum >> 6;
@@ -37,9 +40,9 @@ function even(n) {
 }
 
 /** Sums in single precision of blocks side by side, and of 3 by 3 blocks around the one at i. */
-const sumAlong = (plane, i) => fround(fround(plane[i - 1] + plane[i]) + plane[i + 1]);
+const along = (plane, i) => fround(fround(plane[i - 1] + plane[i]) + plane[i + 1]);
 const sumAround = (plane, i, stride) =>
-  fround(fround(sumAlong(plane, i - stride) + sumAlong(plane, i)) + sumAlong(plane, i + stride));
+  fround(fround(along(plane, i - stride) + along(plane, i)) + along(plane, i + stride));
 
 /** The functions that make a map and walk through a class, and where they are.
  *
@@ -48,7 +51,8 @@ export function newMap({ width, height }) {
   const columnsOf = (bits) => ((width - 1) >> bits) + 5;
   const rowsOf = (bits) => ((height - 1) >> bits) + 5;
   const insideOf = (bits) => (columnsOf(bits) - 4) * (rowsOf(bits) - 4);
-  const indexOf = (bits, r, c) => (r + 1) * (columnsOf(bits) + 3) + c + 1;
+  const strideOf = (bits) => columnsOf(bits) + 3;
+  const indexOf = (bits, r, c) => (r + 1) * strideOf(bits) + c + 1;
   const meanOf = (bits) => L(fround(known / insideOf(bits)));
 
   let planes; // E, X, Y
@@ -70,7 +74,7 @@ export function newMap({ width, height }) {
     return plane;
   };
   const pooled = (plane, bits) => {
-    const down = columnsOf(bits) + 3;
+    const down = strideOf(bits);
     return newPlane(bits + 1, (r, c) => {
       const i = indexOf(bits, 2 * r - 2, 2 * c - 2);
       return r && c && fround(plane[i] + plane[i + down]) + fround(plane[i + 1] + plane[i + down + 1]);
@@ -101,6 +105,9 @@ export function newMap({ width, height }) {
     enter();
   };
 
+  /** How many Gaussians a block has by those in some near it, as a logarithm. */
+  const own = (near, blocks) => lg(floor((256 * near * insideOf(M)) / (blocks * n)) + 77) - 128;
+
   /** Find the level of the current block. */
   const enter = () => {
     const stride = at.columns + 4;
@@ -113,29 +120,27 @@ export function newMap({ width, height }) {
     if (known) {
       const [E, X, Y] = ofClass;
       const block = indexOf(M, r, c);
-      const down = at.columns + 3;
       const mean = meanOf(M);
-      const S = sumAround(E, block, down);
-      const SF = sumAround(F, indexOf(M + 2, (r + 6) >> 2, (c + 6) >> 2), columnsOf(M + 2) + 3);
-      const turned = L(fround(abs(sumAround(X, block, down)) + abs(sumAround(Y, block, down)))) - L(S);
-      parts += NET[group] + predicted(
-        14,
-        90,
-        group,
-        limited(L(E[block]) - mean),
-        limited(L(S, 9) - mean),
-        limited(L(SF, 144) - mean),
-        limited(turned),
-      );
+      const S = sumAround(E, block, strideOf(M));
+      const SF = sumAround(F, indexOf(M + 2, (r + 6) >> 2, (c + 6) >> 2), strideOf(M + 2));
+      const turned = fround(abs(sumAround(X, block, strideOf(M))) + abs(sumAround(Y, block, strideOf(M))));
+      features[0] = limited(L(E[block]) - mean);
+      features[1] = limited(L(S, 9) - mean);
+      features[2] = limited(L(SF, 144) - mean);
+      features[3] = limited(L(turned) - L(S));
+      parts += NET[group] + predicted(14, 90, group);
       let q = 0;
       for (let d = 1; d < 5; d++) {
         q += counts[i - d];
-        for (let x = -4; x < 5; x++) q += counts[i - d * stride + x];
+        for (let at = i - d * stride - 4, end = at + 9; at < end; at++) q += counts[at];
       }
       const up = i - stride;
       const p = 2 * (counts[i - 1] + counts[up]) + counts[up - 1] + counts[up + 1];
-      const own = (near, blocks) => lg(floor((256 * near * insideOf(M)) / (blocks * n)) + 77) - 128;
-      parts += predicted(90, 147, group, own(min(p, 63), 6), own(min(q, 255), 40), density, 0);
+      features[0] = own(min(p, 63), 6);
+      features[1] = own(min(q, 255), 40);
+      features[2] = density;
+      features[3] = 0;
+      parts += predicted(90, 147, group);
     }
     at.level = min(max(parts >> 4, 0), 20);
   };
@@ -151,11 +156,10 @@ export function newMap({ width, height }) {
   /** Count a Gaussian in the current block, and set what its part tells: the block's first cell, the part of the block,
    * by how many bits it divides a cell along x and y, and what surrounds it. */
   const look = (spot) => {
-    const { block, level, part, halvings, columns } = at;
+    const { level, part, halvings, columns } = at;
     const odd = level & 1;
-    const row = floor(block / columns) - 2;
-    const column = (block % columns) - 2;
-    const [E, X, Y] = before;
+    const row = floor(at.block / columns) - 2;
+    const column = (at.block % columns) - 2;
     counts[i]++;
     spot.left = column * 2 ** halvings;
     spot.top = row * 2 ** halvings;
@@ -166,12 +170,12 @@ export function newMap({ width, height }) {
     const place = (first, part, bits, blocks) => min(max(first * 2 ** (M - m) + ((part << (M - m)) >> bits) + 2, 0), blocks - 1);
     const x = place(column, spot.across, level >> 1, columnsOf(m));
     const y = place(row, spot.down, (level + 1) >> 1, rowsOf(m));
-    const index = indexOf(m, y, x);
-    const stride = columnsOf(m) + 3;
-    const S = sumAround(E, index, stride);
-    const mean = meanOf(m);
-    spot.energy = known && 1 + min(max(floor((L(fround(S * fround(1 / 9))) - mean + 96) / 24), 0), 7);
-    spot.direction = known && directionOf(S * S, sumAround(X, index, stride), sumAround(Y, index, stride));
+    const block = indexOf(m, y, x);
+    const [E, X, Y] = before;
+    const S = sumAround(E, block, strideOf(m));
+    const energy = L(fround(S * fround(1 / 9))) - meanOf(m);
+    spot.energy = known && 1 + min(max(floor(energy / 24 + 4), 0), 7);
+    spot.direction = known && directionOf(S * S, sumAround(X, block, strideOf(m)), sumAround(Y, block, strideOf(m)));
   };
 
   /** Add a Gaussian, whose numbers are at `of` in an array. strength: */
@@ -189,15 +193,17 @@ export function newMap({ width, height }) {
     gaussians++;
     energy += 4 * E;
     const place = (u, blocks) => floor(min(max(fround(fround(u) / 2 ** m + 2), 0), blocks - 1));
-    for (let point = 0; point < 4; point++) {
-      const far = point & 1 ? -1.25 : 1.25;
-      const c = place(x + (point < 2 ? fround(far * l1) : 0), columnsOf(m));
-      const r = place(y + fround(far * (point < 2 ? l2 : l3)), rowsOf(m));
-      const block = indexOf(m, r, c);
+    const put = (dx, dy) => {
+      const r = place(y + fround(1.25 * dy), rowsOf(m));
+      const block = indexOf(m, r, place(x + fround(1.25 * dx), columnsOf(m)));
       planes[0][block] += E;
       planes[1][block] += X;
       planes[2][block] += Y;
-    }
+    };
+    put(l1, l2);
+    put(-l1, -l2);
+    put(0, l3);
+    put(0, -l3);
   };
 
   return [begin, advance, look, add, at];
@@ -207,9 +213,9 @@ export function newMap({ width, height }) {
 function directionOf(square, x, y) {
   const sum = x * x + y * y;
   if (!square || 25 * sum < square) return 1;
-  let octant = x > 0 ? (y > 0 ? 1 : 7) : y > 0 ? 3 : 5;
-  if (5 * abs(y) < 2 * abs(x)) octant = x > 0 ? 0 : 4;
-  else if (5 * abs(x) < 2 * abs(y)) octant = y > 0 ? 2 : 6;
+  const diagonal = x > 0 ? (y > 0 ? 1 : 7) : y > 0 ? 3 : 5;
+  const [across, down] = [abs(x), abs(y)];
+  const octant = 5 * down < 2 * across ? (diagonal + 1) & 4 : 5 * across < 2 * down ? (diagonal & 4) + 2 : diagonal;
   return 2 + 8 * ((5 * sum >= square) + (2 * sum >= square)) + octant;
 }
 

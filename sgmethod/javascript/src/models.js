@@ -1,6 +1,6 @@
 // Where the entropy coder's models begin, and the networks of the map: docs/format.md, "States and symbols".
 
-import { FLAT, bitsAfter, modelsOf, newCoder } from "./coder.js";
+import { FLAT, modelsOf, newCoder } from "./coder.js";
 import { PACKED } from "./tables.js";
 
 // The first row of each kind of model.
@@ -22,10 +22,10 @@ export const END = 681;
 
 // The tables are a payload themselves, as ../tables.mjs writes it.
 const packed = Uint8Array.from(atob(PACKED), (letter) => letter.charCodeAt(0));
-const [, fetch, , number, whole] = newCoder(packed, modelsOf(FLAT), true);
+const [, number, fetch, , whole] = newCoder(packed, modelsOf(FLAT), true);
 const next = (row) => {
   const found = number(0, row);
-  fetch(bitsAfter(found));
+  fetch(0);
   return whole(found);
 };
 /** Numbers, each as its difference from that `back` before it. */

@@ -1,6 +1,6 @@
 // A payload to its Gaussians: docs/format.md, "Payload" and "Integers to Gaussians".
 
-import { bitsAfter, newCoder } from "./coder.js";
+import { newCoder } from "./coder.js";
 import { floor, fround, max, min, refuseUnless } from "./header.js";
 import { foldOf, groupOf, lg, newMap } from "./map.js";
 import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, LUMA_BY_GROUP } from "./models.js";
@@ -15,7 +15,7 @@ const SHAPE = 1;
 export function readGaussians({ width, height, isShort, quantum, grey, upright }, payload, onTurn, onCost) {
   let values = new Float32Array(0);
   if (!payload.length) return values;
-  const [symbol, fetch, take, number, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort, onCost);
+  const [symbol, number, fetch, take, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort, onCost);
   const [begin, advance, look, add] = newMap({ width, height });
   const refuseOverrun = () => refuseUnless(bytesRead() <= payload.length, "it ends too early");
   const most = min(width * height, 2 ** 24, 8 * payload.length + 64);
@@ -28,7 +28,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
   WHOLE: refuseUnless(bytesRead() <= payload.length && last >= -4, "its classes are out of range");
   for (; k >= last; k--) {
     const count = number(COLOUR, COUNT);
-    fetch(bitsAfter(count));
+    fetch(0);
     const n = whole(count);
     refuseOverrun();
     refuseUnless(at / 8 + n <= most, "it has too many Gaussians");
@@ -40,7 +40,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
     const side = 2 ** max(0, (k + 1) >> 1);
     const place = (first, part, told, bits, pixels) => {
       const more = bits - told;
-      const within = more > 0 ? part * 2 ** more + take(more, SHAPE, DISTANCE) : part >> -more;
+      const within = more > 0 ? part * 2 ** more + take(more) : part >> -more;
       const cell = (within + 0.5) / 2 ** bits + first;
       WHOLE: {
         const isWithin = cell >= -2 && cell < min(floor((pixels - 1) / side) + 5, 65536) - 2;
@@ -64,8 +64,9 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
         if (signs & 1) now.b = -now.b;
       }
       if (isMore) {
-        fetch(bitsAfter(distance) + 3);
-        advance(8 * whole(distance, COLOUR, DISTANCE) + take(3, COLOUR, DISTANCE));
+        fetch(3);
+        WHOLE: onCost?.(3, COLOUR, DISTANCE);
+        advance(8 * whole(distance) + take(3));
         look(next);
       }
       const y = isMore && number(COLOUR, LUMA + next.energy, LUMA_BY_GROUP + group);
@@ -78,17 +79,18 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
         number(SHAPE, R + 6 * bucket + (min(v + 1, 10) >> 1), R_BY_DIRECTION + 40 * bucket + 4 * fold + slant);
       const b = isMore && !grey && number(COLOUR, B + level(a), B_BY_LUMA + 4 * level(a) + level(y));
       const signs = i && symbol(SHAPE, SHAPE_SIGNS + 52 * (v > 0) + 26 * (r > 0) + direction);
-      fetch(bitsAfter(v) + bitsAfter(r) + uBits + bitsAfter(y) + bitsAfter(a) + bitsAfter(b));
-      v = whole(v, SHAPE, V);
-      r = whole(r, SHAPE, R);
-      const u = (take(uBits, SHAPE, V) + 0.5) / 2 ** uBits;
+      fetch(uBits);
+      WHOLE: onCost?.(uBits, SHAPE, V);
+      v = whole(v);
+      r = whole(r);
+      const u = (take(uBits) + 0.5) / 2 ** uBits;
       WHOLE: refuseUnless(v <= 8 * 2 ** h && r <= 2048 * 2 ** h, "a shape is out of range");
       if (signs & 2) v = -v;
       if (signs & 1) r = -r;
       if (isMore) {
-        next.y = whole(y, COLOUR, LUMA);
-        next.a = whole(a, COLOUR, A);
-        next.b = whole(b, COLOUR, B);
+        next.y = whole(y);
+        next.a = whole(a);
+        next.b = whole(b);
         next.square = next.y ** 2 + next.a ** 2 + next.b ** 2;
         WHOLE: refuseUnless(next.square, "a Gaussian has no colour");
         WHOLE: refuseUnless(max(next.y, next.a, next.b) <= 2 ** 22, "a colour is out of range");
@@ -98,7 +100,9 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
       if (i) {
         const px = partBits(k, now.square, h, u, v, r, 1);
         const py = partBits(k, now.square, h, u, v, r, -1);
-        fetch(max(px - now.xBits, 0) + max(py - now.yBits, 0));
+        const bits = max(px - now.xBits, 0) + max(py - now.yBits, 0);
+        fetch(bits);
+        WHOLE: onCost?.(bits, SHAPE, DISTANCE);
         values[at] = place(now.left, now.across, now.xBits, px, width);
         values[at + 1] = place(now.top, now.down, now.yBits, py, height);
         setShape(values, at, quantum, k, h, u, v, r, now);
