@@ -16,16 +16,8 @@ constexpr uint64_t kMostBlocks = 1024, kBlocksPerGaussian = 8;  // of the map, f
 constexpr uint64_t kMostClassBlocks = 64, kBlocksPerOfClass = 8;  // within the picture, for a class
 constexpr int kPartBits = 6;                  // a Gaussian is expected in 2^6 parts
 constexpr int kOutside = 48;  // sixteenths of an octave, by which a block outside of the picture is less likely
-constexpr float kTiny = 1.0f / 4096;
 constexpr float kSpread = 1.25f;
 constexpr int kMostFeature = 255;
-
-// floor(16 log2 x), linear between powers of two, of a positive number.
-SG_INLINE int log_16(float x) {
-  int32_t bits;
-  std::memcpy(&bits, &x, sizeof bits);
-  return (bits >> 19) - 16 * 127;
-}
 
 SG_INLINE int limited(int feature) { return std::clamp(feature, -kMostFeature, kMostFeature); }
 
@@ -66,14 +58,6 @@ void predict_row(const Row& r) {
 
 // Index of the class in tables.
 int group_of(int size_class) { return std::clamp(size_class + 4, 0, kClassGroups - 1); }
-
-uint32_t gather(uint32_t v) {
-  v &= 0x55555555;
-  v = (v | v >> 1) & 0x33333333;
-  v = (v | v >> 2) & 0x0F0F0F0F;
-  v = (v | v >> 4) & 0x00FF00FF;
-  return (v | v >> 8) & 0x0000FFFF;
-}
 
 // Logarithm of the mean energy of blocks.
 int mean_energy(double energy, uint64_t blocks) {
@@ -273,47 +257,6 @@ void Structure::pool(const Blocks& from, int bits, Blocks& to) const {
     }
     if (from.columns % 2 != 0) out[pairs + 1] = column(from.columns - 1);
   }
-}
-
-Spot Structure::spot() const {
-  const int x_bits = level_ / 2, y_bits = (level_ + 1) / 2, y_first = x_bits == y_bits;
-  const auto first = [&](int block) { return (block - kRim) * (1 << halvings_) + 2; };
-  return {first(column_), first(row_), gather(part_ >> (1 - y_first)), gather(part_ >> y_first), x_bits, y_bits};
-}
-
-Context Structure::context(const Spot& spot) const {
-  Context c{0, 0, static_cast<int8_t>(spot.x_bits - halvings_), static_cast<int8_t>(spot.y_bits - halvings_)};
-  if (!known_) return c;
-  const int down = block_bits_ - bits_;
-  const auto block = [&](int of_class, uint32_t part, int bits, int most) {
-    const auto inside = static_cast<int>((uint64_t{part} << down) >> bits);
-    return std::clamp((of_class - kRim) * (1 << down) + inside + kRim, 0, most - 1);
-  };
-  const int x = block(column_, spot.x, spot.x_bits, map_.columns), y = block(row_, spot.y, spot.y_bits, map_.rows);
-  Quad rows[3] = {};
-  for (int d = -1; d <= 1; ++d) {
-    if (y + d < 0 || y + d >= map_.rows) continue;
-    const Quad* at = &map_.of[static_cast<size_t>(y + d) * map_.columns + x];
-    rows[d + 1] = ((x > 0 ? at[-1] : Quad{}) + at[0]) + (x + 1 < map_.columns ? at[1] : Quad{});
-  }
-  const Quad sum = (rows[0] + rows[1]) + rows[2];
-  const float energy = sum[0], along = sum[1], across = sum[2];
-  c.energy = static_cast<uint8_t>(1 + std::clamp((log_16(energy * (1 / 9.0f) + kTiny) - mean_ + 96) / 24, 0, 7));
-  const double dx = along, dy = across, e = energy, square = dx * dx + dy * dy;
-  c.direction = 1;
-  if (25 * square < e * e || e == 0) return c;
-  const int coherence = 5 * square < e * e ? 0 : 2 * square < e * e ? 1 : 2;
-  const double ax = std::abs(dx), ay = std::abs(dy);
-  int octant;
-  if (5 * ay < 2 * ax) {
-    octant = dx > 0 ? 0 : 4;
-  } else if (5 * ax < 2 * ay) {
-    octant = dy > 0 ? 2 : 6;
-  } else {
-    octant = dx > 0 ? (dy > 0 ? 1 : 7) : (dy > 0 ? 3 : 5);
-  }
-  c.direction = static_cast<uint8_t>(2 + 8 * coherence + octant);
-  return c;
 }
 
 uint32_t Structure::block_of(uint32_t column, uint32_t row) const {

@@ -9,6 +9,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <vector>
@@ -18,6 +19,22 @@
 namespace sg {
 
 constexpr int kEnergies = 9, kDirections = 26;  // contexts
+constexpr float kTiny = 1.0f / 4096;  // added before a logarithm
+
+// floor(16 log2 x), linear between powers of two, of a positive number.
+SG_INLINE int log_16(float x) {
+  int32_t bits;
+  std::memcpy(&bits, &x, sizeof bits);
+  return (bits >> 19) - 16 * 127;
+}
+// Every other of the lowest bits.
+SG_INLINE uint32_t gather_bits(uint32_t v) {
+  v &= 0x55555555;
+  v = (v | v >> 1) & 0x33333333;
+  v = (v | v >> 2) & 0x0F0F0F0F;
+  v = (v | v >> 4) & 0x00FF00FF;
+  return (v | v >> 8) & 0x0000FFFF;
+}
 
 // What is known of a Gaussian's surroundings once its part is: contexts of its symbols, and how many times the part
 // halves a cell along x and y (below 0: it is wider than a cell).
@@ -54,8 +71,34 @@ class Structure {
   }
   // Counts a Gaussian in the current block.
   SG_INLINE void count() { *at_ = static_cast<uint16_t>(*at_ + (*at_ < kMostCounted)); }
-  Spot spot() const;
-  Context context(const Spot& spot) const;
+  SG_INLINE Spot spot() const {
+    const int x_bits = level_ / 2, y_bits = (level_ + 1) / 2, y_first = x_bits == y_bits;
+    const auto first = [&](int block) { return (block - kRim) * (1 << halvings_) + 2; };
+    return {first(column_), first(row_), gather_bits(part_ >> (1 - y_first)), gather_bits(part_ >> y_first),
+            x_bits,         y_bits};
+  }
+  SG_INLINE Context context(const Spot& spot) const {
+    Context c{0, 0, static_cast<int8_t>(spot.x_bits - halvings_), static_cast<int8_t>(spot.y_bits - halvings_)};
+    if (!known_) return c;
+    const int down = block_bits_ - bits_;
+    const auto block = [&](int of_class, uint32_t part, int bits, int most) {
+      const auto inside = static_cast<int>((uint64_t{part} << down) >> bits);
+      return std::clamp((of_class - kRim) * (1 << down) + inside + kRim, 0, most - 1);
+    };
+    const int x = block(column_, spot.x, spot.x_bits, map_.columns), y = block(row_, spot.y, spot.y_bits, map_.rows);
+    const Quad sum = around(x, y);
+    const float energy = sum[0];
+    c.energy = static_cast<uint8_t>(1 + std::clamp((log_16(energy * (1 / 9.0f) + kTiny) - mean_ + 96) / 24, 0, 7));
+    // Without branches, which nothing could predict.
+    const double dx = sum[1], dy = sum[2], e = energy, square = dx * dx + dy * dy, ax = std::abs(dx), ay = std::abs(dy);
+    const int coherence = (5 * square >= e * e) + ((5 * square >= e * e) & (2 * square >= e * e));
+    const int flat = 5 * ay < 2 * ax, steep = 5 * ax < 2 * ay, right = dx > 0, down_ = dy > 0;
+    static constexpr uint8_t kOctants[16] = {5, 4, 6, 4, 7, 0, 6, 0, 3, 4, 2, 4, 1, 0, 2, 0};
+    const int octant = kOctants[flat | steep << 1 | right << 2 | down_ << 3];
+    const bool none = (25 * square < e * e) | (e == 0);
+    c.direction = static_cast<uint8_t>(none ? 1 : 2 + 8 * coherence + octant);
+    return c;
+  }
 
   // For the encoder: the block of a cell, the parts from the current one to the first of a later block, to which it
   // moves, and the number of a part within the current block by a Gaussian's place in it, which has x_bits, y_bits.
@@ -85,6 +128,21 @@ class Structure {
   };
 
   int blocks_along(int side, int bits) const { return ((side - 1) >> bits) + 1 + 2 * kRim; }
+  // The sum of 3x3 blocks of the map: along x and then down; what lies outside counts nothing.
+  SG_INLINE Quad around(int x, int y) const {
+    const Quad* at = &map_.of[static_cast<size_t>(y) * static_cast<size_t>(map_.columns) + static_cast<size_t>(x)];
+    const int up = map_.columns;
+    if (__builtin_expect(x > 0 && y > 0 && x + 1 < map_.columns && y + 1 < map_.rows, 1))
+      return (((at[-up - 1] + at[-up]) + at[-up + 1]) + ((at[-1] + at[0]) + at[1])) +
+             ((at[up - 1] + at[up]) + at[up + 1]);
+    Quad rows[3] = {};
+    for (int d = -1; d <= 1; ++d) {
+      if (y + d < 0 || y + d >= map_.rows) continue;
+      const Quad* row = at + d * up;
+      rows[d + 1] = ((x > 0 ? row[-1] : Quad{}) + row[0]) + (x + 1 < map_.columns ? row[1] : Quad{});
+    }
+    return (rows[0] + rows[1]) + rows[2];
+  }
   Blocks blocks(int bits) const;
   void pool(const Blocks& from, int bits, Blocks& to) const;
   void predict();
