@@ -175,6 +175,30 @@ def test_both_take_and_refuse_the_same_files(name: str, place: float, value: byt
         assert ours == plain_gaussians(data, part)
 
 
+@given(
+    st.sampled_from([(1, 1), (40, 50), (65, 3000), (1500, 900), (65_535, 65_535)]),
+    st.integers(0, 3),
+    st.integers(0, 32),
+    st.integers(0, 32),
+    st.binary(max_size=60),
+    st.sampled_from([1.0, 0.5]),
+)
+def test_both_make_the_same_of_any_payload(
+    size: tuple[int, int], flags: int, first: int, more: int, rest: bytes, part: float
+) -> None:
+    """Its classes are as they may be."""
+    start = (first | min(more, 32 - first) << 6).to_bytes(2, "little")
+    payload = (2**20).to_bytes(4, "little") + start + rest
+    data = container.serialise(StreamV2(*size, 0.5078125, (123,) * 3, flags % 2 > 0, flags > 1, payload, is_short=True))
+    try:
+        ours = rows(container.parse(data).gaussians(part))
+    except BitstreamError:
+        with pytest.raises(RefusedError):
+            plain_gaussians(data, part)
+    else:
+        assert ours == plain_gaussians(data, part)
+
+
 def plain_gaussians(data: bytes, part: float) -> list[Gaussian]:
     file = plain_decoder_v2.read(data)
     return file.gaussians() if part == 1 else file.part(math.ceil(part * len(file.payload)))
