@@ -49,7 +49,7 @@ def test_the_limits_in_the_text() -> None:
         f"but at most max(g, {plain.LARGEST_BLOCK}).",
         f"but at most max(m, {plain.LARGEST_BLOCK}).",
         f"/ 16), 0), {plain.MAX_LEVEL})",
-        f"let n be at most 2^{plain.MAX_GAUSSIANS.bit_length() - 1};",
+        f"take 2^{plain.MAX_GAUSSIANS.bit_length() - 1} for a larger n;",
         rf"refuse \|v\| > {plain.MAX_V} * 2^h or 2 \|r\| > {plain.MAX_R} * 2^h",
         f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.MIN_COLOUR_STEP):g})",
         f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
