@@ -389,10 +389,6 @@ def log2_16(x: Sums) -> NDArray[np.int64]:
     return np.asarray(x, np.float32).view(np.uint32).astype(np.int64) // 2**19 - 2032
 
 
-def of_integer(x: int) -> int:
-    return int(log2_16(np.float32(x))) - 128
-
-
 def inside(side: int, m: int) -> int:
     return (side - 1) // 2**m + 1
 
@@ -479,7 +475,7 @@ class Blocks:
         self.level = level  # M
         self.rows, self.columns = the_map.shape(level)
         self.inside = the_map.blocks_inside(level)
-        self.density = of_integer(256 * n // self.inside + 1)
+        self.density = lg(256 * n // self.inside + 1) - 128
         self.here = self.likely()
         self.around = sums_of_9(self.of_map)
         self.counts = np.zeros((self.rows + 4, self.columns + 8), np.int64)  # with none above and beside
@@ -520,8 +516,8 @@ class Blocks:
         p = min(int(2 * here[3] + 2 * above[3, 4] + above[3, 3] + above[3, 5]), 63)
         q = min(int(here.sum() + above.sum()), 255)
         o = (
-            of_integer(256 * p * self.inside // (6 * self.n) + 77),
-            of_integer(256 * q * self.inside // (40 * self.n) + 77),
+            lg(256 * p * self.inside // (6 * self.n) + 77) - 128,
+            lg(256 * q * self.inside // (40 * self.n) + 77) - 128,
             self.density,
         )
         of, total = tables(), 0

@@ -23,7 +23,7 @@ from tests.bitstream.plain_encoder_v2 import Wanted, write_payload
 
 FORMAT = ROOT / "docs" / "format"
 MODELS, VECTORS = FORMAT / "models.json", FORMAT / "vectors.json"
-PARTED = "short", "long", "grey"  # of which the vectors have all parts
+PARTED = {"short": 1, "long": 1, "grey": 1, "far": 9}  # steps in which the vectors have their parts
 KERNELS = ROOT / "sgmethod" / "native" / "rd"
 STARTS = {  # names of the tables in the text
     "count": "Count",
@@ -244,7 +244,8 @@ def main() -> None:
     of_name = {of["name"]: bytes.fromhex(of["bytes"]) for of in vectors["files"]}
     refused = small([Wanted(0, shape=(0, 9, 0))])
     equal = small([DOT] * 1200, 40)
-    vectors["parts"] = [*(parts(of_name[name]) for name in PARTED), parts(equal, 50), parts(refused)]
+    stepped = [parts(of_name[name], step) for name, step in PARTED.items()]
+    vectors["parts"] = [*stepped, parts(equal, 99), parts(refused)]
     vectors["refuse"] = [{"reason": reason, "bytes": data.hex()} for reason, data in refusals().items()]
     VECTORS.write_text(written(vectors) + "\n")
 

@@ -49,7 +49,7 @@ def test_the_limits_in_the_text() -> None:
         f"but at most max(g, {plain.LARGEST_BLOCK}).",
         f"but at most max(m, {plain.LARGEST_BLOCK}).",
         f"/ 16), 0), {plain.MAX_LEVEL})",
-        f"let n be at most 2^{plain.MAX_GAUSSIANS.bit_length() - 1};",
+        f"take 2^{plain.MAX_GAUSSIANS.bit_length() - 1} for a larger n;",
         rf"refuse \|v\| > {plain.MAX_V} * 2^h or 2 \|r\| > {plain.MAX_R} * 2^h",
         f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.MIN_COLOUR_STEP):g})",
         f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
@@ -171,6 +171,30 @@ def test_both_take_and_refuse_the_same_files(name: str, place: float, value: byt
         if "limit" not in str(error):
             with pytest.raises(RefusedError):
                 plain_gaussians(data, part)
+    else:
+        assert ours == plain_gaussians(data, part)
+
+
+@given(
+    st.sampled_from([(1, 1), (40, 50), (65, 3000), (1500, 900), (65_535, 65_535)]),
+    st.integers(0, 3),
+    st.integers(0, 32),
+    st.integers(0, 32),
+    st.binary(max_size=60),
+    st.sampled_from([1.0, 0.5]),
+)
+def test_both_make_the_same_of_any_payload(
+    size: tuple[int, int], flags: int, first: int, more: int, rest: bytes, part: float
+) -> None:
+    """Its classes are as they may be."""
+    start = (first | min(more, 32 - first) << 6).to_bytes(2, "little")
+    payload = (2**20).to_bytes(4, "little") + start + rest
+    data = container.serialise(StreamV2(*size, 0.5078125, (123,) * 3, flags % 2 > 0, flags > 1, payload, is_short=True))
+    try:
+        ours = rows(container.parse(data).gaussians(part))
+    except BitstreamError:
+        with pytest.raises(RefusedError):
+            plain_gaussians(data, part)
     else:
         assert ours == plain_gaussians(data, part)
 

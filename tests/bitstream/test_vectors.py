@@ -16,6 +16,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.remake import maps_of, refusals, row_of
+from tests.bitstream.test_format_v1 import rows
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}
@@ -82,11 +83,13 @@ def pixels_of(rows: list[str], channels: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("of", VECTORS["parts"])
-def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any]) -> None:
+def test_parts_hold_the_first_gaussians_of_the_whole(of: dict[str, Any]) -> None:
     data = bytes.fromhex(of["bytes"])
     stream, plain = container.parse(data), plain_decoder_v2.read(data)
     assert isinstance(stream, StreamV2)
     whole = len(stream.payload)
+    is_refused = of["parts"][-1][1] is None
+    gaussians = [] if is_refused else plain.gaussians()
     for k, n in of["parts"]:
         prefix = max(k - 0.5, 0) / whole if k < whole else 1
         if n is None:
@@ -95,7 +98,7 @@ def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any])
             with pytest.raises(plain_decoder_v2.RefusedError):
                 plain.part(k)
         else:
-            assert len(stream.gaussians(prefix)) == len(plain.part(k)) == n
+            assert rows(stream.gaussians(prefix)) == plain.part(k) == gaussians[:n]
 
 
 def test_files_to_refuse_are_as_they_are_made() -> None:
