@@ -19,14 +19,12 @@ const L = (x, times = 1) => lg(fround(x + times * TINY));
 export const groupOf = (k) => min(k + 4, 13);
 
 const limited = (x) => min(max(x, -255), 255);
-const features = new Int32Array(4);
 
-/** What units of the networks say of the features, each of 19 numbers: four weights, that of its output, and biases by group. */
-function predicted(at, end, group) {
+/** What units of the networks say, each of 19 numbers: four weights, that of its output, and biases by group. */
+function predicted(at, end, group, a, b, c, d) {
   let sum = 0;
   for (; at < end; at += 19) {
-    let unit = 64 * NET[at + 5 + group];
-    for (let i = 0; i < 4; i++) unit += NET[at + i] * features[i];
+    const unit = 64 * NET[at + 5 + group] + NET[at] * a + NET[at + 1] * b + NET[at + 2] * c + NET[at + 3] * d;
     sum += NET[at + 4] * (max(unit, 0) >> 6);
   }
   return sum >> 6;
@@ -124,11 +122,9 @@ export function newMap({ width, height }) {
       const S = sumAround(E, block, strideOf(M));
       const SF = sumAround(F, indexOf(M + 2, (r + 6) >> 2, (c + 6) >> 2), strideOf(M + 2));
       const turned = fround(abs(sumAround(X, block, strideOf(M))) + abs(sumAround(Y, block, strideOf(M))));
-      features[0] = limited(L(E[block]) - mean);
-      features[1] = limited(L(S, 9) - mean);
-      features[2] = limited(L(SF, 144) - mean);
-      features[3] = limited(L(turned) - L(S));
-      parts += NET[group] + predicted(14, 90, group);
+      const [f0, f1] = [limited(L(E[block]) - mean), limited(L(S, 9) - mean)];
+      const [f2, f3] = [limited(L(SF, 144) - mean), limited(L(turned) - L(S))];
+      parts += NET[group] + predicted(14, 90, group, f0, f1, f2, f3);
       let q = 0;
       for (let d = 1; d < 5; d++) {
         q += counts[i - d];
@@ -136,11 +132,7 @@ export function newMap({ width, height }) {
       }
       const up = i - stride;
       const p = 2 * (counts[i - 1] + counts[up]) + counts[up - 1] + counts[up + 1];
-      features[0] = own(min(p, 63), 6);
-      features[1] = own(min(q, 255), 40);
-      features[2] = density;
-      features[3] = 0;
-      parts += predicted(90, 147, group);
+      parts += predicted(90, 147, group, own(min(p, 63), 6), own(min(q, 255), 40), density, 0);
     }
     at.level = min(max(parts >> 4, 0), 20);
   };
