@@ -86,7 +86,7 @@ def bar(trace: Sequence[TracePoint], waited_s: float, seconds: float) -> str:
     seconds: since the encode began.
     """
     point, done = trace[-1], max(point.share for point in trace)
-    left_s = seconds_left([trace[0].to_dict(), point.to_dict()], seconds)
+    left_s = seconds_left([trace[0].to_dict(), point.to_dict()], seconds) or None  # it takes longer than expected
     phase = "write" if point.phase == "done" else point.phase
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
@@ -95,7 +95,7 @@ def bar(trace: Sequence[TracePoint], waited_s: float, seconds: float) -> str:
 
 def remaining(left_s: float | None) -> str:
     """Format an estimate of the time left, if there is one."""
-    if left_s is None or left_s < 0.5:
+    if left_s is None:
         return ""
     if left_s < 120:
         return f", {left_s:.0f} s left"

@@ -235,7 +235,7 @@ def test_seconds_left() -> None:
     for share, waited_s in ((0.1, 0), (0.9, 60), (1.0, 0)):  # too early, longer than it should take, the end
         assert drawn("joint", share, waited_s).endswith("  8.5 s")
     assert [remaining(seconds) for seconds in (None, 0.2, 119, 120, 32400)] == [
-        *("", "", ", 119 s left", ", 2 min left", ", 9 h left")
+        *("", ", 0 s left", ", 119 s left", ", 2 min left", ", 9 h left")
     ]
 
 
