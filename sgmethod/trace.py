@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,8 +17,8 @@ class TracePoint:
     seconds: since the encode began; step, steps: optimiser steps done and scheduled (convergence or a time limit may
     end the schedule early); psnr: dB over all channels of the picture as it would decode now (unquantised in phase
     "fit"); bytes: estimated file size, 0 while unknown; phase: "joint", then "search" (profile rd), "fit", then "tune"
-    (the other), finally "done". A search for the best integers counts its own steps;
-    share: estimated part of the encode's time that is over, 0 to 1.
+    (the other), finally "done". A search for the best integers counts its own steps; share: estimated part of the
+    encode's time that is over, 0 to 1.
     """
 
     seconds: float
@@ -52,7 +53,7 @@ def share_of(phase: str, step: int, steps: int, tries: int = 1) -> float:
     return begin + (end - begin) * done
 
 
-def seconds_left(trace: Sequence[Mapping[str, Any]], seconds: float, limit_s: float | None = None) -> float | None:
+def seconds_left(trace: Sequence[Mapping[str, Any]], seconds: float, limit_s: float = math.inf) -> float | None:
     """Estimate the seconds that an encode still takes; None if its trace is too short, or at its end.
 
     trace: points as TracePoint.to_dict() returns them; seconds: since the encode began.
@@ -63,7 +64,7 @@ def seconds_left(trace: Sequence[Mapping[str, Any]], seconds: float, limit_s: fl
     if not begin + SURE <= share < 1:
         return None
     end = at + (at - began) / (share - begin) * (1 - share)
-    return float(max(min(end, end if limit_s is None else limit_s) - seconds, 0.0))
+    return float(max(min(end, limit_s) - seconds, 0.0))
 
 
 Progress = Callable[[TracePoint], None]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from threading import Event, Lock, Thread
+from threading import Lock
 from typing import Any, TextIO
 
 from PIL import Image
@@ -22,12 +22,11 @@ from sgmethod.cli import files
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.terminal import redraw, remaining
+from sgmethod.cli.terminal import Ticker, redraw, remaining
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
 
 SOME_FAILED = 1
-TICK_S = 1.0
 Figures = dict[str, Any]
 
 
@@ -113,22 +112,20 @@ class _Report:
         self.failed: list[Conversion] = []
         self.done = 0
         self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
-        self._pixels = Counter() if arguments.quiet else Counter({one: pixels_of(one) for one in set(pictures)})
-        self._done_pixels, self._all_pixels = 0, sum(self._pixels[picture] for picture in pictures)
         self._shown = not arguments.quiet and os.isatty(2)
+        says_pace = self._shown or not (arguments.quiet or self._json)
+        self._pixels = Counter({one: pixels_of(one) for one in set(pictures)} if says_pace else {})
+        self._done_pixels, self._all_pixels = 0, sum(self._pixels[picture] for picture in pictures)
         self._left, self._jobs, self._pace = Counter(pictures), getattr(arguments, "jobs", 1), ""
         self._began: dict[str, float] = {}
-        self._lock, self._ended = Lock(), Event()
+        self._lock = Lock()
         self._redraw()
-        self._ticking = Thread(target=self._tick, daemon=True)
-        if self._shown:
-            self._ticking.start()
+        self._ticker = Ticker(self._tick) if self._shown else None
 
     def end(self) -> None:
         """Remove the progress from the terminal."""
-        self._ended.set()
-        if self._shown:
-            self._ticking.join()
+        if self._ticker:
+            self._ticker.end()
             redraw(sys.stderr, "")
 
     def show(self, outcome: Conversion, tally: Tally) -> None:
@@ -156,9 +153,8 @@ class _Report:
         self._redraw()
 
     def _tick(self) -> None:
-        while not self._ended.wait(TICK_S):
-            with self._lock:
-                self._redraw()
+        with self._lock:
+            self._redraw()
 
     def _redraw(self) -> None:
         """Draw the count and the pictures that are being converted: pictures are taken in order."""

@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, TextIO
@@ -46,31 +46,44 @@ def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
         yield None
         return
     points: list[TracePoint] = []
-    started, lock, ended = [0.0], Lock(), Event()
+    encode_began, lock = began, Lock()
 
     def draw() -> None:
         now = time.perf_counter()
         with lock:
-            redraw(sys.stderr, bar(points, now - began, now - started[0]) if points else "start")
+            redraw(sys.stderr, bar(points, now - began, now - encode_began) if points else "start")
 
     def add(point: TracePoint) -> None:
+        nonlocal encode_began
         points.append(point)
-        started[0] = time.perf_counter() - point.seconds
+        encode_began = time.perf_counter() - point.seconds
         draw()
 
-    def tick() -> None:  # seconds may pass between two points
-        while not ended.wait(TICK_S):
-            draw()
-
-    ticking = Thread(target=tick, daemon=True)
+    draw()  # reading and placing take seconds of a large picture
+    ticker = Ticker(draw)  # and so does a step
     try:
-        draw()  # reading and placing take seconds of a large picture
-        ticking.start()
         yield add
     finally:
-        ended.set()
-        ticking.join()
+        ticker.end()
         redraw(sys.stderr, "")
+
+
+class Ticker:
+    """A thread that calls draw() every TICK_S until its end."""
+
+    def __init__(self, draw: Callable[[], None]) -> None:
+        self._draw, self._ended = draw, Event()
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Return once nothing is drawn any more."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.wait(TICK_S):
+            self._draw()
 
 
 def redraw(stream: TextIO, text: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -37,9 +37,12 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     def payload(quantum: float) -> int:
         return len(coded(StreamV2.coded_quantum(quantum, rate.is_short)).payload)
 
-    report = partial(_report, plan, state, rounds)
-    usual = rate.usual_tries
-    report(0, usual)
+    @cache  # the fit stays as it is
+    def fit_error() -> float:
+        return plan.error(plan.rounded(state.gaussians, state.quantum))
+
+    report = partial(_report, plan, state, rounds, fit_error)
+    report(0, rate.usual_tries)
     texture = request.objective.texture(coded(state.quantum))
     if texture is not None and not rate.affords(texture):
         texture = None
@@ -53,7 +56,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         if quantum is None:
             break
         tried.append(refined(state.gaussians, quantum, limit))
-        report(len(tried), max(usual, len(tried) + 1))
+        report(len(tried), max(rate.usual_tries, len(tried) + 1))
         quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
     if rate.is_cut_short(payload(state.quantum), limit):
         tried.append(refined(state.gaussians, state.quantum, limit))
@@ -75,15 +78,11 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     return rate.best([best, Coded(empty, request.objective)])
 
 
-def _report(plan: Plan, state: State, rounds: int, step: int, steps: int) -> None:
+def _report(plan: Plan, state: State, rounds: int, error: Callable[[], float], step: int, steps: int) -> None:
     """Report the progress of a search, unless another run of the schedule follows it."""
     if rounds >= plan.settings.effort.rounds[-1]:
-
-        def decoded_error() -> float:
-            return plan.error(plan.rounded(state.gaussians, state.quantum))
-
         gaussians, tries = len(state.gaussians), plan.request.rate.usual_tries
-        plan.request.recorder.report("search", step, steps, decoded_error, gaussians, state.size, tries)
+        plan.request.recorder.report("search", step, steps, error, gaussians, state.size, tries)
 
 
 def _refined(
