@@ -18,7 +18,8 @@ const SAMPLE = "wtIByWwsTlAkACGPAQBW0I8ielU25A1yzyRNnyNcrWwBeg"; // with alpha
 const TEXTURED = "wqsMZeXg___fvfwTDQEA0IK5RUyEQd4ADRHYdkMd";
 const VIEW = { scale: 1.5, region: [2, 1, 9, 7], prefix: 0.9 };
 // Properties that no user and no browser sees.
-const INTERNAL = /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|top|sx|sy|dx|dy)$/;
+const INTERNAL =
+  /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|top|sx|sy|dx|dy|energy|direction|across|down|xBits|yBits|level|part|halvings|columns|block|square|uBits)$/;
 
 const preview = 'export { SgError, decodePreview } from "./src/preview.js";';
 const element = 'export { SgImage } from "./src/sg-img.js";';

@@ -6,11 +6,17 @@ Its parts follow the sections of that text, in their order, with their names, up
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 MODELS = Path(__file__).parents[2] / "docs" / "format" / "models.json"
 Gaussian = tuple[float, float, float, float, float, tuple[float, ...]]  # x, y, l1, l2, l3, colour
@@ -49,9 +55,10 @@ def body_of(data: bytes, version: int) -> bytes:
 
 # Version 2: limits
 
+MAX_GAUSSIANS = 2**24
 MAX_COLOUR = 2**22
 MAX_EXPONENT = 18
-MAX_U_BITS, MAX_PART_BITS, MAX_RAW_BITS = 12, 16, 24
+MAX_U_BITS, MAX_PART_BITS = 12, 16
 MAX_V, MAX_R = 8, 4096
 MIN_COLOUR_STEP = 2.0**-16
 OCTAVES, PATCH, MAX_STRENGTH = 2, 64, 15
@@ -163,8 +170,8 @@ class Model:
         self.slow = list(self.fast)
         self.seen = 0
 
-    def edge(self, i: int) -> int:
-        return 32768 if i == 16 else (self.fast[i] + self.slow[i]) // 2
+    def edges(self) -> list[int]:
+        return [*((fast + slow) // 2 for fast, slow in zip(self.fast, self.slow, strict=True)), 32768]
 
     def adapt(self, symbol: int) -> None:
         j = min((self.seen + 16).bit_length() - 1, 7)
@@ -175,18 +182,44 @@ class Model:
             self.slow[i] += (aim - self.slow[i] + 2 ** (j - 1) - 1) // 2**j
 
 
+def edges_of(models: Sequence[Model]) -> list[int]:
+    """Those of a symbol that has one model, or two."""
+    return [sum(edges) // len(models) for edges in zip(*(model.edges() for model in models), strict=True)]
+
+
 class Models:
     def __init__(self) -> None:
-        of = {name: [Model(start) for start in rows] for name, rows in start_tables().items()}
-        (self.count,), (self.distance,), (self.luma,) = of["count"], of["distance"], of["luma"]
-        self.a, self.b, self.v, self.r = of["a"], of["b"], of["v"], of["r"]
+        of = {name: [Model(start) for start in tables()[name]] for name in MODEL_NAMES}
+        (self.count,), (self.distance,) = of["count"], of["distance"]
+        self.luma, self.luma_by_group = of["luma"], of["luma_by_group"]
+        self.a, self.a_by_group, self.b, self.b_by_luma = of["a"], of["a_by_group"], of["b"], of["b_by_luma"]
+        self.v, self.v_by_group, self.r, self.r_by_direction = of["v"], of["v_by_group"], of["r"], of["r_by_direction"]
         self.colour_signs, self.shape_signs = of["colour signs"], of["shape signs"]
 
 
-def start_tables() -> dict[str, list[list[int]]]:
-    """Where models begin: for each name, fifteen numbers a model."""
-    tables: dict[str, list[list[int]]] = json.loads(MODELS.read_text("utf-8"))
-    return tables
+MODEL_NAMES = (
+    "count",
+    "distance",
+    "luma",
+    "luma_by_group",
+    "a",
+    "a_by_group",
+    "b",
+    "b_by_luma",
+    "colour signs",
+    "v",
+    "v_by_group",
+    "r",
+    "r_by_direction",
+    "shape signs",
+)
+
+
+@cache
+def tables() -> dict[str, Any]:
+    """Where models begin, fifteen numbers a model, and the numbers of how likely a block is."""
+    found: dict[str, Any] = json.loads(MODELS.read_text("utf-8"))
+    return found
 
 
 class Coder:
@@ -203,14 +236,16 @@ class Coder:
     def is_past_end(self) -> bool:
         return self.at > len(self.payload)
 
-    def symbol(self, which: int, model: Model) -> int:
+    def symbol(self, which: int, *models: Model) -> int:
         which %= len(self.states)
         state = self.states[which]
         place = state % 32768
-        symbol = next(i for i in range(16) if place < model.edge(i + 1))
-        state = (model.edge(symbol + 1) - model.edge(symbol)) * (state // 32768) + place - model.edge(symbol)
+        edges = edges_of(models)
+        symbol = next(i for i in range(16) if place < edges[i + 1])
+        state = (edges[symbol + 1] - edges[symbol]) * (state // 32768) + place - edges[symbol]
         self.states[which] = state * 65536 + self.bytes(2) if state < 65536 else state
-        model.adapt(symbol)
+        for model in models:
+            model.adapt(symbol)
         return symbol
 
     # Raw bits and numbers
@@ -226,8 +261,8 @@ class Coder:
         self.queued -= count
         return value
 
-    def number(self, which: int, model: Model) -> Number:
-        s = self.symbol(which, model)
+    def number(self, which: int, *models: Model) -> Number:
+        s = self.symbol(which, *models)
         if s < 4:
             return Number(s, 0, s)
         if s == 15:
@@ -252,6 +287,10 @@ class Number:
     def magnitude(self) -> int:
         return 0 if self.symbol == 0 else 1 if self.symbol <= 2 else 2 if self.symbol <= 5 else 3
 
+    @property
+    def slant(self) -> int:
+        return 0 if self.symbol == 0 else 1 if self.symbol <= 3 else 2 if self.symbol <= 6 else 3
+
 
 # Classes
 
@@ -265,22 +304,20 @@ class SizeClass:
     k: int
     columns: int
     rows: int
-    t: int = 0
+    n: int
+    blocks: Blocks
 
     @property
     def g(self) -> int:
         return max(0, (self.k + 1) // 2)
 
+    @property
+    def group(self) -> int:
+        return min(self.k + 4, 13)
+
 
 def size(k: int) -> float:
     return 1.4142135623730951 * 2.0 ** ((k - 1) // 2) if k % 2 else 2.0 ** (k // 2)
-
-
-def deinterleave(cell: int) -> tuple[int, int]:
-    """Column and row of a Morton code."""
-    column = sum((cell >> 2 * i & 1) << i for i in range(16))
-    row = sum((cell >> 2 * i + 1 & 1) << i for i in range(16))
-    return column, row
 
 
 def read_payload(header: Header, coder: Coder, is_part: bool) -> Iterator[Integers]:
@@ -288,7 +325,7 @@ def read_payload(header: Header, coder: Coder, is_part: bool) -> Iterator[Intege
     if not coder.payload:
         return
     models = Models()
-    most = min(header.width * header.height, 2**24, 8 * len(coder.payload) + 64)
+    most = min(header.width * header.height, MAX_GAUSSIANS, 8 * len(coder.payload) + 64)
     is_begun = min(coder.states) >= 65536
     coder.fetch(6)
     first = 28 - coder.take(6)
@@ -296,6 +333,7 @@ def read_payload(header: Header, coder: Coder, is_part: bool) -> Iterator[Intege
     last = first - coder.take(6)
     check_end(coder, is_part)
     refuse_unless(is_begun and last >= -4, "start")
+    the_map = Map(header.width, header.height)
     total = 0
     for k in range(first, last - 1, -1):
         number = coder.number(COLOUR, models.count)
@@ -303,15 +341,22 @@ def read_payload(header: Header, coder: Coder, is_part: bool) -> Iterator[Intege
         n = coder.rest(number)
         check_end(coder, is_part)
         refuse_unless(is_part or total + n <= most, "count")
-        of_class, now = size_class(header, k, n), None
-        for i in range(n + 1 if n > 0 else 0):
+        n = min(n, MAX_GAUSSIANS)
+        if n == 0:
+            continue
+        of_class, now = size_class(header, k, n, the_map), None
+        found = []
+        for i in range(n + 1):
             if total == most:
                 raise EndError
             before, now = now, read_turn(header, coder, models, of_class, i < n, now)
             if before is not None:
                 check_end(coder, is_part)
                 yield before
+                found.append(before)
                 total += 1
+        for one in found:
+            the_map.add(one, gaussian_of(header, one))
     refuse_unless(is_part or set(coder.states) == {65536}, "last states")
     refuse_unless(is_part or coder.queue == 0, "last bits")
     refuse_unless(is_part or not any(coder.payload[coder.at :]), "rest")
@@ -325,13 +370,232 @@ def check_end(coder: Coder, is_part: bool) -> None:
         raise RefusedError("end")
 
 
-def size_class(header: Header, k: int, n: int) -> SizeClass:
-    side = 2 ** max(0, (k + 1) // 2)
-    columns, rows = (min(pixels // side + 5, 65536) for pixels in (header.width, header.height))
-    t, mean = 0, columns * rows // max(n, 1)
-    while mean >= 8:
-        t, mean = t + 1, mean // 2
-    return SizeClass(k, columns, rows, min(t, MAX_RAW_BITS))
+def size_class(header: Header, k: int, n: int, the_map: Map) -> SizeClass:
+    g = max(0, (k + 1) // 2)
+    columns, rows = (min(inside(pixels, g) + 4, 65536) for pixels in (header.width, header.height))
+    the_map.refine(g)
+    return SizeClass(k, columns, rows, n, Blocks(the_map, k, n))
+
+
+# The map
+
+TINY = np.float32(2.0**-12)
+SMALLEST_BLOCK, LARGEST_BLOCK, MAX_LEVEL = 3, 12, 20
+Sums = NDArray[np.float32]  # E, X and Y, by row and column
+
+
+def log2_16(x: Sums) -> NDArray[np.int64]:
+    """L: about 16 log2(x)."""
+    return np.asarray(x, np.float32).view(np.uint32).astype(np.int64) // 2**19 - 2032
+
+
+def inside(side: int, m: int) -> int:
+    return (side - 1) // 2**m + 1
+
+
+def pooled(finer: Sums, rows: int, columns: int) -> Sums:
+    """Blocks twice as wide, of which there are so many."""
+    wide = np.zeros((len(finer), 2 * rows, 2 * columns), np.float32)
+    part = finer[:, : 2 * rows - 2, : 2 * columns - 2]
+    wide[:, 2 : 2 + part.shape[1], 2 : 2 + part.shape[2]] = part
+    return (wide[:, ::2, ::2] + wide[:, 1::2, ::2]) + (wide[:, ::2, 1::2] + wide[:, 1::2, 1::2])
+
+
+def sums_of_9(block: Sums) -> Sums:
+    padded = np.pad(block, ((0, 0), (1, 1), (1, 1)))
+    along = (padded[:, :, :-2] + padded[:, :, 1:-1]) + padded[:, :, 2:]
+    return (along[:, :-2] + along[:, 1:-1]) + along[:, 2:]
+
+
+def limited(x: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    return np.clip(x, -most, most)
+
+
+class Map:
+    """What the Gaussians so far tell of the next class."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        self.m: int | None = None
+        self.block = np.zeros((3, 0, 0), np.float32)
+        self.n, self.total = 0, 0.0  # N and T
+
+    def shape(self, m: int) -> tuple[int, int]:
+        """Rows and columns of map(m)."""
+        return inside(self.height, m) + 4, inside(self.width, m) + 4
+
+    def blocks_inside(self, m: int) -> int:
+        return inside(self.width, m) * inside(self.height, m)
+
+    def mean(self, m: int) -> int:
+        return int(log2_16(np.float32(self.total / self.blocks_inside(m)) + TINY))
+
+    def refine(self, g: int) -> None:
+        """Go on to the blocks for a class of this g."""
+        m = max(g, SMALLEST_BLOCK)
+        while m < max(g, LARGEST_BLOCK) and math.prod(self.shape(m)) > 8 * self.n + 1024:
+            m += 1
+        if self.m is None:
+            self.m = m
+            self.block = np.zeros((3, *self.shape(m)), np.float32)
+        while self.m > m:
+            self.m -= 1
+            rows, columns = (np.arange(n) - 2 for n in self.shape(self.m))
+            self.block = np.float32(0.25) * self.block[:, (rows // 2 + 2)[:, None], columns // 2 + 2]
+
+    def add(self, integers: Integers, gaussian: Gaussian) -> None:
+        x, y, l1, l2, l3, _ = gaussian
+        weight = integers.square * 2.0 ** (-2 - integers.of_class.k) / (l1 * l3)
+        energy = round32(weight * (l1 * l1 + (l2 * l2 + l3 * l3)))
+        across = round32(weight * ((l2 * l2 + l3 * l3) - l1 * l1))
+        aslant = round32(weight * (-2 * (l1 * l2)))
+        value = np.array([energy, across, aslant], np.float32)
+        self.n, self.total = self.n + 1, self.total + 4 * energy
+        far1, far2, far3 = (np.float32(1.25) * np.float32(factor) for factor in (l1, l2, l3))
+        x, y = np.float32(x), np.float32(y)
+        for at in ((x + far1, y + far2), (x - far1, y - far2), (x, y + far3), (x, y - far3)):
+            column, row = (
+                math.floor(min(max(u * np.float32(2.0**-self.m) + np.float32(2), np.float32(0)), np.float32(count - 1)))
+                for u, count in zip(at, self.block.shape[:0:-1], strict=True)
+            )
+            self.block[:, row, column] += value
+
+
+class Blocks:
+    """A class's blocks: how likely each is, and the parts that follow from it."""
+
+    def __init__(self, the_map: Map, k: int, n: int) -> None:
+        assert the_map.m is not None
+        self.map, self.m, self.n, self.group = the_map, the_map.m, n, min(k + 4, 13)
+        self.of_map = the_map.block.copy()
+        self.is_known = the_map.n > 0
+        level = self.m
+        while level < max(self.m, LARGEST_BLOCK) and the_map.blocks_inside(level) > 8 * n + 64:
+            level += 1
+        self.level = level  # M
+        self.rows, self.columns = the_map.shape(level)
+        self.inside = the_map.blocks_inside(level)
+        self.density = lg(256 * n // self.inside + 1) - 128
+        self.here = self.likely()
+        self.around = sums_of_9(self.of_map)
+        self.counts = np.zeros((self.rows + 4, self.columns + 8), np.int64)  # with none above and beside
+        self.levels: list[int] = []  # of the blocks so far
+        self.first = 0  # the first part of the last of these
+        self.parts = 0  # in all these
+
+    def likely(self) -> NDArray[np.int64]:
+        """`here` of all blocks."""
+        if not self.is_known:
+            return np.zeros((self.rows, self.columns), np.int64)
+        block = self.of_map
+        for m in range(self.m, self.level):
+            block = pooled(block, *self.map.shape(m + 1))
+        far = block
+        for m in (self.level, self.level + 1):
+            far = pooled(far, *self.map.shape(m + 1))
+        rows, columns = ((np.arange(n) - 2) // 4 + 2 for n in block.shape[1:])
+        e, (s, sx, sy), sf = block[0], sums_of_9(block), sums_of_9(far)[0][rows[:, None], columns]
+        mean = self.map.mean(self.level)
+        f = [
+            limited(log2_16(e + TINY) - mean, 255),
+            limited(log2_16(s + np.float32(9) * TINY) - mean, 255),
+            limited(log2_16(sf + np.float32(144) * TINY) - mean, 255),
+            limited(log2_16((abs(sx) + abs(sy)) + TINY) - log2_16(s + TINY), 255),
+        ]
+        of = tables()
+        total = np.full(e.shape, 64 * of["map_base"][self.group], np.int64)
+        for out, bias, weights in zip(of["map_out"], of["map_bias"][self.group], of["map_weights"], strict=True):
+            total += out * (np.maximum(64 * bias + sum(w * x for w, x in zip(weights, f, strict=True)), 0) // 64)
+        return total // 64
+
+    def own(self, row: int, column: int) -> int:
+        """What the class's own Gaussians in the blocks before this tell."""
+        if not self.is_known:
+            return 0
+        here, above = self.counts[row + 4, column : column + 4], self.counts[row : row + 4, column : column + 9]
+        p = min(int(2 * here[3] + 2 * above[3, 4] + above[3, 3] + above[3, 5]), 63)
+        q = min(int(here.sum() + above.sum()), 255)
+        o = (
+            lg(256 * p * self.inside // (6 * self.n) + 77) - 128,
+            lg(256 * q * self.inside // (40 * self.n) + 77) - 128,
+            self.density,
+        )
+        of, total = tables(), 0
+        for out, bias, weights in zip(of["own_out"], of["own_bias"][self.group], of["own_weights"], strict=True):
+            total += out * (max(64 * bias + sum(w * x for w, x in zip(weights, o, strict=True)), 0) // 64)
+        return total // 64
+
+    def next_level(self, row: int, column: int) -> int:
+        is_outside = not (2 <= row < self.rows - 2 and 2 <= column < self.columns - 2)
+        likely = self.density + int(self.here[row, column]) + self.own(row, column) + 104 - 48 * is_outside
+        return min(max(likely // 16, 0), MAX_LEVEL)
+
+    def go_on(self) -> None:
+        """Go on to the next block."""
+        refuse_unless(len(self.levels) < self.rows * self.columns, "part")
+        self.levels.append(self.next_level(*divmod(len(self.levels), self.columns)))
+        self.first, self.parts = self.parts, self.parts + 2 ** self.levels[-1]
+
+    def part(self, number: int) -> Part:
+        """The part of that number, which is no lower than of any before; a Gaussian is in it."""
+        while number >= self.parts:
+            self.go_on()
+        level = self.levels[-1]
+        row, column = divmod(len(self.levels) - 1, self.columns)
+        self.counts[row + 4, column + 4] += 1
+        i, j = level // 2, (level + 1) // 2
+        within = number - self.first
+        even, odd = (sum((within >> 2 * bit + first & 1) << bit for bit in range(16)) for first in (0, 1))
+        x, y = (even, odd) if i == j else (odd, even)
+        return Part(number, column, row, i, j, x, y, *self.contexts(column, row, i, j, x, y))
+
+    def contexts(self, column: int, row: int, i: int, j: int, x: int, y: int) -> tuple[int, int]:
+        """`energy` and `direction` around a part."""
+        if not self.is_known:
+            return 0, 0
+        wide = 2 ** (self.level - self.m)
+        at = (
+            min(max((along - 2) * wide + x * wide // 2**bits + 2, 0), count - 1)
+            for along, x, bits, count in zip((row, column), (y, x), (j, i), self.around.shape[1:], strict=True)
+        )
+        s, sx, sy = self.around[(slice(None), *at)]
+        of_mean = log2_16(s * np.float32(1 / 9) + TINY) - self.map.mean(self.m)
+        energy = 1 + min(max((int(of_mean) + 96) // 24, 0), 7)
+        return energy, direction_of(float(s), float(sx), float(sy))
+
+
+def direction_of(s: float, sx: float, sy: float) -> int:
+    q = sx * sx + sy * sy
+    if s == 0 or 25 * q < s * s:
+        return 1
+    c = 0 if 5 * q < s * s else 1 if 2 * q < s * s else 2
+    if 5 * abs(sy) < 2 * abs(sx):
+        o = 0 if sx > 0 else 4
+    elif 5 * abs(sx) < 2 * abs(sy):
+        o = 2 if sy > 0 else 6
+    else:
+        o = {(True, True): 1, (False, True): 3, (False, False): 5, (True, False): 7}[sx > 0, sy > 0]
+    return 2 + 8 * c + o
+
+
+@dataclass(frozen=True)
+class Part:
+    number: int
+    column: int  # of its block
+    row: int
+    i: int
+    j: int
+    x: int
+    y: int
+    energy: int
+    direction: int
+
+    @property
+    def fold(self) -> int:
+        if self.direction < 2:
+            return 0
+        c, o = divmod(self.direction - 2, 8)
+        return 1 + 3 * c + (1 if o % 2 else 2 if o in (2, 6) else 0)
 
 
 # Bits of a Gaussian
@@ -339,12 +603,13 @@ def size_class(header: Header, k: int, n: int) -> SizeClass:
 
 @dataclass
 class Integers:
-    """A Gaussian in integers. Before its second turn, only its cell and |y|, |a|, |b| are known."""
+    """A Gaussian in integers. Before its second turn, only its part and |y|, |a|, |b| are known."""
 
     of_class: SizeClass
-    cell: int
+    part: Part
     colour: list[int]  # y, a, b
     shape: list[int] = field(default_factory=list)  # u, v, r
+    cell: list[int] = field(default_factory=list)  # column and row
     place: list[int] = field(default_factory=list)  # X, Y
     parts: tuple[int, int] = (0, 0)  # px, py
 
@@ -362,8 +627,8 @@ def lg(x: int) -> int:
 
 def parts_of(integers: Integers) -> tuple[int, int]:
     """px and py."""
-    (u, v, r), h, k = integers.shape, integers.h, integers.of_class.k
-    f = lg(integers.square) + 32 * integers.of_class.g - 17
+    (u, v, r), h, k, g = integers.shape, integers.h, integers.of_class.k, integers.of_class.g
+    f = lg(integers.square) + 32 * g - 17
     w = lg(4**h + 4 * r * r) - 32 * h
     a = 16 * k + 8 * (2 * u + 1) // 2**integers.u_bits - 8
     b = 46 * v // 2**h
@@ -378,53 +643,74 @@ def parts_of(integers: Integers) -> tuple[int, int]:
 def read_turn(
     header: Header, coder: Coder, models: Models, of_class: SizeClass, has_next: bool, now: Integers | None
 ) -> Integers | None:
-    """Cell and colour of the next Gaussian, if there is one; `now` gets its signs, shape and place."""
+    """Part and colour of the next Gaussian, if there is one; `now` gets its signs, shape and place."""
     distance = y = a = b = v = r = Number()
+    group = of_class.group
     if has_next:
         distance = coder.number(COLOUR, models.distance)
     if now:
         row = sum(w * (x != 0) for w, x in zip((4, 2, 1), now.colour, strict=True))
         signs = coder.symbol(SHAPE, models.colour_signs[row])
         now.colour = [-x if signs & w else x for w, x in zip((4, 2, 1), now.colour, strict=True)]
+    part = None
     if has_next:
-        y = coder.number(COLOUR, models.luma)
+        coder.fetch(distance.rest + 3)
+        steps = 8 * coder.rest(distance)
+        part = of_class.blocks.part((now.part.number if now else 0) + steps + coder.take(3))
+        y = coder.number(COLOUR, models.luma[part.energy], models.luma_by_group[group])
     if now:
-        v = coder.number(SHAPE, models.v[now.bucket])
+        v = coder.number(
+            SHAPE, models.v[10 * now.bucket + now.part.fold], models.v_by_group[8 * (group // 2) + now.bucket]
+        )
     if has_next and not header.grey:
-        a = coder.number(COLOUR, models.a[y.magnitude])
+        a = coder.number(COLOUR, models.a[y.magnitude], models.a_by_group[4 * y.magnitude + group // 4])
     if now and not header.upright:
-        r = coder.number(SHAPE, models.r[now.bucket])
+        r = coder.number(
+            SHAPE,
+            models.r[6 * now.bucket + min((v.symbol + 1) // 2, 5)],
+            models.r_by_direction[4 * (10 * now.bucket + now.part.fold) + v.slant],
+        )
     if has_next and not header.grey:
-        b = coder.number(COLOUR, models.b[a.magnitude])
-
-    coder.fetch(v.rest + r.rest + (now.u_bits if now else 0) + (of_class.t if has_next else 0))
+        b = coder.number(COLOUR, models.b[a.magnitude], models.b_by_luma[4 * a.magnitude + y.magnitude])
     if now:
-        read_shape(coder, models, now, (v, r))
-    low = coder.take(of_class.t) if has_next else 0
+        is_not_0 = 2 * (v.symbol != 0) + (r.symbol != 0)
+        signs = coder.symbol(SHAPE, models.shape_signs[26 * is_not_0 + now.part.direction])
 
-    px, py = now.parts if now else (0, 0)
-    coder.fetch(y.rest + a.rest + b.rest + distance.rest + px + py)
+    coder.fetch(v.rest + r.rest + (now.u_bits if now else 0) + y.rest + a.rest + b.rest)
+    if now:
+        read_shape(coder, now, (v, r), signs)
     following = None
-    if has_next:
+    if part:
         colour = [coder.rest(number) for number in (y, a, b)]
         refuse_unless(any(colour), "no colour")
         refuse_unless(max(colour) <= MAX_COLOUR, "colour")
-        cell = (now.cell if now else 0) + coder.rest(distance) * 2**of_class.t + low
-        column, row = deinterleave(cell)
-        refuse_unless(cell < 2**32 and column < of_class.columns and row < of_class.rows, "cell")
-        following = Integers(of_class, cell, colour)
+        following = Integers(of_class, part, colour)
     if now:
-        now.place = [coder.take(px), coder.take(py)]
+        read_place(coder, now)
     return following
 
 
-def read_shape(coder: Coder, models: Models, now: Integers, numbers: tuple[Number, Number]) -> None:
+def read_shape(coder: Coder, now: Integers, numbers: tuple[Number, Number], signs: int) -> None:
     v, r = (coder.rest(number) for number in numbers)
     u = coder.take(now.u_bits)
     refuse_unless(v <= MAX_V * 2**now.h and 2 * r <= MAX_R * 2**now.h, "shape")
-    signs = coder.symbol(SHAPE, models.shape_signs[2 * (v != 0) + (r != 0)])
     now.shape = [u, -v if signs & 2 else v, -r if signs & 1 else r]
     now.parts = parts_of(now)
+
+
+def read_place(coder: Coder, now: Integers) -> None:
+    of, part = now.of_class, now.part
+    beyond = of.blocks.level - of.g  # M - g
+    along = [(part.column, part.i, part.x), (part.row, part.j, part.y)]
+    missing = [max(bits - (known - beyond), 0) for bits, (_, known, _) in zip(now.parts, along, strict=True)]
+    coder.fetch(sum(missing))
+    for bits, (block, known, at), count in zip(now.parts, along, missing, strict=True):
+        known -= beyond
+        taken = coder.take(count)
+        z = at * 2 ** (bits - known) + taken if bits >= known else at // 2 ** (known - bits)
+        now.cell.append((block - 2) * 2**beyond + 2 + z // 2**bits)
+        now.place.append(z % 2**bits)
+    refuse_unless(0 <= now.cell[0] < of.columns and 0 <= now.cell[1] < of.rows, "cell")
 
 
 # Integers to Gaussians
@@ -450,7 +736,7 @@ def gaussian_of(header: Header, integers: Integers) -> Gaussian:
 
     x, y = (
         (along - 2 + (part + 0.5) / 2**bits) * 2**g
-        for along, part, bits in zip(deinterleave(integers.cell), integers.place, integers.parts, strict=True)
+        for along, part, bits in zip(integers.cell, integers.place, integers.parts, strict=True)
     )
 
     c = max(header.quantum / (size(k) * 1.5), MIN_COLOUR_STEP)

@@ -23,7 +23,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
 from tests.backend.cases import single
-from tests.bitstream import plain_decoder_v2
+from tests.bitstream import plain_decoder_v2, remake
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
 from tests.bitstream.test_format_v1 import TEXT, rows, table
 
@@ -41,11 +41,15 @@ def test_the_limits_in_the_text() -> None:
     """They are the plain decoder's, which the kernels have to agree with."""
     plain, text = plain_decoder_v2, " ".join(TEXT.split())
     for phrase in (
-        f"one of them above 2^{plain.MAX_COLOUR.bit_length() - 1},",
+        f"one of them above 2^{plain.MAX_COLOUR.bit_length() - 1} |",
         f"<= S < 2^(2 h + 1), {plain.MAX_EXPONENT})",
         f"u bits = min(max(h - 1, 0), {plain.MAX_U_BITS})",
         f"each limited to 0 .. {plain.MAX_PART_BITS}.",
-        f"until it is less than 8; at most {plain.MAX_RAW_BITS}.",
+        f"the least number from max(g, {plain.SMALLEST_BLOCK}) on for which map(m') has at most 8 N + 1024 blocks",
+        f"but at most max(g, {plain.LARGEST_BLOCK}).",
+        f"but at most max(m, {plain.LARGEST_BLOCK}).",
+        f"/ 16), 0), {plain.MAX_LEVEL})",
+        f"take 2^{plain.MAX_GAUSSIANS.bit_length() - 1} for a larger n;",
         rf"refuse \|v\| > {plain.MAX_V} * 2^h or 2 \|r\| > {plain.MAX_R} * 2^h",
         f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.MIN_COLOUR_STEP):g})",
         f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
@@ -71,15 +75,15 @@ def test_the_version_and_the_views_in_the_text() -> None:
     assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 
 
-def test_start_tables() -> None:
+def test_tables() -> None:
     """The tables beside the text, which the plain decoder reads, are the kernels'."""
-    code = (ROOT / "sgmethod" / "native" / "rd" / "start_tables.h").read_text()
-    found = [[int(n) for n in row.split(",")] for row in re.findall(r"\{([\d, ]+)\}", code)]
-    tables = plain_decoder_v2.start_tables()
-    assert found == [row for rows in tables.values() for row in rows]
-    assert {row["name"]: int(row["rows"]) for row in table("The models are")} == {
-        name: len(rows) for name, rows in tables.items()
-    }
+    tables = plain_decoder_v2.tables()
+    assert tables == remake.models(), "python -m tests.bitstream.remake"
+    seconds = iter(("luma_by_group", "a_by_group", "b_by_luma", "v_by_group", "r_by_direction"))
+    for row in table("i-th number of its row in [models.json](format/models.json). Symbols and their models are"):
+        assert len(tables[row["symbol"]]) == int(row["first model: rows, chosen by"].split(":")[0])
+        if row["second model"]:
+            assert len(tables[next(seconds)]) == int(row["second model"].split(":")[0])
 
 
 def stream_of(name: str) -> StreamV2:
@@ -124,7 +128,8 @@ def test_views_far_out_are_crops() -> None:
 def test_the_plain_decoders_share_nothing() -> None:
     text = "".join((ROOT / "tests" / "bitstream" / f"plain_decoder_v{n}.py").read_text() for n in (1, 2))
     imports = set(re.findall(r"^(?:from|import) ([\w.]+)", text, re.MULTILINE))
-    assert imports - sys.stdlib_module_names == {"collections.abc", "tests.bitstream.plain_decoder_v2"}
+    known = {"collections.abc", "numpy", "numpy.typing", "tests.bitstream.plain_decoder_v2"}
+    assert imports - sys.stdlib_module_names == known
 
 
 def some_codes(size: tuple[int, int], seed: int) -> Codes:
@@ -166,6 +171,30 @@ def test_both_take_and_refuse_the_same_files(name: str, place: float, value: byt
         if "limit" not in str(error):
             with pytest.raises(RefusedError):
                 plain_gaussians(data, part)
+    else:
+        assert ours == plain_gaussians(data, part)
+
+
+@given(
+    st.sampled_from([(1, 1), (40, 50), (65, 3000), (1500, 900), (65_535, 65_535)]),
+    st.integers(0, 3),
+    st.integers(0, 32),
+    st.integers(0, 32),
+    st.binary(max_size=60),
+    st.sampled_from([1.0, 0.5]),
+)
+def test_both_make_the_same_of_any_payload(
+    size: tuple[int, int], flags: int, first: int, more: int, rest: bytes, part: float
+) -> None:
+    """Its classes are as they may be."""
+    start = (first | min(more, 32 - first) << 6).to_bytes(2, "little")
+    payload = (2**20).to_bytes(4, "little") + start + rest
+    data = container.serialise(StreamV2(*size, 0.5078125, (123,) * 3, flags % 2 > 0, flags > 1, payload, is_short=True))
+    try:
+        ours = rows(container.parse(data).gaussians(part))
+    except BitstreamError:
+        with pytest.raises(RefusedError):
+            plain_gaussians(data, part)
     else:
         assert ours == plain_gaussians(data, part)
 

@@ -15,6 +15,8 @@ from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
+from tests.bitstream.remake import maps_of, refusals, row_of
+from tests.bitstream.test_format_v1 import rows
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}
@@ -35,10 +37,8 @@ def test_the_plain_decoder_finds_the_same(name: str) -> None:
         layers.append((of["alpha"], *file.alpha, file.alpha_integers()))
     for layer, header, payload, integers in layers:
         assert layer["payload"] == payload.hex()
-        assert layer["integers"] == [
-            [one.of_class.k, *plain_decoder_v2.deinterleave(one.cell), *one.colour, *one.shape, *one.parts, *one.place]
-            for one in integers
-        ]
+        assert layer["integers"] == [row_of(one) for one in integers]
+        assert layer.get("map", []) == (maps_of(integers) if "map" in layer else [])
         gaussians = [plain_decoder_v2.gaussian_of(header, one) for one in integers]
         assert layer["gaussians"] == [[*g[:5], *g[5], drawing.level_of(*g[2:5])] for g in gaussians]
 
@@ -83,11 +83,13 @@ def pixels_of(rows: list[str], channels: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("of", VECTORS["parts"])
-def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any]) -> None:
+def test_parts_hold_the_first_gaussians_of_the_whole(of: dict[str, Any]) -> None:
     data = bytes.fromhex(of["bytes"])
     stream, plain = container.parse(data), plain_decoder_v2.read(data)
     assert isinstance(stream, StreamV2)
     whole = len(stream.payload)
+    is_refused = of["parts"][-1][1] is None
+    gaussians = [] if is_refused else plain.gaussians()
     for k, n in of["parts"]:
         prefix = max(k - 0.5, 0) / whole if k < whole else 1
         if n is None:
@@ -96,7 +98,13 @@ def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any])
             with pytest.raises(plain_decoder_v2.RefusedError):
                 plain.part(k)
         else:
-            assert len(stream.gaussians(prefix)) == len(plain.part(k)) == n
+            assert rows(stream.gaussians(prefix)) == plain.part(k) == gaussians[:n]
+
+
+def test_files_to_refuse_are_as_they_are_made() -> None:
+    assert {of["reason"]: of["bytes"] for of in VECTORS["refuse"]} == {
+        reason: data.hex() for reason, data in refusals().items()
+    }
 
 
 @pytest.mark.parametrize("of", VECTORS["refuse"], ids=lambda of: of["reason"])

@@ -167,7 +167,7 @@ def test_what_is_not_in_the_picture_costs_little() -> None:
     assert plain - 40 < grey < plain
     values.factors[:, 1] = 0
     sheared, upright = (len(encoded(native.RdParameters(200, 200, 0.02, True, flag), values)) for flag in (False, True))
-    assert sheared - 40 < upright < sheared <= grey
+    assert sheared - 80 < upright < sheared <= grey  # shear has many models, each of which has to learn
 
 
 def test_grey_drops_chroma_and_upright_drops_shear() -> None:
@@ -178,12 +178,12 @@ def test_grey_drops_chroma_and_upright_drops_shear() -> None:
 
 
 def test_thousands_in_one_place() -> None:
-    """They cost next to nothing, but a payload is as long as a decoder needs it to be to believe in them."""
+    """They cost little more than the three bits that a distance has without a model."""
     one = gaussians([[50.5, 50.5]], [[1, 0, 1]], [[0.5, 0.5, 0.5]])
     many = Gaussians(*(np.repeat(a, 9000, 0) for a in (one.means, one.factors, one.colors)))
     parameters = native.RdParameters(100, 100, 1.5)
     payload = encoded(parameters, many)
-    assert 9000 <= 8 * len(payload) + 64 <= 9000 + 8
+    assert 3 * 9000 < 8 * len(payload) < 3.1 * 9000
     assert_round_trip(parameters, many)
     for cut in (1, 100, len(payload) - 1):
         found = decoded(parameters, payload[:cut], prefix=True)

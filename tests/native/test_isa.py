@@ -13,6 +13,15 @@ from benchmarks.harness.processes import Outcome, run
 from sgmethod.native import ISAS, native
 
 GOLDEN = golden_path("v2-color.sg")
+CODED = """
+import hashlib, numpy
+from sgmethod.native import native
+from tests.native.test_codec import scattered
+parameters, whole = native.RdParameters(700, 500, 0.05), scattered(3000, (700, 500))
+coded = native.rd_encode(parameters, *whole.arrays)
+decoded = native.rd_decode(parameters, coded, False)
+print(hashlib.sha256(coded + b"".join(array.tobytes() for array in decoded)).hexdigest())
+"""
 PROGRAM = """
 import hashlib, numpy, sgmethod
 from sgmethod.native import native
@@ -34,6 +43,13 @@ def test_no_better_instruction_set_is_used(isa: str) -> None:
     assert int(best) == ISAS.index(isa)
     assert pixels == hashlib.sha256(sgmethod.decode(GOLDEN).tobytes()).hexdigest()  # exact everywhere
     assert made in second.stdout
+
+
+def test_gaussians_are_coded_the_same() -> None:
+    """And decoded: the map is made of binary32 numbers."""
+    found = {isa: under(isa, sys.executable, "-c", CODED) for isa in ISAS[: native.best_isa() + 1]}
+    assert {isa: done.stderr for isa, done in found.items() if done.status != 0} == {}
+    assert len({done.stdout for done in found.values()}) == 1
 
 
 @pytest.mark.parametrize("isa", ["sse4", "AVX2", "avx512 "])

@@ -107,14 +107,16 @@ def test_the_same_for_every_number_of_threads(
     values = scattered(n, size, 0)
     target = target_of(picture(values, size) + np.random.default_rng(0).normal(0, 0.005, (3, size[1], size[0])))
     parameters = native.RdParameters(*size, 0.3)
-    most = len(encoded(parameters, values)) * 3 // 4
+    before, price = encoded(parameters, values), 0.01
+    most = len(before) * 3 // 4
     found = []
     for count in (1, 2, 5):
         set_threads(count)
-        found.append([refined(parameters, values, target, price=0.01, max_bytes=m) for m in (NO_LIMIT, most)])
+        found.append([refined(parameters, values, target, price=price, max_bytes=m) for m in (NO_LIMIT, most)])
     assert found[0] == found[1] == found[2]
     assert len(found[0][1]) <= most
-    assert error(parameters, found[0][0], target) < error(parameters, encoded(parameters, values), target)
+    costs = [error(parameters, one, target) + price * 8 * len(one) for one in (found[0][0], before)]
+    assert costs[0] < costs[1]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 1), (1, 40), (17, 65)])

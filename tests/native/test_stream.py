@@ -13,6 +13,8 @@ from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2, quantum_code, quantum_of
+from tests.bitstream.plain_encoder_v2 import Wanted, write_payload
+from tests.bitstream.remake import header_of
 from tests.native.test_codec import gaussians, rows, scattered
 
 
@@ -49,12 +51,15 @@ def test_exact_bytes() -> None:
         [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
         [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
     )
-    data = container.serialise(StreamV2.from_gaussians(values, (64, 48), 0.1, (128, 64, 32), False))
-    assert data.hex() == (
-        "d3c20300b079a8040200"  # signature and header
-        "8e9017000301dc0ad751397a60781a69eb88b79eb6ce06488ff08316fa585a0a4fe01903"
-        "f6e90943"
-    )
+    stream = StreamV2.from_gaussians(values, (64, 48), 0.1, (128, 64, 32), False)
+    assert container.serialise(stream)[:10].hex() == "d3c20300b079a8040200"  # signature and header
+    wanted = [
+        Wanted(5, (3, 4), (32, 11, 0), (14, 8, 4), (9, 35)),
+        Wanted(2, (22, 4), (3, -11, -1), (6, 0, 0), (2, 4)),
+        Wanted(1, (22, 4), (16, 1, 1), (0, -5, -2), (11, 10)),
+        Wanted(-2, (3, 48), (3, 1, 11), (1, -2, 2), (3, 3)),
+    ]
+    assert stream.payload == write_payload(header_of(stream), wanted)
 
 
 def test_quantum_is_monotone() -> None:

@@ -1,27 +1,49 @@
 // The entropy decoder of version 2: docs/format.md, "States and symbols" and "Raw bits and numbers".
 
-import { min, refuseUnless } from "./header.js";
-import { SEEN, SLOW, newModels } from "./models.js";
+import { refuseUnless } from "./header.js";
 
-/** Where the share of a symbol begins, of 32768. */
-export const edge = (model, symbol) => (model[symbol] + model[symbol + SLOW]) >> 1;
+export const MODEL = 35; // numbers of a model: 17 fast ones, 17 slow ones, and how many symbols it has seen
+const SLOW = 17;
+const SEEN = 34;
 
-/** Let a model learn from a symbol. */
-export function adapt(model, found) {
-  const j = min(31 - Math.clz32(model[SEEN]++ + 16), 7);
+/** Rows of models that begin with equal shares, as many as tables need. */
+export const FLAT = Array(11).fill(Array.from({ length: 16 }, (_, i) => 16 * i + 16));
+
+/** Models that start as rows of 16 say. */
+export function modelsOf(rows) {
+  const models = new Uint16Array(MODEL * rows.length);
+  rows.forEach((row, n) => {
+    for (let i = 0, at = MODEL * n; i < 16; ) models[++at] = models[at + SLOW] = ((32704 * row[i]) >> 8) + 4 * ++i;
+  });
+  return models;
+}
+
+/** Where a symbol's share begins, of 32768, by the mean of two models, which may be the same; `one` and `two` say where
+ * their numbers for the symbol are. */
+export const edge = (models, one, two) =>
+  (((models[one] + models[one + SLOW]) >> 1) + ((models[two] + models[two + SLOW]) >> 1)) >> 1;
+
+/** Let the model that begins at `at` learn from a symbol. */
+export function adapt(models, at, found) {
+  const j = 31 - Math.clz32(models[at + SEEN] + 16);
+  if (j < 7) models[at + SEEN]++;
   for (let i = 1; i < 16; i++) {
-    const aim = 4 * i + (i > found && 32704);
-    model[i] += (aim - model[i] + 15) >> 5;
-    model[i + SLOW] += (aim - model[i + SLOW] + (1 << (j - 1)) - 1) >> j;
+    const aim = 4 * i + (i > found ? 32704 : 0);
+    const slow = ++at + SLOW;
+    models[at] += (aim - models[at] + 15) >> 5;
+    models[slow] += (aim - models[slow] + (1 << (j - 1)) - 1) >> j;
   }
 }
 
-/** The functions that decode a payload. A state is 0 or 1; a short file has one state for both. onCost(bits, state,
- * row) is called for each value decoded, with the bits of information that it took and the row of its model. */
-export function newCoder(payload, isShort, onCost) {
-  const models = newModels();
+/** How many bits follow a number's symbol. */
+export const bitsAfter = (symbol) => (symbol > 3 && symbol < 15 ? (symbol >> 1) - 1 : 0);
+
+/** The functions that decode a payload with these models. A state is 0 or 1; a short file has one state for both.
+ * onCost(bits, state, row) is called for each symbol and number, with the bits of information that it takes and the row
+ * of its model. */
+export function newCoder(payload, models, isShort, onCost) {
   const queue = new Uint8Array(64); // of raw bits, a ring
-  let [at, head, tail] = [0, 0, 0]; // the next byte, the first bit of the queue, its end
+  let [at, head, tail, rests] = [0, 0, 0, 0]; // the next byte, the queue's first bit and its end, bits of numbers to come
   const byte = () => payload[at++] ?? 0;
   const half = () => byte() + 256 * byte();
   const first = () => half() + 65536 * half();
@@ -30,43 +52,65 @@ export function newCoder(payload, isShort, onCost) {
 
   WHOLE: refuseUnless(states.every((state) => state >= 65536), "its first state is too small");
 
-  const symbol = (state, row) => {
-    const model = models[row];
+  /** A symbol, by the mean of one or two models. */
+  const symbol = (state, row, second = row) => {
     let which = 0;
     WHOLE: which = isShort ? 0 : state;
     const place = states[which] & 32767;
+    const one = MODEL * row;
+    const two = MODEL * second;
     let found = 0;
-    while (place >= edge(model, found + 1)) found++;
-    const low = edge(model, found);
-    const share = edge(model, found + 1) - low;
-    const next = share * (states[which] >>> 15) + place - low;
+    let low = 0;
+    let high;
+    while ((high = edge(models, one + found + 1, two + found + 1)) <= place) {
+      low = high;
+      found++;
+    }
+    const next = (high - low) * (states[which] >>> 15) + place - low;
     states[which] = next < 65536 ? next * 65536 + half() : next;
-    adapt(model, found);
-    WHOLE: onCost?.(15 - Math.log2(share), state, row);
+    adapt(models, one, found);
+    if (two !== one) adapt(models, two, found);
+    WHOLE: onCost?.(15 - Math.log2(high - low), state, row);
     return found;
   };
 
   /** Append whole bytes until the queue holds `count` bits. */
-  const fetch = (count) => {
+  const fill = (count) => {
     while (tail - head < count) for (let bits = byte() + 256; bits > 1; bits >>= 1) queue[tail++ & 63] = bits & 1;
   };
 
-  const take = (count, state, row) => {
+  /** Fetch the rests of the numbers since the last time, and some bits more. */
+  const fetch = (more) => {
+    fill(rests + more);
+    rests = 0;
+  };
+
+  const take = (count) => {
     let value = 0;
     for (let weight = 1; weight < 2 ** count; weight *= 2) value += queue[head++ & 63] * weight;
-    WHOLE: onCost?.(count, state, row);
     return value;
   };
 
-  /** A number whose last bits may still be in the queue: its least value, how many bits, its symbol, state and row. */
-  const number = (state, row) => {
-    const found = symbol(state, row);
-    if (found < 4) return [found, 0, found];
-    if (found < 15) return [(2 + (found & 1)) << ((found >> 1) - 1), (found >> 1) - 1, found, state, row];
-    fetch(5);
-    const bits = take(5, state, row);
-    fetch(bits);
-    return [2 ** bits + take(bits, state, row), 0, found];
+  /** A number, whose rest is still to be fetched and taken: its symbol, or 16 times the number and 15 if it has none. */
+  const number = (state, row, second) => {
+    const found = symbol(state, row, second);
+    let bits = bitsAfter(found);
+    WHOLE: onCost?.(bits, state, row);
+    if (found < 15) {
+      rests += bits;
+      return found;
+    }
+    fill(5);
+    bits = take(5);
+    fill(bits);
+    WHOLE: onCost?.(5 + bits, state, row);
+    return 16 * (2 ** bits + take(bits)) + 15;
+  };
+
+  /** The whole of a number, whose rest is taken. */
+  const whole = (number) => {
+    const bits = bitsAfter(number);
+    return number < 4 ? number : number < 15 ? ((2 + (number & 1)) << bits) + take(bits) : (number - 15) / 16;
   };
 
   const bytesRead = () => at;
@@ -75,5 +119,5 @@ export function newCoder(payload, isShort, onCost) {
   const isEnded = () =>
     states.every((state) => state === 65536) && !take(tail - head) && payload.subarray(at).every((rest) => rest === 0);
 
-  return [symbol, fetch, take, number, bytesRead, isEnded];
+  return [symbol, number, fetch, take, whole, bytesRead, isEnded];
 }

@@ -105,8 +105,7 @@ export function draw(file, { scale = 1, region = null, count = file.count, textu
   const view = viewOf(file, scale, region);
   const octaves = texture && file.texture ? octavesOf(view) : [];
   const top = Math.max(...octaves.map(({ level }) => level), 0);
-  const gaussians = Array.from({ length: count }, (_, i) => file.values.subarray(8 * i, 8 * i + 8));
-  const data = drawGaussians(gaussians, file.background, view, top, (plane, now) => {
+  const data = drawGaussians(file.values.subarray(0, 8 * count), file.background, view, top, (plane, now) => {
     for (const { octave, level, gain } of octaves) {
       if (level === now) addTexture(plane, file.texture, octave, level, view, gain);
     }

@@ -1,7 +1,7 @@
 // From an .sg file to its Gaussians, and the bits that each took.
 
 import { CELL, OCTAVES, SgError, readHeader, refuseUnless, unknown } from "./header.js";
-import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
+import { A, B, COLOUR_SIGNS, DISTANCE, END, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
 import { readGaussians } from "./payload.js";
 
 const MAX_STRENGTH = 15;
@@ -18,7 +18,7 @@ const FIRST_ROWS = {
 };
 // The same by each row; the count of Gaussians describes none.
 const described = [];
-for (let row = COUNT + 1; row < SHAPE_SIGNS + 4; row++) described[row] = FIRST_ROWS[row] ?? described[row - 1];
+for (let row = DISTANCE; row < END; row++) described[row] = FIRST_ROWS[row] ?? described[row - 1];
 
 function refuseOthers([first, second]) {
   if (first === 0xd3 && second === 0xc2) return;
@@ -69,11 +69,10 @@ export function readFile(bytes) {
 
 function readPayload(header, payload) {
   const spent = { place: 0, shape: 0, slant: 0, light: 0, tint: 0 };
-  const [values, bits, ends] = [[], [], []];
+  const [bits, ends] = [[], []];
   let [now, next] = [0, 0]; // bits of the two Gaussians in a turn
-  const onTurn = (gaussian, end) => {
-    if (gaussian) {
-      values.push(...gaussian);
+  const onTurn = (isWhole, end) => {
+    if (isWhole) {
       bits.push(now);
       ends.push(end);
     }
@@ -85,9 +84,8 @@ function readPayload(header, payload) {
     if (state) now += cost;
     else next += cost;
   };
-  readGaussians(header, payload, onTurn, onCost);
-  const [typed, cost, last] = [Float32Array.from(values), Float32Array.from(bits), Uint32Array.from(ends)];
-  return { spent, count: bits.length, values: typed, bits: cost, ends: last };
+  const values = readGaussians(header, payload, onTurn, onCost);
+  return { spent, count: bits.length, values, bits: Float32Array.from(bits), ends: Uint32Array.from(ends) };
 }
 
 /** How many Gaussians the first part of a file holds; part: above 0 to 1. */

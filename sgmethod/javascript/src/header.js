@@ -3,7 +3,7 @@
 // Here and in the modules beside it, statements with the label WHOLE belong to the whole decoder. The npm package's
 // decoder of previews is built without them; it still finds damage, by the checksum and by how the payload ends.
 
-export const { ceil, exp, floor, fround, max, min, round, sqrt } = Math; // as formulas call them
+export const { abs, ceil, exp, floor, fround, max, min, round, sqrt } = Math; // as formulas call them
 
 // Fields as in sgmethod/bitstream/: bits, bits in a short file, whether they grow. A test compares them.
 export const HEADER = [

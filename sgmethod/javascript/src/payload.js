@@ -2,132 +2,147 @@
 
 import { newCoder } from "./coder.js";
 import { floor, fround, max, min, refuseUnless } from "./header.js";
-import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
+import { foldOf, groupOf, lg, newMap } from "./map.js";
+import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, LUMA_BY_GROUP } from "./models.js";
+import { R, R_BY_DIRECTION, SHAPE_SIGNS, V, V_BY_GROUP, newModels } from "./models.js";
 
 const COLOUR = 0; // the states
 const SHAPE = 1;
-const NONE = [0, 0, 0];
 
-/** Decode the Gaussians of a payload. onTurn(values, end) is called after each turn, with the Gaussian that it
- * completed (x, y, l1, l2, l3, red, green, blue) and the bytes read so far, or with nothing. onCost is newCoder()'s.
+/** Decode a payload's Gaussians, in its order: x, y, l1, l2, l3, red, green and blue of each. onTurn(isWhole, end) is
+ * called after each turn, with whether it completed a Gaussian, and the bytes read so far. onCost is newCoder()'s.
  * Throws SgError. */
 export function readGaussians({ width, height, isShort, quantum, grey, upright }, payload, onTurn, onCost) {
-  if (!payload.length) return;
-  const [symbol, fetch, take, number, bytesRead, isEnded] = newCoder(payload, isShort, onCost);
-  const whole = ([least, bits, , state, row]) => least + take(bits, state, row);
-  const numberIf = (condition, state, row) => (condition ? number(state, row) : NONE);
-  const isWhole = () => bytesRead() <= payload.length;
+  let values = new Float32Array(0);
+  if (!payload.length) return values;
+  const [symbol, number, fetch, take, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort, onCost);
+  const [begin, advance, look, add] = newMap({ width, height });
+  const refuseOverrun = () => refuseUnless(bytesRead() <= payload.length, "it ends too early");
   const most = min(width * height, 2 ** 24, 8 * payload.length + 64);
+  let [now, next] = [{}, {}]; // a Gaussian whose place is incomplete, and the one behind it
+  let at = 0; // in values
   fetch(6);
   let k = 28 - take(6);
   fetch(6);
   const last = k - take(6);
-  WHOLE: refuseUnless(isWhole() && last >= -4, "its classes are out of range");
-  for (let total = 0; k >= last; k--) {
-    const side = 2 ** max(0, (k + 1) >> 1);
-    const [columns, rows] = [width, height].map((pixels) => min(floor(pixels / side) + 5, 65536));
+  WHOLE: refuseUnless(bytesRead() <= payload.length && last >= -4, "its classes are out of range");
+  for (; k >= last; k--) {
     const count = number(COLOUR, COUNT);
-    fetch(count[1]);
+    fetch(0);
     const n = whole(count);
-    total += n;
-    refuseUnless(isWhole() && total <= most, "it has too many Gaussians");
-    let t = 0;
-    for (let mean = floor((columns * rows) / max(n, 1)); mean >= 8; mean /= 2) t++;
-    t = min(t, 24);
-    // A turn holds cell and colour of the next Gaussian, then shape and place of the one before it.
-    let [cell, colour, square, h, uBits] = [0, [], 0, 0, 0]; // of the one before
-    for (let i = 0; i <= n && n; i++) {
+    refuseOverrun();
+    refuseUnless(at / 8 + n <= most, "it has too many Gaussians");
+    if (!n) continue;
+    const larger = new Float32Array(at + 8 * n);
+    larger.set(values);
+    values = larger;
+    const group = groupOf(k);
+    const side = 2 ** max(0, (k + 1) >> 1);
+    const place = (first, part, told, bits, pixels) => {
+      const more = bits - told;
+      const within = more > 0 ? part * 2 ** more + take(more) : part >> -more;
+      const cell = (within + 0.5) / 2 ** bits + first;
+      WHOLE: {
+        const isWithin = cell >= -2 && cell < min(floor((pixels - 1) / side) + 5, 65536) - 2;
+        refuseUnless(isWithin, "a place is out of range");
+      }
+      return cell * side;
+    };
+    begin(k, n);
+    now.h = now.uBits = 0;
+    // A turn holds part and colour of the next Gaussian, then shape and place of the one before it.
+    for (let i = 0; i <= n; i++) {
       const isMore = i < n;
+      const { h, uBits, direction } = now;
       const bucket = min(h, 7);
-      const distance = numberIf(isMore, COLOUR, DISTANCE);
+      const fold = foldOf(direction);
+      const distance = isMore && number(COLOUR, DISTANCE);
       if (i) {
-        const signs = symbol(SHAPE, COLOUR_SIGNS + 4 * (colour[0] > 0) + 2 * (colour[1] > 0) + (colour[2] > 0));
-        colour = colour.map((value, c) => (signs & (4 >> c) ? -value : value));
+        const signs = symbol(SHAPE, COLOUR_SIGNS + 4 * (now.y > 0) + 2 * (now.a > 0) + (now.b > 0));
+        if (signs & 4) now.y = -now.y;
+        if (signs & 2) now.a = -now.a;
+        if (signs & 1) now.b = -now.b;
       }
-      const y = numberIf(isMore, COLOUR, LUMA);
-      let v = numberIf(i, SHAPE, V + bucket);
-      const a = numberIf(isMore && !grey, COLOUR, A + level(y[2]));
-      let r = numberIf(i && !upright, SHAPE, R + bucket);
-      const b = numberIf(isMore && !grey, COLOUR, B + level(a[2]));
-      fetch(v[1] + r[1] + uBits + (isMore && t));
-      [v, r] = [whole(v), whole(r)];
-      const u = take(uBits, SHAPE, V);
-      let parts = [0, 0];
-      if (i) {
-        WHOLE: refuseUnless(v <= 8 * 2 ** h && r <= 2048 * 2 ** h, "a shape is out of range");
-        const signs = symbol(SHAPE, SHAPE_SIGNS + 2 * (v > 0) + (r > 0));
-        if (signs & 2) v = -v;
-        if (signs & 1) r = -r;
-        parts = partBits(k, square, h, (u + 0.5) / 2 ** uBits, v, r);
-      }
-      const low = take(isMore && t, COLOUR, DISTANCE);
-      fetch(y[1] + a[1] + b[1] + distance[1] + parts[0] + parts[1]);
-      const next = [whole(y), whole(a), whole(b)];
-      const far = whole(distance);
-      if (i) {
-        const within = parts.map((bits) => (take(bits, SHAPE, DISTANCE) + 0.5) / 2 ** bits);
-        const place = within.map((part, axis) => (even(cell, axis) - 2 + part) * side);
-        refuseUnless(isWhole(), "it ends too early");
-        onTurn([...place, ...valuesOf(quantum, k, h, (u + 0.5) / 2 ** uBits, v, r, colour)].map(fround), bytesRead());
-      }
-      WHOLE: if (!i) onTurn();
-      cell += far * 2 ** t + low;
-      colour = next;
       if (isMore) {
-        WHOLE: {
-          const isWithin = cell < 2 ** 32 && even(cell, 0) < columns && even(cell, 1) < rows;
-          refuseUnless(isWithin, "a place is out of range");
-        }
-        square = next[0] ** 2 + next[1] ** 2 + next[2] ** 2;
-        WHOLE: refuseUnless(square, "a Gaussian has no colour");
-        WHOLE: refuseUnless(max(...next) <= 2 ** 22, "a colour is out of range");
-        h = min((log2(square) + 1) >> 1, 18);
-        uBits = min(max(h - 1, 0), 12);
+        fetch(3);
+        WHOLE: onCost?.(3, COLOUR, DISTANCE);
+        advance(8 * whole(distance) + take(3));
+        look(next);
       }
+      const y = isMore && number(COLOUR, LUMA + next.energy, LUMA_BY_GROUP + group);
+      let v = i && number(SHAPE, V + 10 * bucket + fold, V_BY_GROUP + 8 * (group >> 1) + bucket);
+      const a = isMore && !grey && number(COLOUR, A + level(y), A_BY_GROUP + 4 * level(y) + (group >> 2));
+      const slant = (v > 0) + (v > 3) + (v > 6);
+      let r =
+        i &&
+        !upright &&
+        number(SHAPE, R + 6 * bucket + (min(v + 1, 10) >> 1), R_BY_DIRECTION + 40 * bucket + 4 * fold + slant);
+      const b = isMore && !grey && number(COLOUR, B + level(a), B_BY_LUMA + 4 * level(a) + level(y));
+      const signs = i && symbol(SHAPE, SHAPE_SIGNS + 52 * (v > 0) + 26 * (r > 0) + direction);
+      fetch(uBits);
+      WHOLE: onCost?.(uBits, SHAPE, V);
+      v = whole(v);
+      r = whole(r);
+      const u = (take(uBits) + 0.5) / 2 ** uBits;
+      WHOLE: refuseUnless(v <= 8 * 2 ** h && r <= 2048 * 2 ** h, "a shape is out of range");
+      if (signs & 2) v = -v;
+      if (signs & 1) r = -r;
+      if (isMore) {
+        next.y = whole(y);
+        next.a = whole(a);
+        next.b = whole(b);
+        next.square = next.y ** 2 + next.a ** 2 + next.b ** 2;
+        WHOLE: refuseUnless(next.square, "a Gaussian has no colour");
+        WHOLE: refuseUnless(max(next.y, next.a, next.b) <= 2 ** 22, "a colour is out of range");
+        next.h = exponentOf(next.square);
+        next.uBits = min(max(next.h - 1, 0), 12);
+      }
+      if (i) {
+        const px = partBits(k, now.square, h, u, v, r, 1);
+        const py = partBits(k, now.square, h, u, v, r, -1);
+        const bits = max(px - now.xBits, 0) + max(py - now.yBits, 0);
+        fetch(bits);
+        WHOLE: onCost?.(bits, SHAPE, DISTANCE);
+        values[at] = place(now.left, now.across, now.xBits, px, width);
+        values[at + 1] = place(now.top, now.down, now.yBits, py, height);
+        setShape(values, at, quantum, k, h, u, v, r, now);
+        refuseOverrun();
+        add(now.square * 2 ** (-2 - k), values, at);
+        at += 8;
+      }
+      WHOLE: onTurn?.(i > 0, bytesRead());
+      const free = now;
+      now = next;
+      next = free;
     }
   }
   refuseUnless(isEnded(), "its end is wrong");
+  return values;
 }
 
 /** Which of a colour's models is next, by the symbol before. */
 export const level = (symbol) => (symbol > 0) + (symbol > 2) + (symbol > 5);
 
-/** The bits that a cell below 2^32 has for one axis: every other one. */
-function even(cell, axis) {
-  let n = 0;
-  for (let rest = cell >>> axis, bit = 1; rest; rest >>>= 2, bit *= 2) n += rest & 1 && bit;
-  return n;
-}
-
-/** The logarithm to base two of an integer, rounded down. Its digits are exact, Math.log2 is not. */
-export const log2 = (x) => x.toString(2).length - 1;
-
-/** The logarithm to base two in sixteenths, linear between powers of two. */
-function lg(x) {
-  const n = log2(x);
-  return 16 * n + floor((16 * x) / 2 ** n) - 16;
-}
+/** The power of two nearest to a colour, by its square. */
+export const exponentOf = (square) => min(((lg(square) >> 4) + 1) >> 1, 18);
 
 /** lg(4^h + 4 r^2), also where that has more than 53 bits. */
 function lgOfSquares(h, r) {
   const squares = 4 ** h + 4 * r * r;
   WHOLE: if (squares >= 2 ** 53) {
     const exact = 4n ** BigInt(h) + 4n * BigInt(r) ** 2n;
-    const n = log2(exact);
-    return 16 * n + Number((16n * exact) >> BigInt(n)) - 16;
+    const n = exact.toString(2).length - 1;
+    return 16 * n + Number(exact >> BigInt(n - 4)) - 16;
   }
   return lg(squares);
 }
 
-/** How many bits divide the cell along x and along y. */
-export function partBits(k, square, h, u, v, r) {
-  const within = floor(16 * u) - 8;
-  const aspect = floor((46 * v) / 2 ** h);
-  const slant = lgOfSquares(h, r) - 32 * h;
-  const fineness = lg(square) + 32 * max(0, (k + 1) >> 1) - 17;
-  const along = fineness + slant - max(16 * k + within + aspect, -56);
-  const across = fineness - max(16 * k + within - aspect, -56);
-  return [along, across].map((bits) => min(max((bits >> 5) + 1, 0), 16));
+/** How many bits divide the cell along x (sign = 1) or y (-1). */
+export function partBits(k, square, h, u, v, r, sign) {
+  const size = 16 * k + floor(16 * u) - 8 + sign * floor((46 * v) / 2 ** h);
+  const slant = sign > 0 ? lgOfSquares(h, r) - 32 * h : 0;
+  const bits = lg(square) + 32 * max(0, (k + 1) >> 1) - 17 + slant - max(size, -56);
+  return min(max((bits >> 5) + 1, 0), 16);
 }
 
 /** Math.exp, but with the same last bit everywhere. */
@@ -138,16 +153,20 @@ function exponential(x) {
   return e;
 }
 
-/** What a Gaussian's integers stand for: l1, l2, l3, red, green, blue. */
-export function valuesOf(quantum, k, h, u, v, r, colour) {
+/** Set what a Gaussian's integers stand for: l1, l2, l3, red, green, blue, from the third number of its eight on. */
+export function setShape(values, at, quantum, k, h, u, v, r, { y, a, b }) {
   const step = 2 ** -h;
   const size = (k & 1 ? 1.4142135623730951 : 1) * 2 ** (k >> 1);
   const within = (u - 0.5) * 0.34657359027997264;
-  const l1 = max(size * exponential(within + v * step), fround(0.3));
   const l3 = max(size * exponential(within - v * step), fround(0.3));
   const c = max(quantum / (size * 1.5), 2 ** -16);
-  const p = colour[0] * c * 0.57735026918962576;
-  const q = colour[1] * c * 0.70710678118654752;
-  const s = colour[2] * c * 0.40824829046386302;
-  return [l1, r * (2 * step) * l3, l3, p + q + s, p - 2 * s, p - q + s];
+  const p = y * c * 0.57735026918962576;
+  const q = a * c * 0.70710678118654752;
+  const s = b * c * 0.40824829046386302;
+  values[at + 2] = max(size * exponential(within + v * step), fround(0.3));
+  values[at + 3] = r * (2 * step) * l3;
+  values[at + 4] = l3;
+  values[at + 5] = p + q + s;
+  values[at + 6] = p - 2 * s;
+  values[at + 7] = p - q + s;
 }

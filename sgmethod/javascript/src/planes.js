@@ -100,10 +100,11 @@ function addEnlarged({ left, top, width, height, samples }, coarse, out, stride)
   }
 }
 
-/** Draw Gaussians in a view, on a background: 8-bit RGBA, row by row. addTo(plane, level) adds what else there is on a
+/** Draw Gaussians, of which each is eight numbers, in a view, on a background: 8-bit RGBA, row by row. addTo(plane, level) adds what else there is on a
  * level, up to `highest`; samples are in levels of 8 bits. */
 export function drawGaussians(gaussians, background, view, highest = 0, addTo) {
-  const drawn = gaussians.map((values) => placed(values, view));
+  const drawn = [];
+  for (let at = 0; at < gaussians.length; at += 8) drawn.push(placed(gaussians.subarray(at, at + 8), view));
   for (const g of drawn) highest = max(highest, g[8]);
   const { left, top, width, height } = view;
   const data = new Uint8ClampedArray(4 * width * height).fill(255);

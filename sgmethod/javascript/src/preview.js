@@ -24,11 +24,7 @@ export function decodePreview(text, size = 256) {
   const sides = [header.width, header.height];
   const [width, height] = sides.map((side) => max(rounded((side * size) / max(...sides)), 1));
   const view = { left: 0, top: 0, width, height, sx: width / header.width, sy: height / header.height, dx: 0, dy: 0 };
-  const pixels = (of) => {
-    const gaussians = [];
-    readGaussians(of, of.payload, (values) => values && gaussians.push(values));
-    return drawGaussians(gaussians, of.background, view);
-  };
+  const pixels = (of) => drawGaussians(readGaussians(of, of.payload), of.background, view);
   const data = pixels(header);
   if (header.alpha) setAlpha(data, pixels(header.alpha));
   return globalThis.ImageData ? new ImageData(data, width) : { width, height, data };

@@ -1,43 +1,35 @@
 // The stream of profile rd (docs/format.md, version 2).
 //
-// Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
-// Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance
-// along that curve from the one before: no bits are spent on the order, which a set does not have. Then come the
-// colour, u within its class, v, r, and the position within the cell.
-//
-// The integers of many Gaussians are decoded first. What follows from each by itself comes after, in vectors and on
-// several threads.
+// Classes of size come from the largest down. Before each, what is decoded says in which blocks of the picture its
+// Gaussians are likely (structure.h). Within a class, Gaussians come block by block, and each place is coded as the
+// distance from the one before, which is short where they are likely: no bits are spent on the order, which a set does
+// not have. Then come the colour, u within its class, v, r, and what is left of the place.
 #include "rd/codec.h"
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
+#include <type_traits>
 
 #include "core/errors.h"
 #include "core/isa.h"
-#include "core/thread_pool.h"
 #include "rd/models.h"
+#include "rd/structure.h"
 
 namespace sg {
 namespace {
 
-constexpr int kClassBits = 6, kMaxRawDistanceBits = 24;
-constexpr int kChunk = 256;  // Gaussians of one task
-constexpr int kBatch = 2048;  // Gaussians whose values are made together
+constexpr int kClassBits = 6;
+constexpr int kChunk = 256;  // Gaussians whose values are made together
 
-// The number of low bits of a distance that are sent without a model. `count` Gaussians in the cells of a class are
-// cells / count apart on average. A model pays only for the bits from a quarter of that upwards.
-int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
-  const int bits = cell_bits(size_class);
-  const uint64_t cells = static_cast<uint64_t>(cells_along(p.width, bits)) * cells_along(p.height, bits);
-  int result = 0;
-  for (uint64_t mean = cells / std::max(count, 1u); mean >= 8; mean /= 2) ++result;
-  return std::min(result, kMaxRawDistanceBits);
+SizeClass class_of(const RdParameters& p, int number) {
+  const int bits = cell_bits(number);
+  return {number, cells_along(p.width, bits), cells_along(p.height, bits)};
 }
 
-SizeClass class_of(const RdParameters& p, int number, uint32_t count) {
-  const int bits = cell_bits(number);
-  return {number, raw_distance_bits(p, number, count), spread_bits(cells_along(p.width, bits) - 1),
-          spread_bits(cells_along(p.height, bits) - 1) << 1};
+// What a Gaussian adds to the map for each unit of its shape's aspect.
+double strength_of(const Symbols& s) {
+  return static_cast<double>(Steps(s).square) * std::ldexp(1.0, -2 - s.size_class);
 }
 
 // The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Fitted
@@ -53,30 +45,70 @@ uint32_t code_class_number(Coder& coder, uint32_t value = 0) {
   return coder.raw(value, kClassBits);
 }
 
-void encode_class(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
-  if (s == end) return;
-  const SizeClass c = class_of(p, size_class, static_cast<uint32_t>(end - s));
-  ColorSize size;
-  models.pair<true, false>(coder, p, c, 0, size, *s, *s);
-  for (; s + 1 < end; ++s) models.pair<true, true>(coder, p, c, s->cell, size, s[1], s[0]);
-  models.pair<false, true>(coder, p, c, s->cell, size, *s, *s);
+// Adds an encoded class to the map.
+void add_class(Structure& structure, const RdParameters& p, const Symbols* s, int n) {
+  const auto count = static_cast<size_t>(n);
+  std::vector<Parts> parts(count);
+  std::vector<double> strengths(count);
+  std::vector<float> means(2 * count), factors(3 * count), colors(3 * count);
+  for (size_t i = 0; i < count; ++i) {
+    parts[i] = parts_of(s[i], Steps(s[i]));
+    strengths[i] = strength_of(s[i]);
+  }
+  dequantise(p, s, parts.data(), n, {means.data(), factors.data(), colors.data()});
+  structure.add(means.data(), factors.data(), strengths.data(), n);
+}
+
+// Encodes a class, and sorts its Gaussians.
+void encode_class(Encoder& coder, Models& models, const RdParameters& p, Structure& structure, Symbols* first,
+                  Symbols* end) {
+  const SizeClass c = class_of(p, first->size_class);
+  const int halvings = structure.halvings();
+  const auto block = [&](const Symbols& s) { return structure.block_of(s.column, s.row); };
+  std::stable_sort(first, end, [&](const Symbols& a, const Symbols& b) { return block(a) < block(b); });
+  const auto place = [&](uint32_t cell, uint32_t part, int bits) {
+    return uint64_t{(cell - 2) & ((1u << halvings) - 1)} << bits | part;
+  };
+  Begun begun;
+  std::vector<std::pair<uint32_t, Symbols>> here;  // of a block, by part
+  for (Symbols* s = first; s < end;) {
+    uint64_t gap = structure.to_block(block(*s));
+    here.clear();
+    for (Symbols* other = s; other < end && block(*other) == block(*s); ++other) {
+      const Parts parts = parts_of(*other, Steps(*other));
+      const int more_x = halvings + parts.x_bits, more_y = halvings + parts.y_bits;
+      here.emplace_back(structure.part_of(place(other->column, other->px, parts.x_bits), more_x,
+                                          place(other->row, other->py, parts.y_bits), more_y),
+                        *other);
+    }
+    std::stable_sort(here.begin(), here.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+    for (const auto& [part, symbols] : here) {
+      const uint32_t on = part - structure.part();
+      structure.advance(on);
+      structure.count();
+      if ((gap + on) >> kLowBits > UINT32_MAX) refuse<std::invalid_argument>("Gaussians are too far apart");
+      *s = symbols;
+      s->context = structure.context(structure.spot());
+      if (s == first) {
+        models.turn<true, false>(coder, p, c, structure, gap + on, begun, *s, *s);
+      } else {
+        models.turn<true, true>(coder, p, c, structure, gap + on, begun, *s, s[-1]);
+      }
+      gap = 0;
+      ++s;
+    }
+  }
+  models.turn<false, true>(coder, p, c, structure, 0, begun, end[-1], end[-1]);
 }
 
 }  // namespace
 
-// Gaussians whose integers are decoded, and behind them perhaps one that has only its cell and colour.
-struct Batch {
-  explicit Batch(size_t room, size_t step)
-      : step(std::min(room, step)), stop(this->step), symbols(new Symbols[room + 1]), parts(new Parts[room]) {}
-  const size_t step;
-  size_t n = 0, stop;  // Gaussians decoded; where to stop and hand them on, at most `room`
-  std::unique_ptr<Symbols[]> symbols;
-  std::unique_ptr<Parts[]> parts;
+// Gaussians as they are decoded.
+struct Decoded {
+  GaussianArrays values;
+  std::vector<double> strengths;  // of a class, for the map
 
-  // Writes those of [first, last), which have come.
-  void values(const RdParameters& p, int first, int last, const MutableGaussians& out) const {
-    dequantise(p, &symbols[first], &parts[first], last - first, out);
-  }
+  int count() const { return values.count(); }
 };
 
 namespace {
@@ -89,10 +121,14 @@ struct Decoding {
   const RdParameters& p;
   const size_t size;
   const bool prefix;
-  Batch& batch;
-  const std::function<void()>& reached;  // the batch's stop: it sets another
+  Decoded& out;
+  const std::function<void(int)>& arrived;
   Coder coder;
   Models models{};
+  Structure structure{p.width, p.height};
+  // A chunk, and behind it perhaps a Gaussian of which only the first half is decoded.
+  Symbols symbols[kChunk + 1] = {};
+  Parts parts[kChunk] = {};
 
   // All that follow take the decoder in its current state, since a loop has a copy of its own.
   bool overrun(const Coder& now) const { return now.read() > size; }
@@ -113,36 +149,34 @@ struct Decoding {
   }
 };
 
-// Adds `wanted` Gaussians of a class to the batch, or less where a prefix ends: the first of the class if `begin`, not
-// its last if `more`. of_next: of the Gaussian behind them.
+// Decodes `wanted` Gaussians of a class, or less where a prefix ends: the first of the class if `begin`, not its last
+// if `more`. begun: of the Gaussian behind them. Returns their number.
 template <size_t kStates>
-SG_INLINE void decode_batch_body(Decoding<kStates>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
-                                 bool more) {
-  Batch& batch = d.batch;
+SG_INLINE int decode_chunk_body(Decoding<kStates>& d, Begun& begun, const SizeClass& c, int wanted, bool begin,
+                                bool more) {
   auto coder = d.coder;  // copies, to be kept in registers
-  ColorSize size = of_next;
+  Begun now = begun;
   const RdParameters p = d.p;
   const SizeClass by = c;
   Models& models = d.models;
-  Symbols* s = &batch.symbols[batch.n];
-  Parts* parts = &batch.parts[batch.n];
+  Symbols* s = d.symbols;
   int found = 0;
   d.attempt(coder, [&]() SG_INLINE_LAMBDA {
     s->size_class = by.number;
-    if (begin) models.pair<true, false>(coder, p, by, 0, size, *s, *s);
-    for (const int pairs = more ? wanted : wanted - 1; found < pairs; ++found, ++s) {
+    if (begin) models.template turn<true, false>(coder, p, by, d.structure, 0, now, *s, *s);
+    for (const int turns = more ? wanted : wanted - 1; found < turns; ++found, ++s) {
       s[1].size_class = by.number;
-      parts[found] = models.pair<true, true>(coder, p, by, s->cell, size, s[1], s[0]);
+      d.parts[found] = models.template turn<true, true>(coder, p, by, d.structure, 0, now, s[1], s[0]);
       if (!d.whole(coder)) break;
     }
     if (!more && found == wanted - 1) {
-      parts[found] = models.pair<false, true>(coder, p, by, s->cell, size, *s, *s);
+      d.parts[found] = models.template turn<false, true>(coder, p, by, d.structure, 0, now, *s, *s);
       found += d.whole(coder);
     }
   });
-  batch.n += found;
-  of_next = size;
+  begun = now;
   d.coder = coder;
+  return found;
 }
 #if SG_X86
 template <auto body, typename... Arguments>
@@ -152,28 +186,44 @@ template <auto body, typename... Arguments>
 #endif
 
 template <size_t kStates>
-using DecodeBatch = void (*)(Decoding<kStates>&, ColorSize&, const SizeClass&, int wanted, bool begin, bool more);
+using DecodeChunk = int (*)(Decoding<kStates>&, Begun&, const SizeClass&, int wanted, bool begin, bool more);
 template <size_t kStates>
-DecodeBatch<kStates> best_decode_batch() {
+DecodeChunk<kStates> best_decode_chunk() {
 #if SG_X86
-  if (best_isa() >= kAvx2 && has_bit_operations()) return with_bit_operations<decode_batch_body<kStates>>;
+  if (best_isa() >= kAvx2 && has_bit_operations()) return with_bit_operations<decode_chunk_body<kStates>>;
 #endif
-  return for_baseline<decode_batch_body<kStates>>;
+  return for_baseline<decode_chunk_body<kStates>>;
 }
 
 template <size_t kStates>
-size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t room) {
-  static const auto decode_batch = best_decode_batch<kStates>();
-  const SizeClass c = class_of(d.p, size_class, count);
-  ColorSize of_next;
+size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t room, bool is_last) {
+  static const auto decode_chunk = best_decode_chunk<kStates>();
+  const SizeClass c = class_of(d.p, size_class);
+  d.structure.begin(size_class, count);
+  d.out.strengths.clear();
+  Begun begun;
+  GaussianArrays& values = d.out.values;
+  const auto first = static_cast<size_t>(d.out.count());
   size_t found = 0;
   while (found < room) {
-    if (d.batch.n == d.batch.stop) d.reached();
-    const size_t wanted = std::min(room - found, d.batch.stop - d.batch.n), before = d.batch.n;
-    decode_batch(d, of_next, c, static_cast<int>(wanted), found == 0, found + wanted < count);
-    found += d.batch.n - before;
-    if (d.batch.n - before < wanted) break;
+    const int wanted = static_cast<int>(std::min<size_t>(room - found, kChunk));
+    const int came = decode_chunk(d, begun, c, wanted, found == 0, found + static_cast<size_t>(wanted) < count);
+    const size_t at = first + found;
+    found += static_cast<size_t>(came);
+    values.means.resize(2 * (first + found));
+    values.factors.resize(3 * (first + found));
+    values.colors.resize(3 * (first + found));
+    dequantise(d.p, d.symbols, d.parts, came,
+               {values.means.data() + 2 * at, values.factors.data() + 3 * at, values.colors.data() + 3 * at});
+    if (!is_last)
+      for (int i = 0; i < came; ++i) d.out.strengths.push_back(strength_of(d.symbols[i]));
+    d.arrived(d.out.count());
+    if (came < wanted) break;
+    d.symbols[0] = d.symbols[kChunk];
   }
+  if (!is_last)
+    d.structure.add(values.means.data() + 2 * first, values.factors.data() + 3 * first, d.out.strengths.data(),
+                    static_cast<int>(found));
   return found;
 }
 
@@ -193,7 +243,7 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
     if (done + room > limit) refuse<std::overflow_error>("more Gaussians than the limit");
-    const size_t found = read_class(d, c, count, room);
+    const size_t found = count == 0 ? 0 : read_class(d, c, std::min<uint32_t>(count, kMaxGaussians), room, c == last);
     done += found;
     if (found < count) return false;
   }
@@ -202,21 +252,60 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
 }
 
 template <size_t kStates>
-void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit, Batch& batch,
-                 const std::function<void()>& reached) {
+void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit, Decoded& out,
+                 const std::function<void(int)>& arrived) {
   std::vector<uint8_t> padded(size + Decoder<kStates>::kSlack);
   std::copy_n(data, size, padded.begin());
-  Decoding<kStates> d{p, size, prefix, batch, reached, Decoder<kStates>(padded.data())};
-  const bool ended = decode_payload(d, limit);
-  const size_t read = std::min(d.coder.read(), size);
+  const std::unique_ptr<Decoding<kStates>> d(
+      new Decoding<kStates>{p, size, prefix, out, arrived, Decoder<kStates>(padded.data())});
+  const bool ended = decode_payload(*d, limit);
+  const size_t read = std::min(d->coder.read(), size);
   if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
     refuse<std::runtime_error>("there are bytes behind the last Gaussian");
-  reached();
 }
 
 auto decode_into(const RdParameters& p) { return p.is_short ? decode_into<1> : decode_into<kLanes>; }
 
+void reserve(GaussianArrays& values, size_t n) {
+  values.means.reserve(2 * n);
+  values.factors.reserve(3 * n);
+  values.colors.reserve(3 * n);
+}
+
+template <size_t n>
+void start(Model (&models)[n], const uint8_t* rows) {
+  for (size_t i = 0; i < n; ++i) models[i] = Model(kStarts[rows[i]]);
+}
+template <size_t n, size_t m>
+void start(Model (&models)[n][m], const uint8_t* rows) {
+  for (size_t i = 0; i < n; ++i) start(models[i], rows + m * i);
+}
+template <size_t n, size_t m, size_t k>
+void start(Model (&models)[n][m][k], const uint8_t* rows) {
+  for (size_t i = 0; i < n; ++i) start(models[i], rows + m * k * i);
+}
+
 }  // namespace
+
+Models::Models(FromTables) : count(kStarts[kStartCount[0]]), distance(kStarts[kStartDistance[0]]) {
+  start(luma_by_energy, kStartLumaByEnergy);
+  start(luma_by_class, kStartLumaByClass);
+  start(a, kStartA);
+  start(a_by_class, kStartAByClass);
+  start(b, kStartB);
+  start(b_by_luma, kStartBByLuma);
+  start(color_signs, kStartColorSigns);
+  start(v, kStartV);
+  start(v_by_class, kStartVByClass);
+  start(r, kStartR);
+  start(r_by_direction, kStartRByDirection);
+  start(shape_signs, kStartShapeSigns);
+}
+
+const Models& Models::fresh() {
+  static const Models models{FromTables{}};
+  return models;
+}
 
 RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, bool is_short)
     : width(width), height(height), quantum(quantum), grey(grey), upright(upright), is_short(is_short) {
@@ -227,10 +316,10 @@ RdParameters::RdParameters(int width, int height, double quantum, bool grey, boo
 std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
   if (all.empty()) return {};
   if (all.size() > most_in(p, SIZE_MAX / 16)) refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
-  std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
-    return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
-  });
+  std::stable_sort(all.begin(), all.end(),
+                   [](const Symbols& a, const Symbols& b) { return a.size_class > b.size_class; });
   Encoder coder;
+  Structure structure(p.width, p.height);
   const int first = all.front().size_class, last = all.back().size_class;
   code_class_number(coder, static_cast<uint32_t>(kMaxClass - first));
   code_class_number(coder, static_cast<uint32_t>(first - last));
@@ -239,8 +328,12 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
   for (int c = first; c >= last; --c) {
     Symbols* end = at;
     while (end < behind && end->size_class == c) ++end;
-    code_whole(coder, kColorLane, models.count, static_cast<uint32_t>(end - at));
-    encode_class(coder, models, p, c, at, end);
+    const auto n = static_cast<uint32_t>(end - at);
+    code_whole(coder, kColorLane, models.count, n);
+    if (n == 0) continue;
+    structure.begin(c, n);
+    encode_class(coder, models, p, structure, at, end);
+    if (c > last) add_class(structure, p, at, static_cast<int>(n));
     at = end;
   }
   std::vector<uint8_t> bytes = coder.finish(p.is_short ? 1 : kLanes);
@@ -257,40 +350,22 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const ConstGaussians& gaus
 }
 
 GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
-  GaussianArrays out;
-  if (size == 0) return out;
-  const size_t expected = std::min<uint64_t>(most_in(p, size), size / 2);  // in 16 bits each
-  out.means.reserve(2 * expected);
-  out.factors.reserve(3 * expected);
-  out.colors.reserve(3 * expected);
-  Batch batch(kBatch, kBatch);
-  decode_into(p)(p, data, size, prefix, max_gaussians, batch, [&] {
-    const size_t done = out.means.size() / 2, all = done + batch.n;
-    out.means.resize(2 * all);
-    out.factors.resize(3 * all);
-    out.colors.resize(3 * all);
-    parallel_chunks(static_cast<int>(batch.n), kChunk, [&](int first, int last, int) {
-      const size_t at = done + static_cast<size_t>(first);
-      batch.values(p, first, last, {&out.means[2 * at], &out.factors[3 * at], &out.colors[3 * at]});
-    });
-    batch.symbols[0] = batch.symbols[batch.n];
-    batch.n = 0;
-  });
-  return out;
+  Decoded out;
+  if (size == 0) return {};
+  reserve(out.values, std::min<uint64_t>(most_in(p, size), size / 2));  // in 16 bits each
+  decode_into(p)(p, data, size, prefix, max_gaussians, out, [](int) {});
+  return std::move(out.values);
 }
 
-Arriving::Arriving(const RdParameters& p, size_t room) : p_(p), room_(room), batch_(new Batch(room, kChunk)) {}
+Arriving::Arriving(const RdParameters& p, size_t room) : p_(p), room_(room), decoded_(new Decoded) {
+  reserve(decoded_->values, room);  // which never moves, since others read it
+}
 Arriving::~Arriving() = default;
 
 void Arriving::decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived) {
-  if (size == 0) return;
-  Batch& batch = *batch_;
-  decode_into(p_)(p_, data, size, prefix, room_, batch, [&] {
-    arrived(static_cast<int>(batch.n));
-    batch.stop = std::min(batch.n + batch.step, room_);
-  });
+  if (size > 0) decode_into(p_)(p_, data, size, prefix, room_, *decoded_, arrived);
 }
 
-void Arriving::values(int first, int last, const MutableGaussians& out) const { batch_->values(p_, first, last, out); }
+ConstGaussians Arriving::values() const { return decoded_->values.rows(); }
 
 }  // namespace sg

@@ -33,9 +33,9 @@ std::vector<uint8_t> rd_encode(const RdParameters& parameters, const ConstGaussi
 GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
                          uint64_t max_gaussians = kMaxGaussians);
 
-struct Batch;
+struct Decoded;
 
-// The Gaussians of a payload while it is being decoded: one thread decodes integers, and others make values of them.
+// The Gaussians of a payload while it is being decoded.
 class Arriving {
  public:
   // room: capacity in Gaussians.
@@ -45,13 +45,13 @@ class Arriving {
   // Decodes as rd_decode() does. arrived(n) is called again and again when the first n are there. Throws
   // std::overflow_error where the room may not do.
   void decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived);
-  // Writes those of [first, last), which are there.
-  void values(int first, int last, const MutableGaussians& out) const;
+  // Those that are there, which other threads may read.
+  ConstGaussians values() const;
 
  private:
   const RdParameters p_;
   const size_t room_;
-  const std::unique_ptr<Batch> batch_;
+  const std::unique_ptr<Decoded> decoded_;
 };
 
 }  // namespace sg

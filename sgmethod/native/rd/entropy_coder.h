@@ -71,6 +71,7 @@ inline constexpr Adaptation kAdaptation;
 class Model {
  public:
   // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
+  Model() = default;
   explicit Model(const uint8_t* start) {
     ends()[-1] = -kOne;
     for (int i = 0; i + 1 < kSymbols; ++i) {
@@ -104,6 +105,7 @@ class Model {
   }
 
  private:
+  friend class Mean;
   // Vectors of the compiler, which makes one or two registers of each.
   typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
 
@@ -120,6 +122,31 @@ class Model {
   alignas(32) int16_t fast_[kSymbols] = {}, slow_[kSymbols] = {}, rest_[2 * kSymbols] = {};
 };
 
+// The mean of two models' edges. Both adapt to the symbol.
+class Mean {
+ public:
+  SG_INLINE Mean(Model& a, Model& b) : a_(a), b_(b) {
+    ends_[kSymbols - 1] = -Model::kOne;
+    const Model::Lanes x = Model::lanes(static_cast<const int16_t*>(a.ends()));
+    const Model::Lanes y = Model::lanes(static_cast<const int16_t*>(b.ends()));
+    Model::lanes(ends_ + kSymbols) = (x & y) + ((x ^ y) >> 1);  // no sum, which may exceed 16 bits
+  }
+  uint32_t edge(int i) const { return static_cast<uint32_t>(Model::kOne + ends_[kSymbols + i - 1]); }
+  SG_INLINE uint32_t find(int place) const { return count_until(ends_ + kSymbols, place); }
+  SG_INLINE Model::Share share(uint32_t symbol) const {
+    const int16_t* end = ends_ + kSymbols + symbol;
+    return {end[-1], end[0] - end[-1]};
+  }
+  SG_INLINE void update(uint32_t symbol) {
+    a_.update(symbol);
+    b_.update(symbol);
+  }
+
+ private:
+  Model &a_, &b_;
+  alignas(32) int16_t ends_[2 * kSymbols];
+};
+
 // Which state a symbol goes into, by what it says (models.h).
 enum Lane { kColorLane, kShapeLane };
 constexpr size_t kLanes = 2;
@@ -127,9 +154,10 @@ constexpr size_t kLanes = 2;
 // Records what is to be coded; the bytes come at the end.
 class Encoder {
  public:
-  static constexpr bool kCodesCells = true;  // unlike what only counts bits (refine/visitor.h)
+  static constexpr bool kCodesPlaces = true, kDecodes = false;
 
-  uint32_t symbol(Lane lane, Model& model, uint32_t symbol) {
+  template <typename Probabilities>
+  uint32_t symbol(Lane lane, Probabilities&& model, uint32_t symbol) {
     const uint32_t low = model.edge(static_cast<int>(symbol));
     steps_.push_back({low, model.edge(static_cast<int>(symbol) + 1) - low, lane});
     model.update(symbol);
@@ -194,7 +222,7 @@ class Encoder {
 template <size_t kStates>
 class Decoder {
  public:
-  static constexpr bool kCodesCells = true;
+  static constexpr bool kCodesPlaces = true, kDecodes = true;
   static constexpr size_t kSlack = 128;  // enough for 16 calls of symbol() or fetch()
 
   // data: what is to be read, and kSlack zeros.
@@ -202,7 +230,8 @@ class Decoder {
     std::memcpy(states_.data(), data, kStates * kStateBytes);
   }
 
-  SG_INLINE uint32_t symbol(Lane lane, Model& model, uint32_t = 0) {
+  template <typename Probabilities>
+  SG_INLINE uint32_t symbol(Lane lane, Probabilities&& model, uint32_t = 0) {
     uint32_t& of_lane = states_[lane % kStates];
     const uint32_t state = of_lane;
     const uint32_t symbol = model.find(static_cast<int>(state | kProbabilityOne));

@@ -1,5 +1,6 @@
 #include "rd/lay_out.h"
 
+#include <algorithm>
 #include <stdexcept>
 #include <utility>
 
@@ -23,7 +24,6 @@ LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool pr
   const size_t room = 8 * size / kMinBits + 1;
   if (room > kMaxRoom) return laid_out(rd_decode(p, data, size, prefix), canvas);
   Arriving arriving(p, room);
-  std::vector<float> colors(3 * room);
   bool crowded = false;
   StreamedGaussians streamed{static_cast<int>(room), {}, {}};
   streamed.bring = [&](const std::function<void(int)>& there) {
@@ -34,11 +34,14 @@ LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool pr
     }
   };
   streamed.values = [&](int first, int last, float* means, float* factors) {
-    arriving.values(first, last, {means, factors, &colors[3 * static_cast<size_t>(first)]});
+    const ConstGaussians values = arriving.values();
+    std::copy(values.means + 2 * first, values.means + 2 * last, means);
+    std::copy(values.factors + 3 * first, values.factors + 3 * last, factors);
   };
   auto raster = std::make_unique<Rasterization>(streamed, canvas);
   if (crowded) return laid_out(rd_decode(p, data, size, prefix), canvas);
-  colors.resize(3 * static_cast<size_t>(raster->gaussians()));
+  const float* first = arriving.values().colors;
+  std::vector<float> colors(first, first + 3 * static_cast<size_t>(raster->gaussians()));
   return {std::move(raster), std::move(colors)};
 }
 

@@ -3,8 +3,6 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
-#include <utility>
 
 #include "core/errors.h"
 #include "core/simd.h"
@@ -42,8 +40,8 @@ inline uint32_t symbol_of(uint32_t value) {
   return 2u * top | ((value >> (top - 1)) & 1);
 }
 
-template <typename Coder>
-SG_INLINE Number code_number(Coder& coder, Lane lane, Model& model, uint32_t value = 0) {
+template <typename Coder, typename Probabilities>
+SG_INLINE Number code_number(Coder& coder, Lane lane, Probabilities&& model, uint32_t value = 0) {
   const int top = value == 0 ? 0 : 31 - __builtin_clz(value);
   const uint32_t symbol = coder.symbol(lane, model, symbol_of(value));
   if (__builtin_expect(symbol == kEscape, 0)) {
@@ -68,15 +66,6 @@ uint32_t code_whole(Coder& coder, Lane lane, Model& model, uint32_t value = 0) {
   return number.value;
 }
 
-template <size_t... I>
-std::array<Model, sizeof...(I)> models_from(const uint8_t (*start)[kSymbols - 1], std::index_sequence<I...>) {
-  return {Model(start[I])...};
-}
-template <size_t N>
-std::array<Model, N> models_from(const uint8_t (&start)[N][kSymbols - 1]) {
-  return models_from(start, std::make_index_sequence<N>());
-}
-
 inline uint32_t magnitude(int value) {
   return value < 0 ? 0u - static_cast<uint32_t>(value) : static_cast<uint32_t>(value);
 }
@@ -95,93 +84,149 @@ SG_INLINE void check_shape(const Steps& steps, uint32_t v, uint32_t r) {
   if (!steps.allow(v, r)) refuse<std::runtime_error>("a shape is out of range");
 }
 
-// What is known about a colour before its signs.
-struct ColorSize {
+// What is known of a Gaussian after the first half of its symbols: its colour before signs, and its part of a block.
+struct Begun {
   uint32_t y = 0, a = 0, b = 0;
+  Context context;
+  Spot spot;
 };
-
-constexpr uint32_t kRowBits = 0xAAAAAAAA;  // of a Morton code
 
 // What the Gaussians of a class share.
 struct SizeClass {
   int number;
-  int raw_bits;                    // of the distance from cell to cell, which are sent without a model
-  uint32_t last_column, last_row;  // of the cells, as bits of a Morton code
+  uint32_t columns, rows;  // of cells
 };
 
-// There are few contexts, because a small picture has only a few hundred symbols for each to learn from. Contexts by
-// size class, by the neighbour along the curve, and of r by v were measured and gained next to nothing
-// (docs/notebook/bitstream.md).
-struct Models {
-  Model count{kStartCount}, distance{kStartDistance}, luma{kStartLuma};
-  std::array<Model, 4> a = models_from(kStartA), b = models_from(kStartB);
-  std::array<Model, 8> color_signs = models_from(kStartColorSigns), v = models_from(kStartV), r = models_from(kStartR);
-  std::array<Model, 4> shape_signs = models_from(kStartShapeSigns);
+constexpr int kLowBits = 3;  // of a distance, which are sent without a model
+constexpr int kBuckets = 8, kMagnitudes = 4, kFolds = 10, kShapeSteps = 6, kSlantSteps = 4;
 
-  // One turn. The Gaussians of a class come one after another, and each in two parts: cell and colour, then shape and
-  // place. A turn has the former of one, `next`, and the latter of the Gaussian before it, `now`, whose cell is `from`.
-  // Symbols of the two alternate, and with them the lanes. What chooses a symbol's model should not wait for raw bits
-  // of the same turn, and one fetch() is for at most 56 of these. `size` is of the colour of `now` at first, then of
-  // `next`. Returns the parts of `now`.
-  template <bool kNext, bool kNow, typename Coder>
-  SG_INLINE Parts pair(Coder& coder, const RdParameters& p, const SizeClass& c, uint32_t from, ColorSize& size,
+// Tells only what is asked of a Structure while its class is coded.
+struct NoWalk {};
+
+// Most symbols have two models, of different contexts, and the mean of their probabilities: what the surroundings say,
+// and what the Gaussian's own numbers say (docs/notebook/bitstream.md).
+struct Models {
+  Model count, distance, luma_by_energy[kEnergies], luma_by_class[14];
+  Model a[kMagnitudes], a_by_class[kMagnitudes][4], b[kMagnitudes], b_by_luma[kMagnitudes][kMagnitudes];
+  Model color_signs[8], v[kBuckets][kFolds], v_by_class[7][kBuckets];
+  Model r[kBuckets][kShapeSteps], r_by_direction[kBuckets][kFolds][kSlantSteps], shape_signs[4][kDirections];
+
+  // As a stream begins.
+  Models() : Models(fresh()) {}
+
+  // One turn. The Gaussians of a class come one after another, and each in two halves: part of a block and colour, then
+  // shape and place. A turn has the former of one, `next`, and the latter of the Gaussian before it, `now`. Symbols of
+  // the two alternate, and with them the lanes. One fetch() is for at most 56 raw bits. `gap` is the distance to
+  // `next`; `begun` is of `now` at first, then of `next`. Returns the parts of `now`.
+  template <bool kNext, bool kNow, typename Coder, typename Walk>
+  SG_INLINE Parts turn(Coder& coder, const RdParameters& p, const SizeClass& c, Walk& walk, uint64_t gap, Begun& begun,
                        Symbols& next, Symbols& now) {
-    const Steps steps(kNow ? size.y : 1, size.a, size.b);
+    const Steps steps(kNow ? begun.y : 1, begun.a, begun.b);
     const auto bucket = static_cast<size_t>(steps.bucket());
-    const uint32_t by = kNext ? next.cell - from : 0;
+    const auto group = static_cast<size_t>(std::clamp(c.number - kMinClass, 0, 13));
+    const Context of_now = begun.context;
+    const Spot spot = begun.spot;
+    Context of_next = next.context;
     Number distance, y, a, b, v, r;
     Parts parts{};
-    if (kNext && Coder::kCodesCells) distance = code_number(coder, kColorLane, this->distance, by >> c.raw_bits);
+    if constexpr (kNext && Coder::kCodesPlaces)
+      distance = code_number(coder, kColorLane, this->distance, static_cast<uint32_t>(gap >> kLowBits));
     if (kNow) {
-      const size_t colored = (size.y != 0) << 2 | (size.a != 0) << 1 | (size.b != 0);
+      const size_t colored = (begun.y != 0) << 2 | (begun.a != 0) << 1 | (begun.b != 0);
       const uint32_t signs = coder.symbol(kShapeLane, color_signs[colored], color_sign_bits(now));
-      now.y = with_sign(size.y, signs & 4);
-      now.a = with_sign(size.a, signs & 2);
-      now.b = with_sign(size.b, signs & 1);
+      now.y = with_sign(begun.y, signs & 4);
+      now.a = with_sign(begun.a, signs & 2);
+      now.b = with_sign(begun.b, signs & 1);
     }
-    if (kNext) y = code_number(coder, kColorLane, luma, magnitude(next.y));
-    if (kNow) v = code_number(coder, kShapeLane, this->v[bucket], magnitude(now.v));
-    if (kNext && !p.grey) a = code_number(coder, kColorLane, this->a[level(y)], magnitude(next.a));
-    if (kNow && !p.upright) r = code_number(coder, kShapeLane, this->r[bucket], magnitude(now.r));
-    if (kNext && !p.grey) b = code_number(coder, kColorLane, this->b[level(a)], magnitude(next.b));
+    if constexpr (kNext && Coder::kCodesPlaces) {
+      coder.fetch(distance.bits + kLowBits);
+      code_rest(coder, distance, static_cast<uint32_t>(gap >> kLowBits));
+      const uint32_t low = coder.raw(static_cast<uint32_t>(gap) & ((1u << kLowBits) - 1), kLowBits);
+      if constexpr (Coder::kDecodes) {
+        if (!walk.advance(uint64_t{distance.value} << kLowBits | low))
+          refuse<std::runtime_error>("a position is out of range");
+        walk.count();
+        begun.spot = walk.spot();
+        of_next = walk.context(begun.spot);
+      }
+    }
+    if (kNext)
+      y = code_number(coder, kColorLane, Mean(luma_by_energy[of_next.energy], luma_by_class[group]), magnitude(next.y));
+    const size_t fold = folded(of_now.direction);
+    if (kNow)
+      v = code_number(coder, kShapeLane, Mean(this->v[bucket][fold], v_by_class[group / 2][bucket]), magnitude(now.v));
+    if (kNext && !p.grey) {
+      const size_t luma = level(y);
+      a = code_number(coder, kColorLane, Mean(this->a[luma], a_by_class[luma][group / 4]), magnitude(next.a));
+    }
+    if (kNow && !p.upright) {
+      const uint32_t s = v.symbol;
+      const size_t steps_of_v = std::min((s + 1) / 2, kShapeSteps - 1u), slant = (s > 0) + (s > 3) + (s > 6);
+      r = code_number(coder, kShapeLane, Mean(this->r[bucket][steps_of_v], r_by_direction[bucket][fold][slant]),
+                      magnitude(now.r));
+    }
+    if (kNext && !p.grey)
+      b = code_number(coder, kColorLane, Mean(this->b[level(a)], b_by_luma[level(a)][level(y)]), magnitude(next.b));
+    uint32_t shape_signs = 0;
+    if (kNow) {
+      const size_t shaped = (v.symbol != 0) << 1 | (r.symbol != 0);
+      shape_signs = coder.symbol(kShapeLane, this->shape_signs[shaped][of_now.direction], shape_sign_bits(now));
+    }
 
-    coder.fetch(v.bits + r.bits + (kNow ? steps.u_bits() : 0) + (kNext ? c.raw_bits : 0));
+    coder.fetch(v.bits + r.bits + (kNow ? steps.u_bits() : 0) + y.bits + a.bits + b.bits);
     if (kNow) {
       code_rest(coder, v, magnitude(now.v));
       code_rest(coder, r, magnitude(now.r));
       now.u = coder.raw(now.u, steps.u_bits());
       check_shape(steps, v.value, r.value);
-      const size_t shaped = (v.value != 0) << 1 | (r.value != 0);
-      const uint32_t signs = coder.symbol(kShapeLane, shape_signs[shaped], shape_sign_bits(now));
-      now.v = with_sign(v.value, signs & 2);
-      now.r = with_sign(r.value, signs & 1);
+      now.v = with_sign(v.value, shape_signs & 2);
+      now.r = with_sign(r.value, shape_signs & 1);
       parts = parts_of(now, steps);
     }
-    const uint32_t low = kNext ? coder.raw(by & ((1u << c.raw_bits) - 1), c.raw_bits) : 0;
-
-    coder.fetch(distance.bits + y.bits + a.bits + b.bits + parts.x_bits + parts.y_bits);
     if (kNext) {
       code_rest(coder, y, magnitude(next.y));
       code_rest(coder, a, magnitude(next.a));
       code_rest(coder, b, magnitude(next.b));
       check_color(y.value, a.value, b.value);
-      size = {y.value, a.value, b.value};
-      code_rest(coder, distance, by >> c.raw_bits);
-      const uint64_t cell = from + (uint64_t{distance.value} << c.raw_bits) + low;
-      if ((cell & ~uint64_t{kRowBits}) > c.last_column || (cell & kRowBits) > c.last_row)
-        refuse<std::runtime_error>("a position is out of range");
-      next.cell = static_cast<uint32_t>(cell);
+      begun.y = y.value, begun.a = a.value, begun.b = b.value;
+      begun.context = of_next;
     }
     if (kNow) {
-      now.px = coder.raw(now.px, parts.x_bits);
-      now.py = coder.raw(now.py, parts.y_bits);
+      const int x_bits = std::max(parts.x_bits - of_now.x_bits, 0), y_bits = std::max(parts.y_bits - of_now.y_bits, 0);
+      coder.fetch(x_bits + y_bits);
+      code_place<Coder>(coder, x_bits, parts.x_bits, of_now.x_bits, spot.column, spot.x, now.column, now.px);
+      code_place<Coder>(coder, y_bits, parts.y_bits, of_now.y_bits, spot.row, spot.y, now.row, now.py);
+      if (Coder::kDecodes && (now.column >= c.columns || now.row >= c.rows))
+        refuse<std::runtime_error>("a position is out of range");
     }
     return parts;
   }
 
  private:
+  struct FromTables {};
+  explicit Models(FromTables);
+  static const Models& fresh();
   // Of a magnitude, for contexts; from its symbol, so that the next need not wait for raw bits.
   static SG_INLINE size_t level(const Number& n) { return (n.symbol > 0) + (n.symbol > 2) + (n.symbol > 5); }
+  // Directions that a mirror image has too: none, and for each coherence horizontal, diagonal and vertical.
+  static SG_INLINE size_t folded(size_t direction) {
+    if (direction < 2) return 0;
+    const size_t octant = (direction - 2) % 8;
+    return 1 + (direction - 2) / 8 * 3 + (octant % 2 == 1 ? 1 : octant % 4);
+  }
+  // Codes what its part does not tell of a place along one axis: the last `bits` of its cell's number and part.
+  // of_cell: by how many bits a cell is divided; told: by how many the block's part has divided it, `part` its number.
+  template <typename Coder>
+  static SG_INLINE void code_place(Coder& coder, int bits, int of_cell, int told, int first, uint32_t part,
+                                   uint32_t& cell, uint32_t& place) {
+    const uint64_t all = uint64_t{cell - 2} << of_cell | place;
+    const uint32_t low = coder.raw(static_cast<uint32_t>(all & ((uint64_t{1} << bits) - 1)), bits);
+    if constexpr (Coder::kDecodes) {
+      const uint64_t whole = bits > 0 ? uint64_t{part} << bits | low : uint64_t{part} >> (told - of_cell);
+      cell = static_cast<uint32_t>(first) + static_cast<uint32_t>(whole >> of_cell);
+      place = static_cast<uint32_t>(whole & ((uint64_t{1} << of_cell) - 1));
+    }
+  }
 };
 
 // The payload's bytes. Sorts the Gaussians; `models` end as the last of them leaves them.

@@ -45,14 +45,6 @@ SG_INLINE void to_rgb(const Luma& l, float* c) {
   c[2] = static_cast<float>(y - a + b);
 }
 
-SG_INLINE uint32_t gather_bits(uint32_t v) {
-  v &= 0x55555555;
-  v = (v | v >> 1) & 0x33333333;
-  v = (v | v >> 2) & 0x0F0F0F0F;
-  v = (v | v >> 4) & 0x00FF00FF;
-  return (v | v >> 8) & 0x0000FFFF;
-}
-
 // Within the class.
 SG_INLINE double shape_u(const Symbols& s, const Steps& steps) {
   return ((s.u + 0.5) * power_of_two(-steps.u_bits()) - 0.5) * kClassWidth;
@@ -93,7 +85,7 @@ uint32_t spread_bits(uint32_t v) {
 }
 
 uint32_t cells_along(int side, int bits) {
-  return static_cast<uint32_t>(std::min((side >> bits) + 1 + 2 * kBorderCells, 1 << 16));
+  return static_cast<uint32_t>(std::min(((side - 1) >> bits) + 1 + 2 * kBorderCells, 1 << 16));
 }
 
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s,
@@ -136,8 +128,8 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
     part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, most - 1));
     return c;
   };
-  const uint32_t cx = place(mean[0], p.width, parts.x_bits, s.px), cy = place(mean[1], p.height, parts.y_bits, s.py);
-  s.cell = spread_bits(cx) | spread_bits(cy) << 1;
+  s.column = place(mean[0], p.width, parts.x_bits, s.px);
+  s.row = place(mean[1], p.height, parts.y_bits, s.py);
   return true;
 }
 
@@ -166,8 +158,8 @@ int64_t for_each_quantised(const RdParameters& p, const ConstGaussians& g, int n
 
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color) {
   const double side = power_of_two(cell_bits(s.size_class));
-  mean[0] = place(gather_bits(s.cell), s.px, g.parts.x_bits, side);
-  mean[1] = place(gather_bits(s.cell >> 1), s.py, g.parts.y_bits, side);
+  mean[0] = place(s.column, s.px, g.parts.x_bits, side);
+  mean[1] = place(s.row, s.py, g.parts.y_bits, side);
   factor[0] = static_cast<float>(g.l1);
   factor[1] = static_cast<float>(g.l2);
   factor[2] = static_cast<float>(g.l3);
@@ -218,21 +210,15 @@ SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const 
     float *const mean = out.means + 2 * first, *const factor = out.factors + 3 * first;
     float* const color = out.colors + 3 * first;
     double l1[kBlock], l3[kBlock], slants[kBlock];
-    uint32_t columns[kBlock], rows[kBlock];
     for (int i = 0; i < count; ++i) {
       const Steps steps(s[i].y, s[i].a, s[i].b);
       const double u = shape_u(s[i], steps), v = s[i].v * steps.v();
       l1[i] = u + v;
       l3[i] = u - v;
       slants[i] = s[i].r * steps.r();
-      columns[i] = s[i].cell;
     }
     for (int i = 0; i < count; ++i) l1[i] = exact_exp(l1[i]);
     for (int i = 0; i < count; ++i) l3[i] = exact_exp(l3[i]);
-    for (int i = 0; i < count; ++i) {
-      rows[i] = gather_bits(columns[i] >> 1);
-      columns[i] = gather_bits(columns[i]);
-    }
     for (int i = 0; i < count; ++i) {
       const double size = sizes[s[i].size_class - kMinClass];
       const double across = std::max(size * l3[i], kMinScaleFloat);
@@ -245,9 +231,9 @@ SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const 
       to_rgb({s[i].y * step, s[i].a * step, s[i].b * step}, color + 3 * i);
     }
     for (int i = 0; i < count; ++i)
-      mean[2 * i] = place(columns[i], s[i].px, part[i].x_bits, power_of_two(cell_bits(s[i].size_class)));
+      mean[2 * i] = place(s[i].column, s[i].px, part[i].x_bits, power_of_two(cell_bits(s[i].size_class)));
     for (int i = 0; i < count; ++i)
-      mean[2 * i + 1] = place(rows[i], s[i].py, part[i].y_bits, power_of_two(cell_bits(s[i].size_class)));
+      mean[2 * i + 1] = place(s[i].row, s[i].py, part[i].y_bits, power_of_two(cell_bits(s[i].size_class)));
   }
 }
 

@@ -20,6 +20,7 @@
 #include "core/constants.h"
 #include "core/simd.h"
 #include "rd/codec.h"
+#include "rd/structure.h"
 
 namespace sg {
 
@@ -37,11 +38,12 @@ constexpr double kMinColorStep = 1.0 / 65536;
 // The integers of one Gaussian.
 struct Symbols {
   int size_class;
-  uint32_t cell;  // Morton code
+  uint32_t column, row;  // of the cell
   int y, a, b;  // colour
   uint32_t u;  // within the class
   int v, r;
   uint32_t px, py;  // within the cell
+  Context context;  // as of the last time it was coded
 
   bool empty() const { return y == 0 && a == 0 && b == 0; }  // nothing is left of it
 };
@@ -101,7 +103,7 @@ inline Parts parts_of(const Symbols& s, const Steps& steps) {
 
 // Cells along a side of the picture: those that touch it and two beyond each edge.
 uint32_t cells_along(int side, int bits);
-// Every bit but 16 two places apart, as the columns of a Morton code have them.
+// Sixteen bits, two places apart.
 uint32_t spread_bits(uint32_t v);
 
 // What fits keep to, so that no range is ever left: within kMaxSlant, kMaxAmplitude and kMaxScale (constants.h),

@@ -23,14 +23,15 @@
 namespace sg {
 namespace {
 
-constexpr double kPositionBits = 8.0;  // about the bits of a Gaussian's cell, which the models do not count
+constexpr double kPlaceBits = 7.4;  // of a distance, where a Gaussian is expected in every 64 parts
 constexpr double kBitsOfColor = 6.0;   // most bits that another colour is expected to save; fewer would miss winners
 
 // A coder that only counts bits. The models do not adapt.
 struct BitCounter {
-  static constexpr bool kCodesCells = false;
+  static constexpr bool kCodesPlaces = false, kDecodes = false;
   double bits = 0;
-  uint32_t symbol(Lane, const Model& model, uint32_t symbol) {
+  template <typename Probabilities>
+  uint32_t symbol(Lane, const Probabilities& model, uint32_t symbol) {
     const int i = static_cast<int>(symbol);
     bits += kProbabilityBits - std::log2(static_cast<float>(model.edge(i + 1) - model.edge(i)));
     return symbol;
@@ -84,13 +85,14 @@ struct State {
   }
 
   double bits(const Symbols& s) {
-    constexpr SizeClass kAny{0, 0, ~0u, ~0u};
     BitCounter counter;
-    ColorSize size;
+    Begun begun;
+    NoWalk none;
     Symbols copy = s;
-    models.pair<true, false>(counter, p, kAny, s.cell, size, copy, copy);
-    models.pair<false, true>(counter, p, kAny, s.cell, size, copy, copy);
-    return counter.bits + kPositionBits;
+    const SizeClass c{s.size_class, 0, 0};
+    models.turn<true, false>(counter, p, c, none, 0, begun, copy, copy);
+    models.turn<false, true>(counter, p, c, none, 0, begun, copy, copy);
+    return counter.bits + kPlaceBits;
   }
 };
 
@@ -226,7 +228,7 @@ class Visitor {
     if (step == Outlook::kU) {  // may lead to another size class, so the Gaussian is scaled and rounded again
       const float grow = std::exp(static_cast<float>(sign * kClassWidth * power_of_two(-steps.u_bits())));
       const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
-      return quantised(now.mean, grown, now.color, c);
+      return quantised(now.mean, grown, now.color, s.context, c);
     }
     if (step == Outlook::kR && state_.p.upright) return false;
     Symbols moved = s;
@@ -239,11 +241,13 @@ class Visitor {
     if (moved.px >> parts.x_bits || moved.py >> parts.y_bits) return false;
     c = state_.decoded(moved);
     if (step == Outlook::kX || step == Outlook::kY) return true;
-    return quantised(now.mean, c.factor, c.color, c);  // another shape divides the cell differently
+    return quantised(now.mean, c.factor, c.color, s.context, c);  // another shape divides the cell differently
   }
 
-  bool quantised(const float* mean, const float* factor, const float* color, Candidate& c) const {
+  bool quantised(const float* mean, const float* factor, const float* color, const Context& context,
+                 Candidate& c) const {
     Symbols s{};
+    s.context = context;
     if (!in_range(factor, color) || !quantise(state_.p, mean, factor, color, s)) return false;
     c = state_.decoded(s);
     return true;
@@ -281,6 +285,7 @@ class Visitor {
     const double gained = state_.change(c, products, -2.0) - state_.change(ideal, products, -2.0);
     if (c.cost - gained - kBitsOfColor * state_.settings.price >= best.cost) return;
     Symbols rounded{};
+    rounded.context = c.symbols.context;
     if (!in_range(c.factor, ideal.color) || !quantise(state_.p, c.mean, c.factor, ideal.color, rounded)) return;
     for (int toward = 0; toward < 4; ++toward) {  // the rounded colour; then each component one step nearer to zero
       Symbols s = rounded;
@@ -312,7 +317,7 @@ class Visitor {
       }
     }
     const Candidate colored = state_.decoded(same);
-    if (!quantised(c.mean, c.factor, colored.color, found) || found.level != level_) return;
+    if (!quantised(c.mean, c.factor, colored.color, same.context, found) || found.level != level_) return;
     float again[4];
     project(found, again);
     found.cost = cost(found, again);

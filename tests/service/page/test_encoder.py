@@ -19,7 +19,9 @@ from PIL import Image
 import sgmethod
 from benchmarks.harness.data import JAVASCRIPT, PHOTOGRAPHS
 from benchmarks.harness.processes import run
+from sgmethod.bitstream import container
 from sgmethod.bitstream.text import from_text
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 
@@ -38,9 +40,14 @@ console.log(JSON.stringify(pictures.map(([data, width, height, options]) => {
 
 
 DECODE = """
-const { decodePreview } = await import("%s");
+const { decodePreview } = await import("%s/preview.js");
+const { readFile } = await import("%s/file.js");
 const texts = JSON.parse((await import("node:fs")).readFileSync("texts.json"));
-console.log(JSON.stringify(texts.map((text) => decodePreview(text, 12)).map(({ width, height }) => [width, height])));
+console.log(JSON.stringify(texts.map((text) => {
+  const { width, height } = decodePreview(text, 12);
+  const { values, alpha } = readFile(Uint8Array.of(0xd3, ...Buffer.from(text, "base64url")));
+  return [[width, height], [...values], alpha && [...alpha.values]];
+})));
 """
 
 TIMES = """
@@ -172,10 +179,15 @@ SIDES = range(1, 13)
 LIMITS = (16, 17, 40, 64, 200, 500, 1024)
 
 
+def values_of(stream: StreamV2 | None) -> list[float] | None:
+    """All numbers of a picture's Gaussians."""
+    return None if stream is None else np.concatenate(stream.gaussians().arrays, axis=1).ravel().tolist()
+
+
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.thorough)], ids=["in turns", "each"])
 def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> None:
-    """Noise of any size, opaque or not, in JavaScript and in Python: no more Gaussians than pixels. every: all limits
-    for each size."""
+    """Noise of any size, opaque or not, in JavaScript and in Python, to the same Gaussians: no more than pixels. every:
+    all limits for each size."""
     random = np.random.default_rng(3)
     calls: list[tuple[Pixels, dict[str, int]]] = []
     for number, (width, height) in enumerate(product(SIDES, SIDES)):
@@ -188,12 +200,14 @@ def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> N
     for (pixels, options), one in zip(calls, made, strict=True):
         assert len(from_text(one["text"])) <= options["bytes"]
         assert sgmethod.decode(one["text"]).shape[:2] == pixels.shape[:2] == (one["height"], one["width"])
-    script = DECODE.replace("%s", (JAVASCRIPT / "preview.js").as_uri())
     (tmp_path / "texts.json").write_text(json.dumps([one["text"] for one in made]))
-    done = run("node", "--input-type=module", "--eval", script, folder=tmp_path)
+    done = run("node", "--input-type=module", "--eval", DECODE.replace("%s", JAVASCRIPT.as_uri()), folder=tmp_path)
     assert done.status == 0, done.stderr
-    sizes = [pixels.shape[1::-1] for pixels, _ in calls]
-    assert json.loads(done.stdout) == [[round(12 * side / max(size)) for side in size] for size in sizes]
+    for (pixels, _), one, found in zip(calls, made, json.loads(done.stdout), strict=True):
+        stream, size = container.parse(from_text(one["text"])), pixels.shape[1::-1]
+        assert isinstance(stream, StreamV2)
+        expected = [[round(12 * side / max(size)) for side in size], values_of(stream), values_of(stream.alpha)]
+        assert found == expected
 
 
 def test_small_photographs(tmp_path: Path) -> None:

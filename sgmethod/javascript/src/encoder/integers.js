@@ -1,6 +1,6 @@
 // Gaussians to a file's integers: docs/format.md, "Bits of a Gaussian" and "Integers to Gaussians", backwards.
 
-import { log2, partBits, valuesOf } from "../payload.js";
+import { exponentOf, partBits, setShape } from "../payload.js";
 
 const { floor, log, max, min, round, sqrt } = Math;
 
@@ -21,8 +21,8 @@ export const fiveBits = (level) => clamp(round((255 * level - 3.5) / 8.26), 0, 3
 export const levelOf = (code) => (8 * code + (code >> 2)) / 255;
 
 /** How wide a class's cells are, in pixels, and how many of them lie along a side of the picture. */
-export const sideOf = (k) => 2 ** max(0, (k + 1) >> 1);
-export const cellsAlong = (pixels, side) => min(floor(pixels / side) + 5, FARTHEST);
+const sideOf = (k) => 2 ** max(0, (k + 1) >> 1);
+const cellsAlong = (pixels, side) => min(floor((pixels - 1) / side) + 5, FARTHEST);
 
 /** Set the Gaussian that integers stand for, as their `g`, and return them. */
 export function withGaussian(s, { quantum }) {
@@ -31,14 +31,15 @@ export function withGaussian(s, { quantum }) {
   s.g = new Float64Array(8);
   s.g[0] = side * (s.column - 2 + (s.px + 0.5) / 2 ** parts[0]);
   s.g[1] = side * (s.row - 2 + (s.py + 0.5) / 2 ** parts[1]);
-  s.g.set(valuesOf(quantum, k, h, (s.u + 0.5) / 2 ** uBits, s.v, s.r, [s.y, s.a, s.b]), 2);
+  setShape(s.g, 0, quantum, k, h, (s.u + 0.5) / 2 ** uBits, s.v, s.r, s);
   return s;
 }
 
 const integer = (value, most) => clamp(round(value), -most, most) | 0;
 
-/** The integers of a Gaussian, with the one that they stand for as `g`; null if nothing is left of its colour. */
-export function rounded(g, header) {
+/** The integers of a Gaussian, with the one that they stand for as `g`; null if nothing is left of its colour. spot: what
+ * was known of it by its part when it was last written. */
+export function rounded(g, header, spot) {
   const { width, height, quantum, grey } = header;
   const [red, green, blue] = [g[5], g[6], g[7]];
   const size = log(g[2] * g[4]) / Math.LN2; // in classes
@@ -49,20 +50,21 @@ export function rounded(g, header) {
   const b = grey ? 0 : integer((red - 2 * green + blue) / (sqrt(6) * step), MAX_COLOUR);
   const square = y * y + a * a + b * b;
   if (!square) return null;
-  const h = min((log2(square) + 1) >> 1, 18);
+  const h = exponentOf(square);
   const uBits = min(max(h - 1, 0), 12);
   const steps = 2 ** h;
   const u = clamp(floor((size - k + 0.5) * 2 ** uBits), 0, 2 ** uBits - 1);
   const v = integer((log(g[2] / g[4]) / 2) * steps, 8 * steps);
   const within = (u + 0.5) / 2 ** uBits;
   // Chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded.
-  const flat = valuesOf(quantum, k, h, within, v, 0, [y, a, b]);
-  const r = integer(((g[3] / g[2]) * flat[0] * steps) / (2 * flat[2]), 2048 * steps);
-  const parts = partBits(k, square, h, within, v, r);
+  const flat = new Float64Array(8);
+  setShape(flat, 0, quantum, k, h, within, v, 0, { y, a, b });
+  const r = integer(((g[3] / g[2]) * flat[2] * steps) / (2 * flat[4]), 2048 * steps);
+  const parts = [1, -1].map((sign) => partBits(k, square, h, within, v, r, sign));
   const side = sideOf(k);
   const column = clamp(floor(g[0] / side + 2), 0, cellsAlong(width, side) - 1);
   const row = clamp(floor(g[1] / side + 2), 0, cellsAlong(height, side) - 1);
   const px = clamp(floor((g[0] / side + 2 - column) * 2 ** parts[0]), 0, 2 ** parts[0] - 1);
   const py = clamp(floor((g[1] / side + 2 - row) * 2 ** parts[1]), 0, 2 ** parts[1] - 1);
-  return withGaussian({ k, y, a, b, h, uBits, u, v, r, parts, column, row, px, py, g: null }, header);
+  return withGaussian({ k, y, a, b, square, h, uBits, u, v, r, parts, column, row, px, py, g: null, spot }, header);
 }

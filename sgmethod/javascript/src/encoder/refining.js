@@ -28,7 +28,7 @@ function moved(s, name, step, header) {
 function neighbours(s, header) {
   const found = [s];
   const consider = (g) => {
-    const other = rounded(g, header); // another shape divides the cell differently
+    const other = rounded(g, header, s.spot); // another shape divides the cell differently
     if (other) found.push(other);
   };
   for (const step of [-1, 1]) {
@@ -50,10 +50,10 @@ function isSameShape(one, other) {
 }
 
 /** The best integers in place of these, or null if none are worth their bits. The grid is without them. */
-function chosen(s, grid, header, price, costs) {
+function chosen(s, grid, header, price, models) {
   let [best, least] = [null, 0];
   const consider = (one, products) => {
-    const cost = change(one.g, products, -2) + price * bitsOf(one, costs, header.grey);
+    const cost = change(one.g, products, -2) + price * bitsOf(one, models, header.grey);
     if (cost < least) [best, least] = [one, cost];
     return cost;
   };
@@ -66,11 +66,11 @@ function chosen(s, grid, header, price, costs) {
     for (let c = 0; c < 3; c++) ideal[5 + c] = products[c] / energy;
     const gained = change(one.g, products, -2) - change(ideal, products, -2);
     if (cost - gained - BITS_OF_COLOUR * price >= least) continue; // no other colour can win
-    const { y, a, b } = rounded(ideal, header) ?? one;
+    const { y, a, b } = rounded(ideal, header, s.spot) ?? one;
     const coloured = withGaussian({ ...one, y, a, b }, header);
     for (const axis of ["none", "y", "a", "b"]) {
       const smaller = axis === "none" ? coloured : moved(coloured, axis, -sign(coloured[axis]), header);
-      const other = rounded(smaller.g, header);
+      const other = rounded(smaller.g, header, s.spot);
       if (other) consider(other, isSameShape(one, other) ? products : project(grid, other.g));
     }
   }
@@ -80,24 +80,24 @@ function chosen(s, grid, header, price, costs) {
 /** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid is left without them.
  * price: squared error on the grid that a bit is worth. */
 export function refined(all, grid, header, price, limit) {
-  let [payload, costs] = payloadOf(all, header);
+  let [payload, models] = payloadOf(all, header);
   const sweep = () => {
     all = all.flatMap((s) => {
       subtract(grid, s.g, -1);
-      const best = chosen(s, grid, header, price, costs);
+      const best = chosen(s, grid, header, price, models);
       if (!best) return [];
       subtract(grid, best.g);
       return [best];
     });
-    [payload, costs] = payloadOf(all, header);
+    [payload, models] = payloadOf(all, header);
   };
   const drop = () => {
     while (payload.length > limit) {
-      const worths = all.map((s) => change(s.g, project(grid, s.g), 2) / bitsOf(s, costs, header.grey));
+      const worths = all.map((s) => change(s.g, project(grid, s.g), 2) / bitsOf(s, models, header.grey));
       const least = worths.indexOf(min(...worths));
       subtract(grid, all[least].g, -1);
       all.splice(least, 1);
-      [payload, costs] = payloadOf(all, header);
+      [payload, models] = payloadOf(all, header);
     }
   };
   leave(grid, all);

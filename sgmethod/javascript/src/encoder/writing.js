@@ -1,168 +1,168 @@
 // Integers to a payload, and a payload to a file: docs/format.md, "Payload" and "Header".
 
-import { adapt, edge } from "../coder.js";
+import { MODEL, bitsAfter, edge } from "../coder.js";
 import { ALPHA_HEADER, HEADER, crc32 } from "../header.js";
-import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V, newModels } from "../models.js";
+import { foldOf, groupOf, newMap } from "../map.js";
+import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, LUMA_BY_GROUP } from "../models.js";
+import { R, R_BY_DIRECTION, SHAPE_SIGNS, V, V_BY_GROUP, newModels } from "../models.js";
 import { level } from "../payload.js";
-import { MAX_CLASS, cellsAlong, sideOf } from "./integers.js";
+import { begin, newWriter, packed, symbolOf, write } from "./coder.js";
+import { MAX_CLASS } from "./integers.js";
 
 const { abs, floor, log2, max, min } = Math;
 
-const NOTHING = { y: 0, a: 0, b: 0, v: 0, r: 0, u: 0, uBits: 0, px: 0, py: 0, parts: [0, 0], h: 0 };
-const BITS_OF_PLACE = 6; // about those of a cell, beside the first distance
-
-/** A number's symbol; of those below 15, how many of its bits follow. */
-function symbolOf(value) {
-  const top = 31 - Math.clz32(value);
-  return value < 4 ? value : min(2 * top + ((value >> (top - 1)) & 1), 15);
-}
-const bitsAfter = (symbol) => max((symbol >> 1) - 1, 0);
-
-/** Begin a number; returns how many of its bits are still to come. */
-function begin({ symbol, fetch, raw }, row, value) {
-  const found = symbolOf(value);
-  symbol(row, found);
-  if (found < 15) return bitsAfter(found);
-  const top = 31 - Math.clz32(value);
-  fetch(5);
-  raw(top, 5);
-  fetch(top);
-  raw(value, top);
-  return 0;
-}
+const BITS_OF_DISTANCE = 7.4; // where a Gaussian is expected in every 64 parts
 
 const signsOf = (one, two, three) => 4 * (one < 0) + 2 * (two < 0) + (three < 0);
-const setOf = (one, two, three) => 4 * (one !== 0) + 2 * (two !== 0) + (three !== 0);
 const levelOf = (value) => level(symbolOf(abs(value)));
 
-/** Write cell and colour of `next` and shape and place of `now`, either of which may be missing. by: the distance of
- * their cells, whose last t bits have no model. */
-function writeTurn(coder, by, t, next, now, grey) {
-  const { symbol, fetch, raw } = coder;
-  const [isNext, isNow] = [next !== NOTHING, now !== NOTHING];
-  const write = (condition, row, value) => (condition ? begin(coder, row, abs(value)) : 0);
-  const far = floor(by / 2 ** t);
-  const bucket = min(now.h, 7);
-  const distance = write(isNext, DISTANCE, far);
-  if (isNow) symbol(COLOUR_SIGNS + setOf(now.y, now.a, now.b), signsOf(now.y, now.a, now.b));
-  const y = write(isNext, LUMA, next.y);
-  const v = write(isNow, V + bucket, now.v);
-  const a = write(isNext && !grey, A + levelOf(next.y), next.a);
-  const r = write(isNow, R + bucket, now.r);
-  const b = write(isNext && !grey, B + levelOf(next.a), next.b);
-  fetch(v + r + now.uBits + (isNext ? t : 0));
-  raw(abs(now.v), v);
-  raw(abs(now.r), r);
-  raw(now.u, now.uBits);
-  if (isNow) symbol(SHAPE_SIGNS + setOf(0, now.v, now.r), signsOf(0, now.v, now.r));
-  if (isNext) raw(by, t);
-  fetch(y + a + b + distance + now.parts[0] + now.parts[1]);
-  raw(abs(next.y), y);
-  raw(abs(next.a), a);
-  raw(abs(next.b), b);
-  raw(far, distance);
-  raw(now.px, now.parts[0]);
-  raw(now.py, now.parts[1]);
-}
-
-/** The bits of a number, given those of each symbol. */
-function bitsOfNumber(costs, value) {
-  const symbol = symbolOf(abs(value));
-  return costs[symbol] + (symbol < 15 ? bitsAfter(symbol) : 36 - Math.clz32(abs(value)));
-}
-
-/** About the bits of a Gaussian, given those of each symbol of each model. */
-export function bitsOf({ y, a, b, v, r, h, uBits, parts }, costs, grey) {
+/** The rows of a Gaussian's models, where it is; of a symbol or a number, one or two. */
+function rowsOf({ k, y, a, b, v, r, h, spot }) {
+  const group = groupOf(k);
   const bucket = min(h, 7);
-  let bits = BITS_OF_PLACE + costs[DISTANCE][0] + uBits + parts[0] + parts[1] + bitsOfNumber(costs[LUMA], y);
-  if (!grey) bits += bitsOfNumber(costs[A + levelOf(y)], a) + bitsOfNumber(costs[B + levelOf(a)], b);
-  bits += bitsOfNumber(costs[V + bucket], v) + bitsOfNumber(costs[R + bucket], r);
-  bits += costs[COLOUR_SIGNS + setOf(y, a, b)][signsOf(y, a, b)];
-  return bits + costs[SHAPE_SIGNS + setOf(0, v, r)][signsOf(0, v, r)];
+  const fold = foldOf(spot.direction);
+  const s = symbolOf(abs(v));
+  const slant = (s > 0) + (s > 3) + (s > 6);
+  return {
+    y: [LUMA + spot.energy, LUMA_BY_GROUP + group],
+    a: [A + levelOf(y), A_BY_GROUP + 4 * levelOf(y) + (group >> 2)],
+    b: [B + levelOf(a), B_BY_LUMA + 4 * levelOf(a) + levelOf(y)],
+    colourSigns: COLOUR_SIGNS + 4 * (y !== 0) + 2 * (a !== 0) + (b !== 0),
+    v: [V + 10 * bucket + fold, V_BY_GROUP + 8 * (group >> 1) + bucket],
+    r: [R + 6 * bucket + min((s + 1) >> 1, 5), R_BY_DIRECTION + 40 * bucket + 4 * fold + slant],
+    shapeSigns: SHAPE_SIGNS + 52 * (v !== 0) + 26 * (r !== 0) + spot.direction,
+  };
 }
 
-/** Bytes of bits, the first of which is the least significant, or the most. */
-function packed(bits, isFirstMost) {
-  const bytes = new Uint8Array((bits.length + 7) >> 3);
-  bits.forEach((bit, i) => (bytes[i >> 3] |= bit << (isFirstMost ? 7 - (i & 7) : i & 7)));
-  return bytes;
+/** By how many bits a Gaussian's place is divided further than by its part, along x and y. */
+const bitsOfPlace = ({ parts, spot }) => [max(parts[0] - spot.xBits, 0), max(parts[1] - spot.yBits, 0)];
+
+/** Write part and colour of `next`, and shape and place of `now`; either may be missing. gap: parts between them. */
+function writeTurn(writer, gap, next, now, grey) {
+  const { symbol, fetch, raw } = writer;
+  const [ofNext, ofNow] = [next && rowsOf(next), now && rowsOf(now)];
+  const number = (s, name, rows) => (s ? begin(writer, abs(s[name]), ...rows[name]) : 0);
+  const far = floor(gap / 8);
+  const distance = next ? begin(writer, far, DISTANCE) : 0;
+  if (now) symbol(signsOf(now.y, now.a, now.b), ofNow.colourSigns);
+  if (next) {
+    fetch(distance + 3);
+    raw(far, distance);
+    raw(gap, 3);
+  }
+  const y = number(next, "y", ofNext);
+  const v = number(now, "v", ofNow);
+  const a = number(!grey && next, "a", ofNext);
+  const r = number(now, "r", ofNow);
+  const b = number(!grey && next, "b", ofNext);
+  if (now) symbol(signsOf(0, now.v, now.r), ofNow.shapeSigns);
+  fetch(v + r + (now ? now.uBits : 0) + y + a + b);
+  if (now) {
+    raw(abs(now.v), v);
+    raw(abs(now.r), r);
+    raw(now.u, now.uBits);
+  }
+  if (next) {
+    raw(abs(next.y), y);
+    raw(abs(next.a), a);
+    raw(abs(next.b), b);
+  }
+  if (now) {
+    const [x, y] = bitsOfPlace(now);
+    fetch(x + y);
+    raw((now.column - 2) * 2 ** now.parts[0] + now.px, x);
+    raw((now.row - 2) * 2 ** now.parts[1] + now.py, y);
+  }
 }
 
-/** Collects what is to be coded; the entropy coder works backwards, so that bytes come at the end. */
-function newWriter() {
-  const models = newModels();
-  const steps = []; // of a symbol, where its share of 32768 begins and how much it is; or [0, 0, bits to be fetched]
-  const queue = [];
-  const symbol = (row, found) => {
-    const low = edge(models[row], found);
-    steps.push([low, edge(models[row], found + 1) - low]);
-    adapt(models[row], found);
-  };
-  const fetch = (count) => steps.push([0, 0, count]);
-  const raw = (value, count) => {
-    for (let i = 0; i < count; i++) queue.push(floor(value / 2 ** i) & 1);
-  };
-  const bytes = () => {
-    const words = [];
-    let state = 65536;
-    for (let i = steps.length - 1; i >= 0; i--) {
-      const [low, share] = steps[i];
-      if (!share) continue;
-      if (state >= share * 131072) {
-        words[i] = state % 65536;
-        state = floor(state / 65536);
-      }
-      state = floor(state / share) * 32768 + (state % share) + low;
-    }
-    const out = [state & 255, (state >>> 8) & 255, (state >>> 16) & 255, state >>> 24];
-    const rawBytes = packed(queue, false);
-    let [left, head] = [0, 0];
-    steps.forEach(([, share, count], i) => {
-      if (words[i] !== undefined) out.push(words[i] & 255, words[i] >> 8);
-      if (share) return;
-      for (; left < count; left += 8) out.push(rawBytes[head++]);
-      left -= count;
-    });
-    return out;
-  };
-  const cost = (model) => Float64Array.from({ length: 16 }, (_, i) => 15 - log2(edge(model, i + 1) - edge(model, i)));
-  return { symbol, fetch, raw, bytes, costs: () => models.map(cost) };
+/** The bits of a symbol by these models. */
+function bitsOfSymbol(models, symbol, row, second = row) {
+  const [one, two] = [MODEL * row + symbol, MODEL * second + symbol];
+  return 15 - log2(edge(models, one + 1, two + 1) - edge(models, one, two));
 }
 
-/** Every other bit of a Morton code. */
+/** About the bits of a Gaussian, where it was when it was last written. */
+export function bitsOf(s, models, grey) {
+  const rows = rowsOf(s);
+  const [x, y] = bitsOfPlace(s);
+  let bits = BITS_OF_DISTANCE + s.uBits + x + y;
+  for (const name of grey ? ["y", "v", "r"] : ["y", "a", "b", "v", "r"]) {
+    const value = abs(s[name]);
+    const symbol = symbolOf(value);
+    bits += bitsOfSymbol(models, symbol, ...rows[name]);
+    bits += symbol < 15 ? bitsAfter(symbol) : 36 - Math.clz32(value);
+  }
+  bits += bitsOfSymbol(models, signsOf(s.y, s.a, s.b), rows.colourSigns);
+  return bits + bitsOfSymbol(models, signsOf(0, s.v, s.r), rows.shapeSigns);
+}
+
+/** A number's bits, two places apart. */
 const spread = (n) => {
   let code = 0;
   for (let bit = 1, to = 1; bit <= n; bit *= 2, to *= 4) if (n & bit) code += to;
   return code;
 };
 
-/** The payload of Gaussians' integers, a list of bytes; and the bits of each symbol of each model at its end. */
+/** The block of a class in which a Gaussian lies. */
+const blockOf = ({ column, row }, { columns, halvings }) =>
+  columns * (((row - 2) >> halvings) + 2) + ((column - 2) >> halvings) + 2;
+
+/** The part of its block in which a Gaussian lies. */
+function partOf({ column, row, px, py, parts }, { level, halvings }) {
+  const along = (cell, part, bits, by) => {
+    const place = ((cell - 2) & (2 ** halvings - 1)) * 2 ** bits + part;
+    return spread(floor(place * 2 ** (by - halvings - bits)));
+  };
+  const odd = level & 1;
+  const [x, y] = [along(column, px, parts[0], level >> 1), along(row, py, parts[1], (level + 1) >> 1)];
+  return (x << odd) + (y << (1 - odd));
+}
+
+/** The payload of Gaussians' integers, a list of bytes; and the models at its end. Each gets a `spot`: what is known of
+ * it by its part. */
 export function payloadOf(all, header) {
-  const writer = newWriter();
-  if (!all.length) return [[], writer.costs()];
-  const coded = all.map((s) => ({ ...s, cell: spread(s.column) + 2 * spread(s.row) }));
-  coded.sort((one, other) => other.k - one.k || one.cell - other.cell);
-  const [first, last] = [coded[0].k, coded.at(-1).k];
+  const models = newModels();
+  const writer = newWriter(models);
+  if (!all.length) return [[], models];
+  const sorted = all.slice().sort((one, other) => other.k - one.k);
+  const [first, last] = [sorted[0].k, sorted.at(-1).k];
   for (const value of [MAX_CLASS - first, first - last]) {
     writer.fetch(6);
     writer.raw(value, 6);
   }
+  const [beginClass, advance, look, add, at] = newMap(header);
   for (let k = first; k >= last; k--) {
-    const here = coded.filter((s) => s.k === k);
-    const n = here.length;
-    const rest = begin(writer, COUNT, n);
-    writer.fetch(rest);
-    writer.raw(n, rest);
-    const side = sideOf(k);
-    const cells = cellsAlong(header.width, side) * cellsAlong(header.height, side);
-    let t = 0;
-    for (let mean = floor(cells / max(n, 1)); mean >= 8; mean /= 2) t++;
-    for (let i = 0; i <= n && n; i++) {
-      const by = i < n ? here[i].cell - (i ? here[i - 1].cell : 0) : 0;
-      writeTurn(writer, by, min(t, 24), here[i] ?? NOTHING, here[i - 1] ?? NOTHING, header.grey);
+    const here = sorted.filter((s) => s.k === k);
+    write(writer, here.length, COUNT);
+    if (!here.length) continue;
+    beginClass(k, here.length);
+    const blocks = new Map();
+    for (const s of here) {
+      const block = blockOf(s, at);
+      blocks.set(block, [...(blocks.get(block) ?? []), s]);
     }
+    let now;
+    for (const [block, within] of [...blocks].sort(([one], [other]) => one - other)) {
+      let gap = 0;
+      while (at.block < block) {
+        const rest = 2 ** at.level - at.part;
+        gap += rest;
+        advance(rest);
+      }
+      const parts = new Map(within.map((s) => [s, partOf(s, at)]));
+      for (const s of within.sort((one, other) => parts.get(one) - parts.get(other))) {
+        const on = parts.get(s) - at.part;
+        advance(on);
+        look((s.spot = {}));
+        writeTurn(writer, gap + on, s, now, header.grey);
+        add(s.square * 2 ** (-2 - k), Float32Array.from(s.g), 0);
+        gap = 0;
+        now = s;
+      }
+    }
+    writeTurn(writer, 0, null, now, header.grey);
   }
-  return [writer.bytes(), writer.costs()];
+  return [writer.bytes(), models];
 }
 
 /** A short file. header and alpha, if there is one: width, height, code of the quantum, background of five bits a
