@@ -4,7 +4,7 @@
 
 The pictures are the photographs that benchmarks.perceptual.photographs puts into FOLDER/tuning, whole and two crops of
 each at the middle of their sides, and six of skimage.data; none of them is measured anywhere. They are encoded at three
-rates, and the whole ones as previews. The plain decoder of the tests says what every symbol and every block saw.
+rates, and as previews of three sizes. The plain decoder of the tests says what every symbol and every block saw.
 --write replaces sgmethod/native/rd/start_tables.h and structure_net.h; without it, they go to the folder of work. Files
 coded with other tables are no longer readable.
 """
@@ -34,10 +34,8 @@ SKIMAGE = ("astronaut", "coffee", "chelsea", "rocket", "retina", "hubble_deep_fi
 RATES, PREVIEW_BYTES = (0.1, 0.25, 0.4), (60, 200, 1000)
 SIDE = 768
 ROWS = 128  # of start tables
-PRIOR, MOST = (
-    8.0,
-    4000.0,
-)  # symbols: of a table's mean row in each of its rows; that a row counts as in choosing common ones
+PRIOR = 8.0  # symbols of a table's mean row in each of its rows
+BEGINNING = 16.0  # symbols that a model's start is worth: the n-th counts 16 / (16 + n)
 MAP_UNITS, OWN_UNITS, GROUPS = 4, 3, 14
 EPOCHS, BATCH, RATE = 6, 4096, 8e-3
 TABLES = {  # names in C++, and the numbers of rows
@@ -82,12 +80,10 @@ def prepared(tuning: Path, folder: Path) -> list[Path]:
 
 
 def encoded(picture: Path, folder: Path) -> list[Path]:
-    """Encode a picture at every rate, and a whole one as previews too, unless the files are there."""
+    """Encode a picture at every rate, and as previews, unless the files are there."""
     budgets: list[dict[str, Any]] = [{"bpp": bpp} for bpp in RATES]
-    if "-" not in picture.stem:
-        budgets += [{"bytes": size} for size in PREVIEW_BYTES]
     files = []
-    for budget in budgets:
+    for budget in [*budgets, *({"bytes": size} for size in PREVIEW_BYTES)]:
         ((kind, value),) = budget.items()
         files.append(folder / f"{picture.stem} {kind}={value}.sg")
         if not files[-1].exists():
@@ -122,7 +118,7 @@ def seen_in(file: Path) -> tuple[Counts, NDArray[np.float32]]:
             symbol = super().symbol(which, *models)
             for model in models:
                 name, row = _Watched.found[id(model)]
-                counts[name][row, symbol] += 1
+                counts[name][row, symbol] += BEGINNING / (BEGINNING + model.seen - 1)
             return symbol
 
     class Blocks(plain.Blocks):
@@ -142,7 +138,7 @@ def seen_in(file: Path) -> tuple[Counts, NDArray[np.float32]]:
 
 def features(blocks: plain.Blocks) -> NDArray[np.float32]:
     """What a class's blocks within the picture saw."""
-    counts = blocks.counts
+    counts = blocks.counts[4:, 4:-4]
     padded = np.pad(counts, 4)
     height, width = counts.shape
 
@@ -153,7 +149,7 @@ def features(blocks: plain.Blocks) -> NDArray[np.float32]:
     above = sum(at(dy, dx) for dy in range(-4, 0) for dx in range(-4, 5))
     q = np.minimum(above + sum(at(0, dx) for dx in range(-4, 0)), 255)
     own = [
-        np.vectorize(lambda k, by=by: plain.of_integer(256 * int(k) * blocks.inside // (by * blocks.n) + 77))(number)
+        np.vectorize(lambda k, by=by: plain.lg(256 * int(k) * blocks.inside // (by * blocks.n) + 77) - 128)(number)
         for number, by in ((p, 6), (q, 40))
     ]
     group, density = np.full(counts.shape, blocks.group), np.full(counts.shape, blocks.density)
@@ -169,7 +165,7 @@ def started(counts: Counts) -> tuple[NDArray[np.int64], dict[str, list[int]]]:
         mean = (of_table.sum(0) + 0.02) / (of_table.sum() + 0.32)
         for row, symbols in enumerate(of_table):
             wanted.append((symbols + PRIOR * mean) / (symbols.sum() + PRIOR))
-            weights.append(min(symbols.sum(), MOST))
+            weights.append(symbols.sum())
             where.append((name, row))
     shares, weight = np.array(wanted), np.array(weights)
     shares = (shares + 0.0005) / (1 + 16 * 0.0005)

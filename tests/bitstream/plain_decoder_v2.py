@@ -325,7 +325,7 @@ def read_payload(header: Header, coder: Coder, is_part: bool) -> Iterator[Intege
     if not coder.payload:
         return
     models = Models()
-    most = min(header.width * header.height, MAX_GAUSSIANS, 8 * len(coder.payload) + 64)
+    most = min(header.width * header.height, MAX_GAUSSIANS, 3 * len(coder.payload) + 64)
     is_begun = min(coder.states) >= 65536
     coder.fetch(6)
     first = 28 - coder.take(6)
@@ -355,7 +355,7 @@ def read_payload(header: Header, coder: Coder, is_part: bool) -> Iterator[Intege
                 yield before
                 found.append(before)
                 total += 1
-        for one in found:
+        for one in [] if header.is_short else found:
             the_map.add(one, gaussian_of(header, one))
     refuse_unless(is_part or set(coder.states) == {65536}, "last states")
     refuse_unless(is_part or coder.queue == 0, "last bits")
@@ -487,6 +487,14 @@ class Blocks:
         """`here` of all blocks."""
         if not self.is_known:
             return np.zeros((self.rows, self.columns), np.int64)
+        of, f = tables(), self.features()
+        total = np.full(f[0].shape, 64 * of["map_base"][self.group], np.int64)
+        for out, bias, weights in zip(of["map_out"], of["map_bias"][self.group], of["map_weights"], strict=True):
+            total += out * (np.maximum(64 * bias + sum(w * x for w, x in zip(weights, f, strict=True)), 0) // 64)
+        return total // 64
+
+    def features(self) -> list[NDArray[np.int64]]:
+        """f0 to f3 of all blocks."""
         block = self.of_map
         for m in range(self.m, self.level):
             block = pooled(block, *self.map.shape(m + 1))
@@ -496,17 +504,12 @@ class Blocks:
         rows, columns = ((np.arange(n) - 2) // 4 + 2 for n in block.shape[1:])
         e, (s, sx, sy), sf = block[0], sums_of_9(block), sums_of_9(far)[0][rows[:, None], columns]
         mean = self.map.mean(self.level)
-        f = [
+        return [
             limited(log2_16(e + TINY) - mean, 255),
             limited(log2_16(s + np.float32(9) * TINY) - mean, 255),
             limited(log2_16(sf + np.float32(144) * TINY) - mean, 255),
             limited(log2_16((abs(sx) + abs(sy)) + TINY) - log2_16(s + TINY), 255),
         ]
-        of = tables()
-        total = np.full(e.shape, 64 * of["map_base"][self.group], np.int64)
-        for out, bias, weights in zip(of["map_out"], of["map_bias"][self.group], of["map_weights"], strict=True):
-            total += out * (np.maximum(64 * bias + sum(w * x for w, x in zip(weights, f, strict=True)), 0) // 64)
-        return total // 64
 
     def own(self, row: int, column: int) -> int:
         """What the class's own Gaussians in the blocks before this tell."""
@@ -660,7 +663,7 @@ def read_turn(
         y = coder.number(COLOUR, models.luma[part.energy], models.luma_by_group[group])
     if now:
         v = coder.number(
-            SHAPE, models.v[10 * now.bucket + now.part.fold], models.v_by_group[8 * (group // 2) + now.bucket]
+            SHAPE, models.v[8 * now.part.fold + now.bucket], models.v_by_group[8 * (group // 2) + now.bucket]
         )
     if has_next and not header.grey:
         a = coder.number(COLOUR, models.a[y.magnitude], models.a_by_group[4 * y.magnitude + group // 4])
@@ -668,13 +671,13 @@ def read_turn(
         r = coder.number(
             SHAPE,
             models.r[6 * now.bucket + min((v.symbol + 1) // 2, 5)],
-            models.r_by_direction[4 * (10 * now.bucket + now.part.fold) + v.slant],
+            models.r_by_direction[4 * (8 * now.part.fold + now.bucket) + v.slant],
         )
     if has_next and not header.grey:
         b = coder.number(COLOUR, models.b[a.magnitude], models.b_by_luma[4 * a.magnitude + y.magnitude])
     if now:
         is_not_0 = 2 * (v.symbol != 0) + (r.symbol != 0)
-        signs = coder.symbol(SHAPE, models.shape_signs[26 * is_not_0 + now.part.direction])
+        signs = coder.symbol(SHAPE, models.shape_signs[4 * now.part.direction + is_not_0])
 
     coder.fetch(v.rest + r.rest + (now.u_bits if now else 0) + y.rest + a.rest + b.rest)
     if now:

@@ -160,7 +160,7 @@ def write_payload(
             found = write_class(header, coder, models, size_class(header, k, len(of_k), the_map), of_k)
         except RefusedError:
             break
-        for one in found:
+        for one in [] if header.is_short else found:
             the_map.add(one, gaussian_of(header, one))
     coder.taken.append((2**stray - 1, stray))
     return coder.finish(last_state, is_early)

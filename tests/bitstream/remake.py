@@ -187,7 +187,7 @@ def refusals() -> dict[str, bytes]:
         "last class below -4": small([DOT, Wanted(-5)]),
         "more Gaussians than pixels": small([DOT] * 2, 1),
         "more Gaussians than pixels, but not in one class": small([DOT, Wanted(-1)], 1),
-        "more Gaussians than 8 for each byte and 64 more": small([DOT], 40, promised=1200),
+        "more Gaussians than 3 for each byte and 64 more": small([DOT], 40, promised=1200),
         "|v| above its limit": small([Wanted(0, shape=(0, 9, 0))]),
         "|r| above its limit": small([Wanted(0, shape=(0, 0, 2049))]),
         "no colour": small([Wanted(0, colour=(0, 0, 0))]),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 import shutil
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from sgmethod.native import native
 FILES = 2000  # of each kind
 SIDES = [1, 2, 7, 16, 33, 64, 300, 4096, 65_535]
 NATIVE = ROOT / "sgmethod" / "native" / "rd"
-KINDS = "Count Distance LumaByEnergy LumaByClass A AByClass B BByLuma ColorSigns V VByClass R RByDirection ShapeSigns"
 
 Header = dict[str, Any]
 DECODE = """
@@ -34,20 +33,17 @@ console.log(JSON.stringify(JSON.parse(readFileSync(0)).map(([header, payload]) =
   }}
 }})));
 """
-TABLES = """
-const {{ MODEL, modelsOf }} = await import("{folder}/coder.js");
-const {{ NET, newModels }} = await import("{folder}/models.js");
-const rows = {rows}.map((row) => [...row, 256]);
-console.log(JSON.stringify([NET, String(newModels()) === String(modelsOf(rows))]));
-"""
+
+
+def run_node(arguments: list[str], given: str = "") -> str:
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    command = ["node", "--no-warnings", *arguments]
+    return subprocess.run(command, input=given, capture_output=True, text=True, check=True, timeout=120).stdout
 
 
 def in_node(script: str, given: str = "") -> Any:
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
-    command = ["node", "--input-type=module", "--no-warnings", "--eval", script]
-    done = subprocess.run(command, input=given, capture_output=True, text=True, check=True, timeout=120)
-    return json.loads(done.stdout)
+    return json.loads(run_node(["--input-type=module", "--eval", script], given))
 
 
 def parameters(header: Header) -> Any:
@@ -103,23 +99,11 @@ def test_it_decodes_and_refuses_the_same() -> None:
     assert FILES / 5 < accepted < FILES  # so that both are tried
 
 
-def numbers(file: str, name: str) -> list[int]:
-    found = re.search(rf" {name}\[.* = (\{{[^;]*);", (NATIVE / file).read_text())
-    assert found is not None
-    return [int(number) for number in re.findall(r"-?\d+", found[1])]
-
-
-def test_it_has_the_tables() -> None:
-    """Those that `node sgmethod/javascript/tables.mjs` has packed."""
-    starts = np.reshape(numbers("start_tables.h", "kStarts"), (-1, 15)).tolist()
-    rows = [starts[row] for kind in KINDS.split() for row in numbers("start_tables.h", f"kStart{kind}")]
-    net, same = in_node(TABLES.format(folder=JAVASCRIPT.as_uri(), rows=rows))
-    assert same
-    expected = numbers("structure_net.h", "kMapBase")
-    for name, inputs in (("Map", 4), ("Own", 3)):
-        of = {kind: numbers("structure_net.h", f"k{name}{kind}") for kind in ("Bias", "Weights", "Out")}
-        units = len(of["Out"])
-        for h, out in enumerate(of["Out"]):
-            weights = of["Weights"][inputs * h : inputs * (h + 1)]
-            expected += [*weights, *[0] * (4 - inputs), out, *of["Bias"][h::units]]
-    assert net == expected
+def test_it_has_the_tables(tmp_path: Path) -> None:
+    """Those that `node sgmethod/javascript/tables.mjs` packs."""
+    shutil.copytree(JAVASCRIPT.parent, tmp_path / "javascript")
+    shutil.copytree(NATIVE, tmp_path / "native" / "rd")
+    tables = tmp_path / "javascript" / "src" / "tables.js"
+    tables.unlink()
+    run_node([str(tmp_path / "javascript" / "tables.mjs")])
+    assert tables.read_text() == (JAVASCRIPT / "tables.js").read_text()

@@ -1,7 +1,8 @@
 // From an .sg file to its Gaussians, and the bits that each took.
 
 import { CELL, OCTAVES, SgError, readHeader, refuseUnless, unknown } from "./header.js";
-import { A, B, COLOUR_SIGNS, DISTANCE, END, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
+import { A, ALL, B, COLOUR_SIGNS, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
+import { MAPPED_LUMA, MAPPED_R, MAPPED_SIGNS, MAPPED_V } from "./models.js";
 import { readGaussians } from "./payload.js";
 
 const MAX_STRENGTH = 15;
@@ -15,10 +16,14 @@ const FIRST_ROWS = {
   [V]: "shape",
   [R]: "slant",
   [SHAPE_SIGNS]: "shape",
+  [MAPPED_LUMA]: "light",
+  [MAPPED_V]: "shape",
+  [MAPPED_R]: "slant",
+  [MAPPED_SIGNS]: "shape",
 };
 // The same by each row; the count of Gaussians describes none.
 const described = [];
-for (let row = DISTANCE; row < END; row++) described[row] = FIRST_ROWS[row] ?? described[row - 1];
+for (let row = DISTANCE; row < ALL; row++) described[row] = FIRST_ROWS[row] ?? described[row - 1];
 
 function refuseOthers([first, second]) {
   if (first === 0xd3 && second === 0xc2) return;
@@ -92,7 +97,7 @@ function readPayload(header, payload) {
 export function countInPart(file, part) {
   if (part >= 1) return file.count;
   const bytes = Math.ceil(part * file.payloadBytes);
-  let [low, high] = [0, Math.min(file.count, 8 * bytes + 64)];
+  let [low, high] = [0, Math.min(file.count, 3 * bytes + 64)];
   while (low < high) {
     const middle = (low + high + 1) >> 1;
     if (file.ends[middle - 1] <= bytes) low = middle;

@@ -1,7 +1,8 @@
-// What the Gaussians decoded so far tell of the next class: docs/format.md, "The map".
+// The walk through a class's blocks, and what the Gaussians decoded so far tell of them: docs/format.md, "The map". Short
+// files have no map, and modules that read only these leave out what is labelled WHOLE.
 
 import { abs, floor, fround, max, min, refuseUnless } from "./header.js";
-import { NET } from "./models.js";
+import { LUMA, MAPPED_LUMA, MAPPED_R, MAPPED_SIGNS, MAPPED_V, NET, R_BY_DIRECTION, SHAPE_SIGNS, V } from "./models.js";
 
 const TINY = 2 ** -12;
 const view = new DataView(new ArrayBuffer(8));
@@ -42,10 +43,10 @@ const along = (plane, i) => fround(fround(plane[i - 1] + plane[i]) + plane[i + 1
 const sumAround = (plane, i, stride) =>
   fround(fround(along(plane, i - stride) + along(plane, i)) + along(plane, i + stride));
 
-/** The functions that make a map and walk through a class, and where they are.
+/** The functions that walk through a class and make a map of it, and where they are.
  *
- * Planes have zeros around their blocks: a row above and three below, and three columns behind each row. */
-export function newMap({ width, height }) {
+ * Planes of the map have zeros around their blocks: a row above and three below, and three columns behind each row. */
+export function newMap({ width, height, isShort }) {
   const columnsOf = (bits) => ((width - 1) >> bits) + 5;
   const rowsOf = (bits) => ((height - 1) >> bits) + 5;
   const insideOf = (bits) => (columnsOf(bits) - 4) * (rowsOf(bits) - 4);
@@ -58,7 +59,7 @@ export function newMap({ width, height }) {
   let gaussians = 0;
   let energy = 0; // of all of them
   // Of the class:
-  let known; // energy before it
+  let known = 0; // energy before it
   let before; // planes, as they were before it
   let ofClass; // the same in its blocks
   let F;
@@ -86,19 +87,23 @@ export function newMap({ width, height }) {
     const g = max(0, (k + 1) >> 1);
     let bits = max(g, 3);
     while (bits < 12 && columnsOf(bits) * rowsOf(bits) > 8 * gaussians + 1024) bits++;
-    m ??= bits;
-    planes ??= [0, 0, 0].map(() => newPlane(m, () => 0));
-    for (; m > bits; m--) planes = planes.map((plane) => divided(plane, m));
-    before = ofClass = planes.map((plane) => plane.slice());
-    for (M = m, n = number; M < 12 && insideOf(M) > 8 * n + 64; M++) {
-      ofClass = ofClass.map((plane) => pooled(plane, M));
+    WHOLE: {
+      planes ??= [0, 0, 0].map(() => newPlane(bits, () => 0));
+      for (let finer = m ?? bits; finer > bits; finer--) planes = planes.map((plane) => divided(plane, finer));
+      before = ofClass = planes.map((plane) => plane.slice());
+      known = energy;
+      group = groupOf(k);
     }
-    F = pooled(pooled(ofClass[0], M), M + 1);
-    known = energy;
-    group = groupOf(k);
+    m = bits;
+    for (M = m, n = number; M < 12 && insideOf(M) > 8 * n + 64; M++) {
+      WHOLE: ofClass = ofClass.map((plane) => pooled(plane, M));
+    }
     at.halvings = M - g;
     at.columns = columnsOf(M);
-    counts = new Uint8ClampedArray((at.columns + 4) * (rowsOf(M) + 4));
+    WHOLE: {
+      F = pooled(pooled(ofClass[0], M), M + 1);
+      counts = new Uint8ClampedArray((at.columns + 4) * (rowsOf(M) + 4));
+    }
     at.block = at.part = 0;
     enter();
   };
@@ -108,14 +113,15 @@ export function newMap({ width, height }) {
 
   /** Find the level of the current block. */
   const enter = () => {
-    const stride = at.columns + 4;
     const r = floor(at.block / at.columns);
     const c = at.block % at.columns;
     refuseUnless(r < rowsOf(M), "a place is out of range");
-    i = (r + 4) * stride + c + 4;
     const density = lg(floor((256 * n) / insideOf(M)) + 1) - 128;
     let parts = density + (r > 1 && c > 1 && r < rowsOf(M) - 2 && c < at.columns - 2 ? 104 : 56);
-    if (known) {
+    WHOLE: {
+      const stride = at.columns + 4;
+      i = (r + 4) * stride + c + 4;
+      if (!known) break WHOLE;
       const [E, X, Y] = ofClass;
       const block = indexOf(M, r, c);
       const mean = meanOf(M);
@@ -146,32 +152,47 @@ export function newMap({ width, height }) {
   };
 
   /** Count a Gaussian in the current block, and set what its part tells: the block's first cell, the part of the block,
-   * by how many bits it divides a cell along x and y, and what surrounds it. */
+   * by how many bits it divides a cell along x and y, and the rows of models that are chosen by what surrounds it. */
   const look = (spot) => {
     const { level, part, halvings, columns } = at;
     const odd = level & 1;
     const row = floor(at.block / columns) - 2;
     const column = (at.block % columns) - 2;
-    counts[i]++;
     spot.left = column * 2 ** halvings;
     spot.top = row * 2 ** halvings;
     spot.across = even(part >> odd);
     spot.down = even(part >> (1 - odd));
     spot.xBits = (level >> 1) - halvings;
     spot.yBits = ((level + 1) >> 1) - halvings;
-    const place = (first, part, bits, blocks) => min(max(first * 2 ** (M - m) + ((part << (M - m)) >> bits) + 2, 0), blocks - 1);
-    const x = place(column, spot.across, level >> 1, columnsOf(m));
-    const y = place(row, spot.down, (level + 1) >> 1, rowsOf(m));
-    const block = indexOf(m, y, x);
-    const [E, X, Y] = before;
-    const S = sumAround(E, block, strideOf(m));
-    const energy = L(fround(S * fround(1 / 9))) - meanOf(m);
-    spot.energy = known && 1 + min(max(floor(energy / 24 + 4), 0), 7);
-    spot.direction = known && directionOf(S * S, sumAround(X, block, strideOf(m)), sumAround(Y, block, strideOf(m)));
+    spot.lumaRow = LUMA;
+    spot.vRow = V;
+    spot.rRow = R_BY_DIRECTION;
+    spot.signsRow = SHAPE_SIGNS;
+    WHOLE: {
+      counts[i]++;
+      if (!known) break WHOLE;
+      const place = (first, part, bits, blocks) =>
+        min(max(first * 2 ** (M - m) + ((part << (M - m)) >> bits) + 2, 0), blocks - 1);
+      const x = place(column, spot.across, level >> 1, columnsOf(m));
+      const y = place(row, spot.down, (level + 1) >> 1, rowsOf(m));
+      const block = indexOf(m, y, x);
+      const [E, X, Y] = before;
+      const S = sumAround(E, block, strideOf(m));
+      const energy = L(fround(S * fround(1 / 9))) - meanOf(m);
+      spot.lumaRow = MAPPED_LUMA + min(max(floor(energy / 24 + 4), 0), 7);
+      const direction = directionOf(S * S, sumAround(X, block, strideOf(m)), sumAround(Y, block, strideOf(m)));
+      spot.signsRow = MAPPED_SIGNS + 4 * (direction - 1);
+      if (direction < 2) break WHOLE;
+      const fold = foldOf(direction);
+      spot.vRow = MAPPED_V + 8 * (fold - 1);
+      spot.rRow = MAPPED_R + 32 * (fold - 1);
+    }
   };
 
-  /** Add a Gaussian, whose numbers are at `of` in an array. strength: */
-  const add = (strength, values, of) => {
+  let add;
+  /** Add a Gaussian, whose numbers are at `of` in an array, to the map. strength: of its colour, for its size. */
+  WHOLE: add = (strength, values, of) => {
+    if (isShort) return;
     const x = values[of];
     const y = values[of + 1];
     const l1 = values[of + 2];
@@ -211,6 +232,5 @@ function directionOf(square, x, y) {
   return 2 + 8 * ((5 * sum >= square) + (2 * sum >= square)) + octant;
 }
 
-/** The same of directions that mirror each other. */
-export const foldOf = (direction) =>
-  direction < 2 ? 0 : 1 + 3 * ((direction - 2) >> 3) + (direction & 1 || (direction - 2) & 3);
+/** The same of directions that mirror each other, from 2 on. */
+const foldOf = (direction) => 1 + 3 * ((direction - 2) >> 3) + (direction & 1 || (direction - 2) & 3);

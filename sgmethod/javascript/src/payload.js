@@ -2,9 +2,9 @@
 
 import { newCoder } from "./coder.js";
 import { floor, fround, max, min, refuseUnless } from "./header.js";
-import { foldOf, groupOf, lg, newMap } from "./map.js";
-import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, LUMA_BY_GROUP } from "./models.js";
-import { R, R_BY_DIRECTION, SHAPE_SIGNS, V, V_BY_GROUP, newModels } from "./models.js";
+import { groupOf, lg, newMap } from "./map.js";
+import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA_BY_GROUP } from "./models.js";
+import { R, V, V_BY_GROUP, newModels } from "./models.js";
 
 const COLOUR = 0; // the states
 const SHAPE = 1;
@@ -16,9 +16,9 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
   let values = new Float32Array(0);
   if (!payload.length) return values;
   const [symbol, number, fetch, take, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort, onCost);
-  const [begin, advance, look, add] = newMap({ width, height });
+  const [begin, advance, look, add] = newMap({ width, height, isShort });
   const refuseOverrun = () => refuseUnless(bytesRead() <= payload.length, "it ends too early");
-  const most = min(width * height, 2 ** 24, 8 * payload.length + 64);
+  const most = min(width * height, 2 ** 24, 3 * payload.length + 64);
   let [now, next] = [{}, {}]; // a Gaussian whose place is incomplete, and the one behind it
   let at = 0; // in values
   fetch(6);
@@ -53,9 +53,8 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
     // A turn holds part and colour of the next Gaussian, then shape and place of the one before it.
     for (let i = 0; i <= n; i++) {
       const isMore = i < n;
-      const { h, uBits, direction } = now;
+      const { h, uBits } = now;
       const bucket = min(h, 7);
-      const fold = foldOf(direction);
       const distance = isMore && number(COLOUR, DISTANCE);
       if (i) {
         const signs = symbol(SHAPE, COLOUR_SIGNS + 4 * (now.y > 0) + 2 * (now.a > 0) + (now.b > 0));
@@ -69,16 +68,16 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
         advance(8 * whole(distance) + take(3));
         look(next);
       }
-      const y = isMore && number(COLOUR, LUMA + next.energy, LUMA_BY_GROUP + group);
-      let v = i && number(SHAPE, V + 10 * bucket + fold, V_BY_GROUP + 8 * (group >> 1) + bucket);
+      const y = isMore && number(COLOUR, next.lumaRow, LUMA_BY_GROUP + group);
+      let v = i && number(SHAPE, now.vRow + bucket, V_BY_GROUP + 8 * (group >> 1) + bucket);
       const a = isMore && !grey && number(COLOUR, A + level(y), A_BY_GROUP + 4 * level(y) + (group >> 2));
       const slant = (v > 0) + (v > 3) + (v > 6);
       let r =
         i &&
         !upright &&
-        number(SHAPE, R + 6 * bucket + (min(v + 1, 10) >> 1), R_BY_DIRECTION + 40 * bucket + 4 * fold + slant);
+        number(SHAPE, R + 6 * bucket + (min(v + 1, 10) >> 1), now.rRow + 4 * bucket + slant);
       const b = isMore && !grey && number(COLOUR, B + level(a), B_BY_LUMA + 4 * level(a) + level(y));
-      const signs = i && symbol(SHAPE, SHAPE_SIGNS + 52 * (v > 0) + 26 * (r > 0) + direction);
+      const signs = i && symbol(SHAPE, now.signsRow + 2 * (v > 0) + (r > 0));
       fetch(uBits);
       WHOLE: onCost?.(uBits, SHAPE, V);
       v = whole(v);
@@ -107,7 +106,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
         values[at + 1] = place(now.top, now.down, now.yBits, py, height);
         setShape(values, at, quantum, k, h, u, v, r, now);
         refuseOverrun();
-        add(now.square * 2 ** (-2 - k), values, at);
+        WHOLE: add(now.square * 2 ** (-2 - k), values, at);
         at += 8;
       }
       WHOLE: onTurn?.(i > 0, bytesRead());

@@ -32,11 +32,11 @@ double strength_of(const Symbols& s) {
   return static_cast<double>(Steps(s).square) * std::ldexp(1.0, -2 - s.size_class);
 }
 
-// The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Fitted
-// Gaussians are far from the limit: they take 20 bits and more.
+// The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Each takes
+// three bits at least, the lowest of its distance; fitted ones take 20 and more.
 uint64_t most_in(const RdParameters& p, size_t bytes) {
   const uint64_t pixels = static_cast<uint64_t>(p.width) * static_cast<uint64_t>(p.height);
-  return std::min({pixels, kMaxGaussians, uint64_t{8} * bytes + 64});
+  return std::min({pixels, kMaxGaussians, uint64_t{3} * bytes + 64});
 }
 
 template <typename Coder>
@@ -196,7 +196,7 @@ DecodeChunk<kStates> best_decode_chunk() {
 }
 
 template <size_t kStates>
-size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t room, bool is_last) {
+size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t room, bool maps) {
   static const auto decode_chunk = best_decode_chunk<kStates>();
   const SizeClass c = class_of(d.p, size_class);
   d.structure.begin(size_class, count);
@@ -215,13 +215,13 @@ size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t r
     values.colors.resize(3 * (first + found));
     dequantise(d.p, d.symbols, d.parts, came,
                {values.means.data() + 2 * at, values.factors.data() + 3 * at, values.colors.data() + 3 * at});
-    if (!is_last)
+    if (maps)
       for (int i = 0; i < came; ++i) d.out.strengths.push_back(strength_of(d.symbols[i]));
     d.arrived(d.out.count());
     if (came < wanted) break;
     d.symbols[0] = d.symbols[kChunk];
   }
-  if (!is_last)
+  if (maps)
     d.structure.add(values.means.data() + 2 * first, values.factors.data() + 3 * first, d.out.strengths.data(),
                     static_cast<int>(found));
   return found;
@@ -243,7 +243,7 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
     if (done + room > limit) refuse<std::overflow_error>("more Gaussians than the limit");
-    const size_t found = count == 0 ? 0 : read_class(d, c, std::min<uint32_t>(count, kMaxGaussians), room, c == last);
+    const size_t found = count == 0 ? 0 : read_class(d, c, std::min<uint32_t>(count, kMaxGaussians), room, c > last && !d.p.is_short);
     done += found;
     if (found < count) return false;
   }
@@ -333,14 +333,10 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
     if (n == 0) continue;
     structure.begin(c, n);
     encode_class(coder, models, p, structure, at, end);
-    if (c > last) add_class(structure, p, at, static_cast<int>(n));
+    if (c > last && !p.is_short) add_class(structure, p, at, static_cast<int>(n));
     at = end;
   }
-  std::vector<uint8_t> bytes = coder.finish(p.is_short ? 1 : kLanes);
-  // Thousands of equal Gaussians take less than a bit each, and may be more than the payload may hold. Zeros behind the
-  // last of them mean nothing.
-  while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);
-  return bytes;
+  return coder.finish(p.is_short ? 1 : kLanes);
 }
 
 std::vector<uint8_t> rd_encode(const RdParameters& p, const ConstGaussians& gaussians, int n) {

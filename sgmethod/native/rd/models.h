@@ -108,8 +108,8 @@ struct NoWalk {};
 struct Models {
   Model count, distance, luma_by_energy[kEnergies], luma_by_class[14];
   Model a[kMagnitudes], a_by_class[kMagnitudes][4], b[kMagnitudes], b_by_luma[kMagnitudes][kMagnitudes];
-  Model color_signs[8], v[kBuckets][kFolds], v_by_class[7][kBuckets];
-  Model r[kBuckets][kShapeSteps], r_by_direction[kBuckets][kFolds][kSlantSteps], shape_signs[4][kDirections];
+  Model color_signs[8], v[kFolds][kBuckets], v_by_class[7][kBuckets];
+  Model r[kBuckets][kShapeSteps], r_by_direction[kFolds][kBuckets][kSlantSteps], shape_signs[kDirections][4];
 
   // As a stream begins.
   Models() : Models(fresh()) {}
@@ -154,7 +154,7 @@ struct Models {
       y = code_number(coder, kColorLane, Mean(luma_by_energy[of_next.energy], luma_by_class[group]), magnitude(next.y));
     const size_t fold = folded(of_now.direction);
     if (kNow)
-      v = code_number(coder, kShapeLane, Mean(this->v[bucket][fold], v_by_class[group / 2][bucket]), magnitude(now.v));
+      v = code_number(coder, kShapeLane, Mean(this->v[fold][bucket], v_by_class[group / 2][bucket]), magnitude(now.v));
     if (kNext && !p.grey) {
       const size_t luma = level(y);
       a = code_number(coder, kColorLane, Mean(this->a[luma], a_by_class[luma][group / 4]), magnitude(next.a));
@@ -162,7 +162,7 @@ struct Models {
     if (kNow && !p.upright) {
       const uint32_t s = v.symbol;
       const size_t steps_of_v = std::min((s + 1) / 2, kShapeSteps - 1u), slant = (s > 0) + (s > 3) + (s > 6);
-      r = code_number(coder, kShapeLane, Mean(this->r[bucket][steps_of_v], r_by_direction[bucket][fold][slant]),
+      r = code_number(coder, kShapeLane, Mean(this->r[bucket][steps_of_v], r_by_direction[fold][bucket][slant]),
                       magnitude(now.r));
     }
     if (kNext && !p.grey)
@@ -170,7 +170,7 @@ struct Models {
     uint32_t shape_signs = 0;
     if (kNow) {
       const size_t shaped = (v.symbol != 0) << 1 | (r.symbol != 0);
-      shape_signs = coder.symbol(kShapeLane, this->shape_signs[shaped][of_now.direction], shape_sign_bits(now));
+      shape_signs = coder.symbol(kShapeLane, this->shape_signs[of_now.direction][shaped], shape_sign_bits(now));
     }
 
     coder.fetch(v.bits + r.bits + (kNow ? steps.u_bits() : 0) + y.bits + a.bits + b.bits);

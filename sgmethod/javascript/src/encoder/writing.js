@@ -2,7 +2,7 @@
 
 import { MODEL, bitsAfter, edge } from "../coder.js";
 import { ALPHA_HEADER, HEADER, crc32 } from "../header.js";
-import { foldOf, groupOf, newMap } from "../map.js";
+import { groupOf, newMap } from "../map.js";
 import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, LUMA_BY_GROUP } from "../models.js";
 import { R, R_BY_DIRECTION, SHAPE_SIGNS, V, V_BY_GROUP, newModels } from "../models.js";
 import { level } from "../payload.js";
@@ -16,21 +16,20 @@ const BITS_OF_DISTANCE = 7.4; // where a Gaussian is expected in every 64 parts
 const signsOf = (one, two, three) => 4 * (one < 0) + 2 * (two < 0) + (three < 0);
 const levelOf = (value) => level(symbolOf(abs(value)));
 
-/** The rows of a Gaussian's models, where it is; of a symbol or a number, one or two. */
-function rowsOf({ k, y, a, b, v, r, h, spot }) {
+/** The rows of a Gaussian's models; of a symbol or a number, one or two. */
+function rowsOf({ k, y, a, b, v, r, h }) {
   const group = groupOf(k);
   const bucket = min(h, 7);
-  const fold = foldOf(spot.direction);
   const s = symbolOf(abs(v));
   const slant = (s > 0) + (s > 3) + (s > 6);
   return {
-    y: [LUMA + spot.energy, LUMA_BY_GROUP + group],
+    y: [LUMA, LUMA_BY_GROUP + group],
     a: [A + levelOf(y), A_BY_GROUP + 4 * levelOf(y) + (group >> 2)],
     b: [B + levelOf(a), B_BY_LUMA + 4 * levelOf(a) + levelOf(y)],
     colourSigns: COLOUR_SIGNS + 4 * (y !== 0) + 2 * (a !== 0) + (b !== 0),
-    v: [V + 10 * bucket + fold, V_BY_GROUP + 8 * (group >> 1) + bucket],
-    r: [R + 6 * bucket + min((s + 1) >> 1, 5), R_BY_DIRECTION + 40 * bucket + 4 * fold + slant],
-    shapeSigns: SHAPE_SIGNS + 52 * (v !== 0) + 26 * (r !== 0) + spot.direction,
+    v: [V + bucket, V_BY_GROUP + 8 * (group >> 1) + bucket],
+    r: [R + 6 * bucket + min((s + 1) >> 1, 5), R_BY_DIRECTION + 4 * bucket + slant],
+    shapeSigns: SHAPE_SIGNS + 2 * (v !== 0) + (r !== 0),
   };
 }
 
@@ -130,7 +129,7 @@ export function payloadOf(all, header) {
     writer.fetch(6);
     writer.raw(value, 6);
   }
-  const [beginClass, advance, look, add, at] = newMap(header);
+  const [beginClass, advance, look, , at] = newMap({ ...header, isShort: true });
   for (let k = first; k >= last; k--) {
     const here = sorted.filter((s) => s.k === k);
     write(writer, here.length, COUNT);
@@ -155,7 +154,6 @@ export function payloadOf(all, header) {
         advance(on);
         look((s.spot = {}));
         writeTurn(writer, gap + on, s, now, header.grey);
-        add(s.square * 2 ** (-2 - k), Float32Array.from(s.g), 0);
         gap = 0;
         now = s;
       }
