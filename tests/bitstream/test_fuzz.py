@@ -120,7 +120,7 @@ def outcome(data: bytes, view: View) -> str:
         assert pixels.dtype == np.uint8
         if view.prefix == 1:
             assert file.info.bytes == len(data)
-            assert file.info.gaussians <= (1 + file.has_alpha) * min(file.size[0] * file.size[1], 8 * len(data))
+            assert file.info.gaussians <= (1 + file.has_alpha) * min(file.size[0] * file.size[1], 3 * len(data) + 64)
         found = "drawn"
     assert time.process_time() - began < MAX_CPU_S
     return found

@@ -1,5 +1,5 @@
-// The networks of structure.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md). Made by
-// `python -m benchmarks.coder`, which names the photographs.
+// The networks of structure.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md).
+// Made by `python -m benchmarks.coder`, which names the photographs.
 #pragma once
 
 #include <cstdint>
@@ -7,17 +7,22 @@
 namespace sg {
 
 constexpr int kClassGroups = 14, kMapUnits = 4, kOwnUnits = 3;
-constexpr int16_t kMapBase[14] = {-4, -6, -12, -4, -10, -8, -4, 2, 2, 2, 2, 0, 1, -2};
-constexpr int16_t kMapBias[14][4] = {{23, 43, -90, 92},  {62, 106, -82, 129}, {77, 140, -79, 178}, {39, 124, -59, 115},
-                                     {6, 41, -69, 132},  {30, 26, -81, 138},  {21, 32, -85, 99},   {60, 45, -71, 27},
-                                     {23, 50, -86, 16},  {16, 42, -75, 20},   {-13, 46, -81, -2},  {-6, 41, -73, 2},
-                                     {-52, 38, -83, -3}, {-84, -103, -87, 9}};
-constexpr int16_t kMapWeights[4][4] = {{47, 64, -18, -6}, {2, -64, 1, 8}, {-12, 41, 28, -64}, {64, 29, -56, -11}};
-constexpr int16_t kMapOut[4] = {7, -10, 2, 11};
-constexpr int16_t kOwnBias[14][3] = {{-27, 77, -13}, {-28, 58, 18},  {-9, 53, 23},   {-9, 44, 29},  {-5, 41, 24},
-                                     {-5, 53, 15},   {-6, 36, 11},   {-7, 57, 2},    {-11, 34, -1}, {-15, 35, -13},
-                                     {-23, 25, -15}, {-32, 24, -20}, {-33, 29, -19}, {-42, 29, -19}};
-constexpr int16_t kOwnWeights[3][3] = {{-25, -64, 1}, {-10, 2, 64}, {54, 64, 29}};
-constexpr int16_t kOwnOut[3] = {-66, -11, 23};
+constexpr int16_t kMapBase[14] = {
+    -6, -20, -22, -4, -5, -13, -8, -8, 2, 1, -2, -1, 0, -2};
+constexpr int16_t kMapBias[14][4] = {
+    {68, -10, -8, 59}, {125, 19, 6, 102}, {150, 21, 14, 135}, {59, -8, 14, 85}, {62, -9, 17, 98}, {12, -7, 23, 126},
+    {172, -6, 26, 7}, {149, -2, 25, -22}, {-34, 2, 27, 52}, {79, 0, 11, -19}, {28, -4, 18, -17}, {51, -5, 12, -2},
+    {-6, -11, 4, 10}, {-7, -60, -32, 48}};
+constexpr int16_t kMapWeights[4][4] = {
+    {64, 23, -41, 10}, {-1, -5, 0, -64}, {-1, 17, -12, -64}, {64, 1, -24, 1}};
+constexpr int16_t kMapOut[4] = {
+    10, -29, 31, 18};
+constexpr int16_t kOwnBias[14][3] = {
+    {8, -21, -23}, {-28, 16, -18}, {-16, 14, 50}, {-14, 25, 69}, {-14, 18, 66}, {-12, 15, 57}, {-10, 5, 54}, {-15,
+    -5, 36}, {-17, -16, 36}, {-12, -6, -27}, {-19, -14, -26}, {-29, -30, -35}, {-33, -30, -44}, {-41, -30, -36}};
+constexpr int16_t kOwnWeights[3][3] = {
+    {-33, -64, 12}, {64, 16, 27}, {-20, -64, 21}};
+constexpr int16_t kOwnOut[3] = {
+    -69, 19, -19};
 
 }  // namespace sg
