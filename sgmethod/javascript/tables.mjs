@@ -1,4 +1,4 @@
-// Packs the tables that benchmarks.coder trains, from the C++ sources into src/tables.js: node tables.mjs.
+// Packs the tables that tests.bitstream.train trains, from the C++ sources into src/tables.js: node tables.mjs.
 // src/models.js unpacks them.
 
 import { writeFileSync, readFileSync } from "node:fs";

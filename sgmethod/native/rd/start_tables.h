@@ -1,5 +1,5 @@
 // Where the models of a stream begin: cumulative probabilities below symbols 1 to 15, in 1/256 (docs/format.md).
-// Made by `python -m benchmarks.coder`, which names the photographs.
+// Made by `python -m tests.bitstream.train`, which names the photographs.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // The networks of structure.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md).
-// Made by `python -m benchmarks.coder`, which names the photographs.
+// Made by `python -m tests.bitstream.train`, which names the photographs.
 #pragma once
 
 #include <cstdint>

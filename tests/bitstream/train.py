@@ -1,6 +1,6 @@
 """Trains the tables of the entropy coder: where its models begin, and the networks that say how likely a block is.
 
-    python -m benchmarks.coder --tuning FOLDER/tuning [--work build/coder] [--jobs 2] [--write]
+    python -m tests.bitstream.train --tuning FOLDER/tuning [--work build/coder] [--jobs 2] [--write]
 
 The pictures are the photographs that benchmarks.perceptual.photographs puts into FOLDER/tuning, whole and two crops of
 each at the middle of their sides, and six of skimage.data; none of them is measured anywhere. They are encoded at three
@@ -60,7 +60,7 @@ STARTS_ARE = (
     "// Where the models of a stream begin: cumulative probabilities below symbols 1 to 15, in 1/256 (docs/format.md)."
 )
 NET_IS = "// The networks of structure.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md)."
-MADE_BY = "\n// Made by `python -m benchmarks.coder`, which names the photographs."
+MADE_BY = "\n// Made by `python -m tests.bitstream.train`, which names the photographs."
 
 
 def prepared(tuning: Path, folder: Path) -> list[Path]:
