@@ -46,7 +46,7 @@ console.log(JSON.stringify(answers));
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder node_modules with Vite, sharp, TypeScript and the package."""
     folder = tmp_path_factory.mktemp("packages")
-    install(folder, "vite@8", "sharp@0.35", "typescript@5")
+    install(folder, packed(), "vite@8", "sharp@0.35", "typescript@5")
     return folder / "node_modules"
 
 

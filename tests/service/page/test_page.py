@@ -264,4 +264,4 @@ def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartS
 def test_accessibility(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.says("AVIF", "#verdict")
-    assert_open_to_all(page, least=20)
+    assert_open_to_all(page, at_least=20)
