@@ -15,10 +15,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness.data import ROOT
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 
+ROOT = Path(__file__).parents[1]  # of the repository
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
 RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes without --out
@@ -26,7 +26,7 @@ PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
 # What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
 NOT_CODE = "benchmarks/results benchmarks/report benchmarks/__main__.py service/page sgmethod/javascript"
-CODE = ("sgmethod", "service", "benchmarks", *(f":!{path}" for path in NOT_CODE.split()))
+CODE = ("sgmethod", "service", "benchmarks", "tests/support", *(f":!{path}" for path in NOT_CODE.split()))
 
 
 def origin() -> dict[str, object]:

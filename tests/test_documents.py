@@ -7,8 +7,8 @@ import re
 import subprocess
 from pathlib import Path
 
-from benchmarks.harness.data import ROOT
 from service.api.requests import BITSTREAM_TYPE
+from tests.support.data import ROOT
 
 NOTEBOOK = ROOT / "docs" / "notebook"
 # Paths in backticks that begin so are files or folders of the tree.

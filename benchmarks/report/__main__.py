@@ -17,8 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 
 from benchmarks.flat import flat
-from benchmarks.harness.data import ROOT
-from benchmarks.machine import RESULTS, write_text
+from benchmarks.machine import RESULTS, ROOT, write_text
 from benchmarks.perceptual import local
 from benchmarks.report import paper, previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save

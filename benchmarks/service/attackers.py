@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from benchmarks.harness.pictures import SMALL, saved
+from tests.support.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from tests.support.pictures import SMALL, saved
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"

@@ -14,11 +14,11 @@ from typing import Any
 
 import httpx
 
-from benchmarks.harness.processes import PATIENCE_S, Kind, Process, processes
-from benchmarks.harness.service import ServiceProcess
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.worker.sweeping import sweep
+from tests.support.processes import PATIENCE_S, Kind, Process, processes
+from tests.support.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
     **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},

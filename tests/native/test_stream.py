@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.harness.data import golden_path
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2, quantum_code, quantum_of
 from tests.native.test_codec import gaussians, rows, scattered
+from tests.support.data import golden_path
 
 
 def busy() -> StreamV2:

@@ -14,11 +14,11 @@ from pathlib import Path
 import httpx
 import pytest
 
-from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import NAME_LENGTH, processes, wait_until
-from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
+from tests.support.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import NAME_LENGTH, processes, wait_until
+from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
 
 pytestmark = pytest.mark.thorough
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
 from service.keys import digest
 from service.pictures import MEDIA_TYPES
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
 
 
 @pytest.mark.parametrize(

@@ -13,15 +13,15 @@ from typing import Any
 import httpx
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.job_table import CRASH, IMAGE, REQUEST
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service, StartService, assert_problem
 from service.api.models import summary, with_trace
 from service.jobs.job import Job, JobError, JobState
 from service.settings import Settings
 from sgmethod.trace import share_of
+from tests.support.data import PICTURE
+from tests.support.job_table import CRASH, IMAGE, REQUEST
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service, StartService, assert_problem
 
 Event = tuple[str, dict[str, Any]]
 TRACED = ("progress", "seconds_left", "trace")  # not in the events of states

@@ -15,13 +15,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.job_table import grow_older
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
 from service.api.context import WORK_THREADS
 from service.api.problems import ProblemError
 from service.api.turns import Together
+from tests.support.data import PICTURE
+from tests.support.job_table import grow_older
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 

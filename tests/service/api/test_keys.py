@@ -10,13 +10,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, run
-from benchmarks.harness.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 from service.api.requests import LONGEST_CACHED_S
 from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, run
+from tests.support.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 
 SECRET = "0123456789abcdef" * 2
 ANN, BOB = "key-of-ann", "key-of-bob"

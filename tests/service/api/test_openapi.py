@@ -14,13 +14,13 @@ from fastapi import FastAPI
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, run
-from benchmarks.harness.service import FAKE_CODEC, Service, StartService, keys_of
 from service.api import models
 from service.api.app import _document
 from service.api.routes import HOST
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, run
+from tests.support.service import FAKE_CODEC, Service, StartService, keys_of
 
 pytestmark = pytest.mark.thorough
 

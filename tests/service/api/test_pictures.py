@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness import pictures
-from benchmarks.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
-from benchmarks.harness.job_table import change
-from benchmarks.harness.pictures import SMALL, page_of_text, saved
-from benchmarks.harness.service import Service, StartService, assert_problem, max_age
 from service.api.requests import LONGEST_CACHED_S
 from service.pictures import as_large, comparison_file
 from sgmethod.view import View
+from tests.support import pictures
+from tests.support.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
+from tests.support.job_table import change
+from tests.support.pictures import SMALL, page_of_text, saved
+from tests.support.service import Service, StartService, assert_problem, max_age
 
 TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()

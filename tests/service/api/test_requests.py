@@ -13,12 +13,12 @@ import httpx
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import JAVASCRIPT, PICTURE, ROOT, STATIC
-from benchmarks.harness.pictures import SMALL, png, saved
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 from service.api.options import OPTION_SCHEMAS
 from service.api.problems import REASONS
+from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
+from tests.support.pictures import SMALL, png, saved
+from tests.support.processes import wait_until
+from tests.support.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
 

@@ -12,13 +12,13 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.job_table import change
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
 from service.api.requests import MAX_WAIT_S
 from service.settings import Settings
+from tests.support.data import PICTURE
+from tests.support.job_table import change
+from tests.support.pictures import SMALL
+from tests.support.processes import wait_until
+from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
 
 BODY = {"Content-Type": "image/png"}
 QUICK = "time_limit_s=0.1"

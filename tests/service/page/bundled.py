@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import run
+from tests.support.data import ROOT
+from tests.support.processes import run
 
 
 def packed() -> Path:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 import sgmethod
-from benchmarks.harness.data import ROOT, STATIC, golden_path
 from tests.service.browser import Chromium
 from tests.service.page.bundled import install
+from tests.support.data import ROOT, STATIC, golden_path
 
 OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
 COFFEE, PHOTOGRAPH = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))

@@ -19,13 +19,13 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
 from tests.service.browser import Chromium
 from tests.service.page.test_previews import show
+from tests.support.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"

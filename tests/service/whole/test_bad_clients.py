@@ -15,11 +15,11 @@ from typing import Any
 import httpx
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.nginx import Nginx
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service, StartService
+from tests.support.data import PICTURE
+from tests.support.nginx import Nginx
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service, StartService
 
 pytestmark = pytest.mark.thorough
 

@@ -14,16 +14,16 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PICTURE, ROOT
-from benchmarks.harness.pictures import SMALL, png, saved
-from benchmarks.harness.processes import Outcome, run, wait_until
-from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, Service, StartService, keys_of
 from sgmethod import Budget
 from sgmethod.cli import encoding, main as cli
 from sgmethod.client import Client, client as client_module, encode_many
 from sgmethod.client.connection import Connection
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
+from tests.support.data import PICTURE, ROOT
+from tests.support.pictures import SMALL, png, saved
+from tests.support.processes import Outcome, run, wait_until
+from tests.support.service import FAKE_CODEC, SMALL_QUEUE, Service, StartService, keys_of
 
 
 def test_an_encode(service: Service) -> None:

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.nginx import make_certificate
-from benchmarks.harness.pictures import SMALL
 from sgmethod import Budget
 from sgmethod.cli import main as cli
 from sgmethod.client import Client
 from sgmethod.errors import ServerError
+from tests.support.nginx import make_certificate
+from tests.support.pictures import SMALL
 
 
 def fail_to_sleep(seconds: float) -> None:

@@ -20,9 +20,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SLOW, SMALL
-from benchmarks.harness.processes import (
+from service.sandbox.client import KILLED
+from tests.support.data import PICTURE
+from tests.support.pictures import SLOW, SMALL
+from tests.support.processes import (
     PATIENCE_S,
     Kind,
     encoder_of,
@@ -32,8 +33,7 @@ from benchmarks.harness.processes import (
     wait_until,
     worker_of,
 )
-from benchmarks.harness.service import FAKE_CODEC, Service, StartService
-from service.sandbox.client import KILLED
+from tests.support.service import FAKE_CODEC, Service, StartService
 
 
 @pytest.fixture

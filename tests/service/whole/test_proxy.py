@@ -16,15 +16,15 @@ import httpx
 import pytest
 
 import sgmethod
-from benchmarks.harness.nginx import Nginx
-from benchmarks.harness.pictures import SLOW, SMALL, noisy_png
-from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import FAKE_CODEC, Service, StartService
 from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
 from tests.service.browser import Chromium
 from tests.service.s3_server import S3Server
+from tests.support.nginx import Nginx
+from tests.support.pictures import SLOW, SMALL, noisy_png
+from tests.support.postgres_server import PostgresServer
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import FAKE_CODEC, Service, StartService
 
 pytestmark = pytest.mark.thorough
 

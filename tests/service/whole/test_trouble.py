@@ -15,10 +15,14 @@ import psycopg
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import PICTURE, ROOT
-from benchmarks.harness.pictures import noisy_png, saved
-from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.processes import (
+from service.api.context import PROBE_THREADS, WORK_THREADS
+from service.jobs.postgres import ENGINE_TABLES
+from service.storage.bucket import SILENCE
+from tests.service.s3_server import S3Server
+from tests.support.data import PICTURE, ROOT
+from tests.support.pictures import noisy_png, saved
+from tests.support.postgres_server import PostgresServer
+from tests.support.processes import (
     PATIENCE_S,
     encoder_of,
     end_early,
@@ -27,11 +31,7 @@ from benchmarks.harness.processes import (
     wait_until,
     worker_of,
 )
-from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
-from service.api.context import PROBE_THREADS, WORK_THREADS
-from service.jobs.postgres import ENGINE_TABLES
-from service.storage.bucket import SILENCE
-from tests.service.s3_server import S3Server
+from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 

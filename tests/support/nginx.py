@@ -11,8 +11,8 @@ from pathlib import Path
 
 import httpx
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import PATIENCE_S, wait_until
+from tests.support.data import ROOT
+from tests.support.processes import PATIENCE_S, wait_until
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 REQUIRED = "SGMETHOD_TEST_NGINX"  # set to "required", a missing nginx fails the tests

@@ -17,10 +17,6 @@ from typing import Any
 import httpx
 
 import sgmethod
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.job_table import IMAGE, LONG_S, submitted
-from benchmarks.harness.pictures import SLOW, SMALL
-from benchmarks.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 from service.errors import JobTableError
 from service.jobs.job import EncodeResult, Job, JobError, SourceImage
 from service.jobs.table import JobTable
@@ -28,10 +24,14 @@ from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
+from tests.support.data import ROOT
+from tests.support.job_table import IMAGE, LONG_S, submitted
+from tests.support.pictures import SLOW, SMALL
+from tests.support.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 
 SMALL_QUEUE = 5
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
-_FOLDERS = (str(ROOT / "benchmarks" / "harness" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
+_FOLDERS = (str(ROOT / "tests" / "support" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
 FAKE_CODEC = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
 
 
