@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
 import httpx
-from httpx_sse import EventSource
 
 from sgmethod.errors import ServerError
 
@@ -17,7 +16,7 @@ Json = dict[str, Any]
 Say = Callable[[str], None]
 AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
-SILENCE_S = 60.0  # the server sends a sign of life every 15 s
+SILENCE_S = 60.0  # more than the longest wait
 WHERE_THE_KEY_IS = "set SG_API_KEY for the command line, or api_key of a Client"
 UNUSABLE = (
     "an environment variable names a proxy or a file that cannot be used: HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, "
@@ -41,10 +40,6 @@ class Patience:
 
     def __init__(self, seconds: float, say: Say) -> None:
         self._seconds, self._say = seconds, say
-        self.renew()
-
-    def renew(self) -> None:
-        """Start over after a success."""
         self._deadline: float | None = None
         self._pause_s = PAUSE_S
 
@@ -86,18 +81,14 @@ class Connection:
         """Close the connections."""
         self._http.close()
 
-    def patience(self) -> Patience:
-        """Start the patience of one request."""
-        return Patience(self._patience_s, self._on_retry)
-
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
         """Send a request and return the successful response, after retries if they may help."""
-        patience = self.patience()
+        patience = Patience(self._patience_s, self._on_retry)
         while True:
             try:
                 answer = self._http.request(method, path, **request)
             except httpx.RequestError as error:
-                patience.pause(self.out_of_reach(error))
+                patience.pause(self._out_of_reach(error))
                 continue
             self._has_answered = True
             if answer.is_success:
@@ -115,17 +106,7 @@ class Connection:
             raise ServerError(f"{self._server} is not an sgmethod service: it does not answer in JSON") from error
         return found
 
-    def events(self, job_id: str) -> Iterator[tuple[str, Json]]:
-        """Yield names and data of a job's events until the stream ends. Raises RefusedError, httpx.RequestError."""
-        with self._http.stream("GET", f"/jobs/{job_id}/events") as answer:
-            self._has_answered = True
-            if not answer.is_success:
-                answer.read()
-                raise _refusal(answer)
-            for event in EventSource(answer).iter_sse():
-                yield event.event, event.json()
-
-    def out_of_reach(self, error: httpx.RequestError) -> ServerError:
+    def _out_of_reach(self, error: httpx.RequestError) -> ServerError:
         """Return the error to report if it may be temporary; else raise it."""
         failure = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
         if "CERTIFICATE_VERIFY_FAILED" in str(error):

@@ -121,21 +121,19 @@ def test_a_client_that_never_reads(behind: tuple[Service, Nginx]) -> None:
 
 def test_connections_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx.Client) -> None:
     service, proxy = behind
-    job = service.accepted()
-    stream = f"GET /jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    head = f"Host: localhost\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}\r\n\r\n".encode()
     crowd = []
     try:
         for _ in range(CONNECTIONS):
             crowd.append(connected(proxy))
-            crowd[-1].sendall(stream)
-            assert crowd[-1].recv(15) == b"HTTP/1.1 200 OK"
-        assert status_of(behind, GET + b"\r\n") == 429
+            crowd[-1].sendall(b"POST /encode?wait=50 HTTP/1.1\r\n" + head + SMALL)
+        wait_until(lambda: status_of(behind, GET + b"\r\n") == 429)
         assert other.get("/livez").status_code == 200
         assert other.post("/encode?bpp=1", content=SMALL, headers={"Content-Type": "image/*"}).status_code == 202
     finally:
         for connection in crowd:
             connection.close()
-        service.client.delete(f"/jobs/{job}")
+        service.clear()
     assert wait_until(lambda: status_of(behind, GET + b"\r\n") == 200)
 
 

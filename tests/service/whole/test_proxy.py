@@ -1,5 +1,5 @@
-"""Behind nginx with TLS, set up by docs/nginx.conf: two web processes, under / and under a path, with large bodies,
-long waits and events; and with a database and a store that restart.
+"""Behind nginx with TLS, set up by docs/nginx.conf: two web processes, under / and under a path, with large bodies and
+long waits; and with a database and a store that restart.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sgmethod.many.manifest import Row
 from tests.service.browser import Chromium
 from tests.service.s3_server import S3Server
 from tests.support.nginx import Nginx
-from tests.support.pictures import SLOW, SMALL, noisy_png
+from tests.support.pictures import SMALL, noisy_png
 from tests.support.postgres_server import PostgresServer
 from tests.support.processes import PATIENCE_S, wait_until
 from tests.support.service import FAKE_CODEC, Service, StartService
@@ -70,8 +70,6 @@ def test_addresses_in_answers_lead_back(behind: str) -> None:
     first = posted(behind, "?wait=50")
     assert first.status_code == 200
     assert first.headers["location"].startswith(f"{prefix}/jobs/")
-    again = httpx.post(f"{host}{first.headers['location']}/encode?wait=50&time_limit_s=0.1", timeout=PATIENCE_S)
-    assert again.status_code == 200
     accepted = posted(behind).json()
     assert httpx.get(host + accepted["status_url"]).status_code == 200
     job = httpx.get(host + first.headers["location"]).json()
@@ -99,18 +97,6 @@ def test_large_bodies_pass(behind: str) -> None:
     large = noisy_png(1000)
     assert len(large) > 2_000_000
     assert sgmethod.info(posted(behind, "?wait=50", large).content).width == 1000
-
-
-def test_events_are_not_held_back(behind: str) -> None:
-    """The job is far from done when the first of them come."""
-    fields = {"time_limit_s": "100"}
-    job = httpx.post(f"{behind}/encode", files={"image": SLOW}, data=fields).json()["id"]
-    with httpx.stream("GET", f"{behind}/jobs/{job}/events", timeout=PATIENCE_S) as answer:
-        began, lines = time.monotonic(), answer.iter_lines()
-        assert next(lines).startswith("event: state")
-        wait_until(lambda: next(lines).startswith("event: trace"))
-        assert time.monotonic() - began < 90
-    assert httpx.delete(f"{behind}/jobs/{job}").status_code == 204
 
 
 def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
