@@ -128,7 +128,7 @@ def test_importing_takes_neither_numpy_nor_torch() -> None:
 
 WITHOUT_EXTRAS = """
 import sys
-for name in ("httpx", "torch"):
+for name in ("httpx2", "torch"):
     sys.modules[name] = None  # to import it is an ImportError
 import numpy, sgmethod
 picture = numpy.zeros((8, 8), numpy.uint8)

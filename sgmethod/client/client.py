@@ -3,7 +3,7 @@
     with Client("http://127.0.0.1:8000") as client:
         encoded = client.encode("photo.jpg", Budget("bpp", 0.3))
 
-Needs httpx (pip install 'sgmethod[client]'). Every failure is a ServerError with one clear sentence, except for a path
+Needs httpx2 (pip install 'sgmethod[client]'). Every failure is a ServerError with one clear sentence, except for a path
 that cannot be read, which is an OSError.
 """
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Literal, TypedDict, Unpack
 from urllib.parse import urlsplit
 
-import httpx
+import httpx2
 
 from sgmethod.arguments import AnyFloat, AnyInt
 from sgmethod.budget import Budget
@@ -101,7 +101,7 @@ class Client:
             raise ServerError(refusal.problem["detail"]) from None
         job_id = _id_of(answer)
         try:
-            if answer.status_code == httpx.codes.OK:
+            if answer.status_code == httpx2.codes.OK:
                 data, job = answer.content, self.job(job_id)
             else:
                 job = self.wait(job_id, on_progress)
@@ -122,7 +122,7 @@ class Client:
         query = _query(budget, profile, options)
         return _id_of(self._submit(query, bytes_of(image, ServerError)))
 
-    def _submit(self, query: Json, image: bytes, wait_s: int = 0, key: str | None = None) -> httpx.Response:
+    def _submit(self, query: Json, image: bytes, wait_s: int = 0, key: str | None = None) -> httpx2.Response:
         headers = {"Content-Type": "image/*", "Idempotency-Key": key or secrets.token_hex(16)}
         return self._connection.ask("POST", "/encode", params={**query, "wait": wait_s}, content=image, headers=headers)
 
@@ -196,7 +196,7 @@ def _query(budget: Budget | None, profile: Profile, options: Options) -> Json:
     return {name: value for name, value in wanted.items() if value is not None}
 
 
-def _id_of(answer: httpx.Response) -> str:
+def _id_of(answer: httpx2.Response) -> str:
     """Return the id of the job that a request has created. Raises ServerError if there is none."""
     if "Location" not in answer.headers:
         raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")

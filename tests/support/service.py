@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 
 import sgmethod
 from service.errors import JobTableError
@@ -71,7 +71,7 @@ class ServiceProcess:
             self.process.wait()
             raise AssertionError(self.log.read_text())
         self.url = words[3].rstrip(",")
-        self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
+        self.client = httpx2.Client(base_url=self.url, timeout=self.timeout_s)
 
     def wait_ready(self) -> None:
         """Wait until it can do all that it is for, the sandbox too."""
@@ -124,7 +124,7 @@ class Service(ServiceProcess):
         chosen = {"workers": 1, "lease_s": lease_s, "source_retention_s": 0, **settings}
         super().__init__(data_dir, command, extra, **chosen)
 
-    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
+    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx2.Response:
         """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
         form = {name: str(value) for name, value in {"time_limit_s": 0.1, **(fields or {"bpp": 1})}.items()}
         headers = {"Idempotency-Key": key} if key else {}
@@ -230,7 +230,7 @@ class Service(ServiceProcess):
 
     def connect(self) -> socket.socket:
         """A connection over which a test says what it likes."""
-        url = httpx.URL(self.url)
+        url = httpx2.URL(self.url)
         return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
 
     def raw(self, request: bytes) -> bytes:
@@ -260,13 +260,13 @@ def bearer(key: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {key}"}
 
 
-def max_age(answer: httpx.Response) -> int:
+def max_age(answer: httpx2.Response) -> int:
     """For how many seconds a client may cache an answer."""
     assert answer.status_code == 200, answer.text
     return int(re.findall(r"max-age=(\d+)", answer.headers["cache-control"])[0])
 
 
-def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
+def assert_problem(answer: httpx2.Response, status: int, *words: str) -> dict[str, Any]:
     """The answer is a problem document of that status whose detail holds the words."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from email.utils import parsedate_to_datetime
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ def tight(start_for_module: StartService) -> Service:
     return start_for_module("web", max_pixels=10_000, max_upload_bytes=len(PICTURE))
 
 
-def pixels_of(answer: httpx.Response) -> NDArray[np.uint8]:
+def pixels_of(answer: httpx2.Response) -> NDArray[np.uint8]:
     assert answer.status_code == 200, answer.text
     assert int(answer.headers["content-length"]) == len(answer.content)
     return pictures.pixels_of(answer.content)

@@ -6,7 +6,7 @@ import contextlib
 import io
 from concurrent.futures import ThreadPoolExecutor
 
-import httpx
+import httpx2
 import pytest
 from PIL import Image
 
@@ -67,8 +67,8 @@ def test_waits_that_are_refused(web: Service, query: str) -> None:
 
 
 def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
-    def ask() -> httpx.Response:
-        return httpx.post(f"{empty.url}/encode?wait=100", content=SMALL, headers=BODY, timeout=200)
+    def ask() -> httpx2.Response:
+        return httpx2.post(f"{empty.url}/encode?wait=100", content=SMALL, headers=BODY, timeout=200)
 
     def only_job() -> str:
         jobs = wait_until(lambda: empty.client.get("/jobs?limit=1").json()["jobs"])
@@ -114,7 +114,7 @@ def test_waits_do_not_hold_up_the_end(start_service: StartService) -> None:
     web = start_service("web", stop_grace_s=2 * PATIENCE_S)
     asked = {"files": {"image": SMALL}, "timeout": 2 * PATIENCE_S}
     with ThreadPoolExecutor(1) as pool:
-        asking = pool.submit(httpx.post, f"{web.url}/encode?wait=300", **asked)
+        asking = pool.submit(httpx2.post, f"{web.url}/encode?wait=300", **asked)
         job_id = wait_until(lambda: web.client.get("/jobs").json()["jobs"])[0]["id"]
         assert web.stop() == 0
         assert asking.result().json()["id"] == job_id
@@ -127,8 +127,8 @@ def test_a_job_table_that_goes_away_meanwhile(start_service: StartService) -> No
     """The image was accepted: a client that gets Retry-After would submit it again."""
     web = start_service("web")
 
-    def ask() -> httpx.Response:
-        return httpx.post(f"{web.url}/encode?wait=20", content=SMALL, headers=BODY, timeout=100)
+    def ask() -> httpx2.Response:
+        return httpx2.post(f"{web.url}/encode?wait=20", content=SMALL, headers=BODY, timeout=100)
 
     with ThreadPoolExecutor(1) as pool:
         asking = pool.submit(ask)

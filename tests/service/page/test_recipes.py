@@ -13,7 +13,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from PIL import Image
@@ -124,9 +124,9 @@ def test_fastapi() -> None:
     names: dict[str, Any] = {"__name__": "recipe"}
     exec(compile(block, "recipe", "exec"), names)
 
-    async def upload(data: bytes) -> httpx.Response:
-        transport = httpx.ASGITransport(app=names["app"])
-        async with httpx.AsyncClient(transport=transport, base_url="http://recipe") as client:
+    async def upload(data: bytes) -> httpx2.Response:
+        transport = httpx2.ASGITransport(app=names["app"])
+        async with httpx2.AsyncClient(transport=transport, base_url="http://recipe") as client:
             return await client.post("/photos", content=data)
 
     answer = asyncio.run(upload(PHOTOGRAPH.read_bytes()))

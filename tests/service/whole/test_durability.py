@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
 from service.sandbox.client import KILLED
@@ -113,7 +113,7 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     (web,) = solo.ours("web")
     os.kill(web, signal.SIGKILL)
     solo.client.close()
-    solo.client = httpx.Client(base_url=solo.url, timeout=PATIENCE_S)
+    solo.client = httpx2.Client(base_url=solo.url, timeout=PATIENCE_S)
     assert solo.wait(job_id)["attempt"] == 1
     assert solo.ours("web") != [web]
     assert_settled(solo, job_id)

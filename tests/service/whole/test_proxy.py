@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import httpx
+import httpx2
 import pytest
 
 import sgmethod
@@ -55,10 +55,10 @@ def behind(proxied: tuple[Service, str]) -> Iterator[str]:
     service.clear()
 
 
-def posted(root: str, query: str = "", image: bytes = SMALL) -> httpx.Response:
+def posted(root: str, query: str = "", image: bytes = SMALL) -> httpx2.Response:
     """The answer to an encode that does not take long."""
     files, fields = {"image": image}, {"time_limit_s": "0.1"}
-    answer = httpx.post(f"{root}/encode{query}", files=files, data=fields, timeout=PATIENCE_S)
+    answer = httpx2.post(f"{root}/encode{query}", files=files, data=fields, timeout=PATIENCE_S)
     assert answer.is_success, answer.text
     return answer
 
@@ -71,17 +71,17 @@ def test_addresses_in_answers_lead_back(behind: str) -> None:
     assert first.status_code == 200
     assert first.headers["location"].startswith(f"{prefix}/jobs/")
     accepted = posted(behind).json()
-    assert httpx.get(host + accepted["status_url"]).status_code == 200
-    job = httpx.get(host + first.headers["location"]).json()
+    assert httpx2.get(host + accepted["status_url"]).status_code == 200
+    job = httpx2.get(host + first.headers["location"]).json()
     for name, kind in (("decode_url", "image/png"), ("bitstream_url", "application/octet-stream")):
-        assert httpx.get(host + job[name]).headers["content-type"] == kind
-        link = httpx.post(f"{host}{job['status_url']}/links").json()[name]
-        assert httpx.get(host + link).headers["content-type"] == kind
-    page = httpx.get(f"{behind}/jobs?limit=2").json()
-    assert len(httpx.get(host + page["next"]).json()["jobs"]) == 1
-    servers = httpx.get(f"{behind}/openapi.json").json().get("servers", [{"url": ""}])
+        assert httpx2.get(host + job[name]).headers["content-type"] == kind
+        link = httpx2.post(f"{host}{job['status_url']}/links").json()[name]
+        assert httpx2.get(host + link).headers["content-type"] == kind
+    page = httpx2.get(f"{behind}/jobs?limit=2").json()
+    assert len(httpx2.get(host + page["next"]).json()["jobs"]) == 1
+    servers = httpx2.get(f"{behind}/openapi.json").json().get("servers", [{"url": ""}])
     assert servers == [{"url": prefix}]
-    assert httpx.get(f"{host}/nothing").status_code == 404
+    assert httpx2.get(f"{host}/nothing").status_code == 404
 
 
 def test_a_client_sees_every_page_of_jobs(behind: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,8 +102,8 @@ def test_large_bodies_pass(behind: str) -> None:
 def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
     """Whatever they say of themselves; and both web processes get requests."""
     service, root = proxied
-    transport = httpx.HTTPTransport(local_address="127.0.0.3")
-    with httpx.Client(transport=transport, headers={"X-Forwarded-For": "9.9.9.9"}) as client:
+    transport = httpx2.HTTPTransport(local_address="127.0.0.3")
+    with httpx2.Client(transport=transport, headers={"X-Forwarded-For": "9.9.9.9"}) as client:
         names = [client.get(f"{root}/jobs").headers["x-request-id"] for _ in range(4)]
 
     def lines() -> list[str]:
