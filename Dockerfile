@@ -1,5 +1,5 @@
 # Two images: "whole", the default, and "slim", without PyTorch and profile paper: docker build --target slim .
-ARG PYTHON_IMAGE=python:3.12.14-slim-bookworm@sha256:782412e85d0f0984994c290652577d4018aff08145c85b262bb63dc0c7522254
+ARG PYTHON_IMAGE=python:3.12.14-slim-trixie
 
 FROM ${PYTHON_IMAGE} AS build
 # The compiler's version follows the base image's.

@@ -14,6 +14,6 @@ python -m benchmarks.scenes       what easy and hard scenes need, and what each 
 python -m benchmarks.report       tables and plots of docs/results and README.md from the JSON
 
 benchmarks.page_samples and .page_wall make the pictures of the service's page again, and .page_previews those of the
-documents from them. benchmarks.harness is what tests start, too. The report imports commands, and no command imports
-the report.
+documents from them. Services and pictures to measure come from tests.support; no benchmark imports a test. The report
+imports commands, and no command imports the report.
 """

@@ -19,9 +19,9 @@ import time
 from pathlib import Path
 
 from benchmarks.arguments import some_of
-from benchmarks.harness.data import PHOTOGRAPHS, ROOT
-from benchmarks.machine import RESULTS, RUNS
+from benchmarks.machine import RESULTS, ROOT, RUNS
 from benchmarks.rd.baselines import versions
+from tests.support.data import PHOTOGRAPHS
 
 KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"

@@ -15,10 +15,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness.data import ROOT
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 
+ROOT = Path(__file__).parents[1]  # of the repository
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
 RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes without --out
@@ -26,7 +26,7 @@ PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
 # What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
 NOT_CODE = "benchmarks/results benchmarks/report benchmarks/__main__.py service/page sgmethod/javascript"
-CODE = ("sgmethod", "service", "benchmarks", *(f":!{path}" for path in NOT_CODE.split()))
+CODE = ("sgmethod", "service", "benchmarks", "tests/support", *(f":!{path}" for path in NOT_CODE.split()))
 
 
 def origin() -> dict[str, object]:
@@ -107,12 +107,12 @@ class Record:
     def add(self, row: dict[str, Any]) -> None:
         """Add a row to the JSON, and print it."""
         self.rows.append(row)
-        write_json(self.path, {**self.content, "rows": self.rows})
+        write_text(self.path, one_a_line({**self.content, "rows": self.rows}))
         print(", ".join(f"{name} {_short(value)}" for name, value in row.items() if value is not None), flush=True)
 
     def conclude(self, **found: object) -> None:
         """Write what follows from all rows into the JSON, before them."""
-        write_json(self.path, {**self.content, **found, "rows": self.rows})
+        write_text(self.path, one_a_line({**self.content, **found, "rows": self.rows}))
 
 
 def command(module: str) -> str:
@@ -125,16 +125,27 @@ def command(module: str) -> str:
     return (f"SG_THREADS={threads} " if threads else "") + shlex.join(["python", "-m", *module.split(), *words])
 
 
-def write_json(path: Path, content: object) -> None:
-    """Write a JSON file completely or not at all, so that an interrupted benchmark keeps the earlier results."""
+def write_text(path: Path, text: str) -> None:
+    """Write a file completely or not at all, so that an interrupted benchmark keeps the earlier results."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+    write_atomically(path, text.encode())
+
+
+def one_a_line(content: Mapping[str, Any]) -> str:
+    """JSON with each field on a line, and each record of a list of records: a new measurement changes few lines."""
+    return "{\n" + ",\n".join(f"{json.dumps(name)}: {_lines(value)}" for name, value in content.items()) + "\n}\n"
 
 
 def peak_bytes(process: int | str = "self") -> int:
     """The peak memory of a process. (getrusage would include the process that started it.)"""
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+
+
+def _lines(value: Any) -> str:
+    if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
+        return "[\n" + ",\n".join(json.dumps(one, allow_nan=False) for one in value) + "\n]"
+    return json.dumps(value, allow_nan=False)
 
 
 def _short(value: object) -> str:

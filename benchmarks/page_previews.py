@@ -14,8 +14,9 @@ from typing import Any
 
 from PIL import Image, ImageDraw, ImageFont
 
-from benchmarks.harness.data import ROOT, STATIC
+from benchmarks.machine import ROOT
 from sgmethod import decode, preview
+from tests.support.data import STATIC
 
 SHOWN = ("An astronaut", "Two parrots", "Motorcycles")
 MORE_BYTES = (200, 500, 1000)

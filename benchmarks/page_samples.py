@@ -9,9 +9,9 @@ from __future__ import annotations
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import STATIC
-from benchmarks.harness.pictures import saved
 from service.pictures import as_large
+from tests.support.data import STATIC
+from tests.support.pictures import saved
 
 FOLDER = STATIC / "samples"
 BPP = {"astronaut": 0.3, "cat": 0.35, "coffee": 0.3}

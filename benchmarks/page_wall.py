@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.harness.data import STATIC
-from benchmarks.harness.pictures import pixels_of, saved
 from sgmethod.previews.preview import preview
+from tests.support.data import STATIC
+from tests.support.pictures import pixels_of, saved
 
 PHOTOGRAPHS = {
     "samples/astronaut.webp": "An astronaut",

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.harness.data import PHOTOGRAPHS
 from sgmethod.io.image import read_image_8_bit
+from tests.support.data import PHOTOGRAPHS
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"

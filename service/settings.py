@@ -75,7 +75,7 @@ class Settings(BaseSettings):
     """The operator's settings, checked once at the start."""
 
     # One value suits everybody.
-    max_streams: ClassVar[int] = 200
+    max_waits: ClassVar[int] = 200
     max_waiting_decodes: ClassVar[int] = 64
 
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 from PIL import Image
 
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.pictures import photo
 from sgmethod.native import native
+from tests.support.data import golden_path
+from tests.support.pictures import photo
 
 # Torch's, when it is imported: most arrays here are so small that a second thread only costs time.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -23,8 +23,8 @@ del sys.path[0]  # this folder, whose benchmarks are tests of those that are imp
 sys.path.append(str(ROOT))  # behind all else, so that sgmethod is the installed one
 
 import sgmethod  # noqa: E402
-from benchmarks.harness.data import golden_path  # noqa: E402
 from tests.native.harness.golden import GOLDEN, is_golden  # noqa: E402
+from tests.support.data import golden_path  # noqa: E402
 
 
 def main() -> None:

@@ -13,13 +13,13 @@ from PIL import Image
 from skimage import data
 
 import sgmethod
-from benchmarks.harness.pictures import page_of_text
 from sgmethod.cli.main import main
 from sgmethod.errors import ImageError
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.io.pictures import encode_picture
 from sgmethod.metrics import advice as module
 from sgmethod.metrics.advice import Better, advice, better_file, is_drawn
+from tests.support.pictures import page_of_text
 
 
 def page() -> np.ndarray:

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.pictures import ODD, noise, photo
 from sgmethod import Budget, BudgetError, Encoded, ImageError, Stats, TracePoint, codec, decode, info
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_TUNE, PROFILES, TUNES, tuning
 from sgmethod.trace import Stop
 from tests.rd.short import SlowClock, shortened
+from tests.support.pictures import ODD, noise, photo
 
 FloatArray = NDArray[np.float32]
 PROFILES_TESTED = ("rd", "paper")

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.harness.data import golden
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
@@ -22,6 +21,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.native.harness.golden import GOLDEN, is_golden
+from tests.support.data import golden
 
 VERSION_1 = sorted(golden(1))
 ISAS = range(native.best_isa() + 1)

@@ -7,8 +7,8 @@ import re
 import subprocess
 from pathlib import Path
 
-from benchmarks.harness.data import ROOT
 from service.api.requests import BITSTREAM_TYPE
+from tests.support.data import ROOT
 
 NOTEBOOK = ROOT / "docs" / "notebook"
 # Paths in backticks that begin so are files or folders of the tree.
@@ -81,8 +81,11 @@ def test_nginx_in_containers_asks_the_web_container() -> None:
 def test_the_notebooks_index_has_every_question_and_its_verdict() -> None:
     themes = set(NOTEBOOK.glob("*.md")) - {NOTEBOOK / "README.md"}
     questions = [(question, path.name) for path in themes for question in re.findall(r"^## (.*)", prose(path), re.M)]
-    listed = re.findall(r"^- \[(.*)\]\((\w+\.md)#\S+\) \S.*\.$", (NOTEBOOK / "README.md").read_text(), re.MULTILINE)
+    index = (NOTEBOOK / "README.md").read_text().partition("## How to read")[0]
+    listed = re.findall(r"^- \[(.*)\]\((\w+\.md)#\S+\) \S.*\.$", index, re.MULTILINE)
     assert sorted(listed) == sorted(questions)
+    in_history = re.findall(r"^- [^\[\n]+\? \S.*\.$", index, re.MULTILINE)
+    assert len(listed) + len(in_history) == index.count("\n- ")
 
 
 def test_names_in_the_glossary_exist() -> None:

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PHOTOGRAPHS, ROOT
-from benchmarks.harness.service import Service
+from tests.support.data import PHOTOGRAPHS, ROOT
+from tests.support.service import Service
 
 NAMES = sorted(path.stem for path in PHOTOGRAPHS.iterdir())
 

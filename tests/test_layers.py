@@ -15,7 +15,7 @@ import pytest
 
 import service
 import sgmethod
-from benchmarks.harness.data import PHOTOGRAPHS, ROOT, golden_path
+from tests.support.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
 
@@ -133,10 +133,10 @@ RULES = {
         r"\btune\b",
         "sgmethod/codec.py sgmethod/fitting/objective.py",
     ),
-    "only a test of a benchmark imports one": ("tests", IMPORT + r"benchmarks\.(?!harness)", "tests/benchmarks/"),
-    "the harness imports neither tests nor commands": (
-        "benchmarks/harness",
-        IMPORT + r"(?:tests|benchmarks\.(?!harness))",
+    "only a test of a benchmark imports one": ("tests", IMPORT + "benchmarks", "tests/benchmarks/"),
+    "benchmarks and what tests share import no test": (
+        "benchmarks tests/support tests/definitions",
+        IMPORT + r"tests(?!\.(?:support|definitions)\b)",
         "",
     ),
     "the report knows the commands, and they do not know it": (

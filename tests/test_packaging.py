@@ -13,8 +13,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import run
+from tests.support.data import ROOT
+from tests.support.processes import run
 
 pytestmark = pytest.mark.thorough
 

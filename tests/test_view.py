@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import golden
 from sgmethod import BitstreamError, ViewError, decode, view
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
@@ -22,6 +21,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.backend.cases import single
+from tests.support.data import golden
 
 WIDTH, HEIGHT = 200, 120
 

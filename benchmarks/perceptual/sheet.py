@@ -25,7 +25,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.arguments import some_of
-from benchmarks.harness.data import ROOT
+from benchmarks.machine import ROOT
 from benchmarks.pictures import Pixels
 from benchmarks.rd.baselines import AvifOf8BitsForEyes, Baseline, Jpeg, JpegXl
 from sgmethod import decode, encode

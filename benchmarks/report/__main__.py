@@ -1,11 +1,11 @@
-"""Make the tables, plots and CSV files of docs/results and README.md from the JSON of benchmarks/results.
+"""Make the tables and plots of docs/results and README.md from the JSON of benchmarks/results.
 
-    python -m benchmarks.report [--check]
+    python -m benchmarks.report [--check | --csv]
 
 People write the pages. The command replaces what lies between <!-- table NAME --> and <!-- end -->. Behind a measured
 figure of a sentence stands its name, as in 13.9<!-- rate.fewer-than-avif -->: the command compares the two, and exits
-with 1 where a sentence has to change. --check writes nothing, and also exits with 1 where a table or a CSV file would
-change; it needs no matplotlib, as plots are not compared.
+with 1 where a sentence has to change. --check writes nothing, and also exits with 1 where a table would change; it
+needs no matplotlib, as plots are not compared. --csv writes only the means over pictures, as CSV into build/csv.
 """
 
 from __future__ import annotations
@@ -17,13 +17,11 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 
 from benchmarks.flat import flat
-from benchmarks.harness.data import ROOT
-from benchmarks.machine import RESULTS
+from benchmarks.machine import RESULTS, ROOT, write_text
 from benchmarks.perceptual import local
 from benchmarks.report import paper, previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
-from sgmethod.io.files import write_atomically
 
 TABLE = re.compile(r"( *)<!-- table ([\w-]+)((?: \S+)*) -->\n.*?<!-- end -->", re.DOTALL)
 FIGURE = re.compile(r"(\S*)<!-- ([\w-]+\.[\w.-]+) -->")
@@ -72,6 +70,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
     ),
     "service": ("The service", "p99 of other clients under each attack", [service.draw]),
 }
+CSVS = ROOT / "build" / "csv"
 APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 
 
@@ -106,23 +105,32 @@ def stale(text: str) -> Iterator[str]:
             yield f"{digits[0]} ({mark}): the JSON has {value:,.{decimals + 1}f}"
 
 
+def write_csvs() -> None:
+    """Write the means of each JSON, for spreadsheets."""
+    for path in sorted(RESULTS.rglob("*.json")):
+        name = path.relative_to(RESULTS).with_suffix("").as_posix()
+        write_text(CSVS / f"{name}.csv", flat(rows(name), APART.get(name, "")))
+    print(f"into {CSVS}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true")
-    is_check = parser.parse_args().check
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--check", action="store_true")
+    what.add_argument("--csv", action="store_true")
+    options = parser.parse_args()
+    if options.csv:
+        write_csvs()
+        return
     pages = {path: path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "results").glob("*.md")))}
     texts = {path: filled(text) for path, text in pages.items()}
-    for text in pages.values():
-        for name in (name for _, table, names in TABLE.findall(text) if table == "sources" for name in names.split()):
-            texts[RESULTS / "csv" / f"{name}.csv"] = flat(rows(name), APART.get(name, ""))
     errors = [f"{path.relative_to(ROOT)}: {line}" for path, text in pages.items() for line in stale(text)]
-    changed = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
-    if is_check:
+    changed = [path for path, text in texts.items() if text != pages[path]]
+    if options.check:
         errors += [f"{path.relative_to(ROOT)}: run python -m benchmarks.report" for path in changed]
     else:
         for path in changed:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, texts[path].encode())
+            write_text(path, texts[path])
         for name, (title, of, panels) in PLOTS.items():
             save(panels, title, of, ROOT / "docs" / "plots" / name)
     if errors:

@@ -27,11 +27,9 @@ def rows(name: str) -> list[Row]:
 
 
 def sources(names: Sequence[str]) -> str:
-    """One line: the JSON and CSV behind a page, and when and on which machine they were measured."""
+    """One line: the JSON behind a page, and when and on which machine they were measured."""
     files = [
-        f"{name} ([CSV]({LINKS}/csv/{name}.csv), [JSON]({LINKS}/{name}.json)"
-        f"{', by one thread' if threads_of(load(name)) == 1 else ''})"
-        for name in names
+        f"[{name}]({LINKS}/{name}.json){' (by one thread)' if threads_of(load(name)) == 1 else ''}" for name in names
     ]
     dates = sorted({load(name)["date"][:10] for name in names})
     machines = dict.fromkeys(f"{m['processor']}, {m['cores']} cores" for m in (load(name)["machine"] for name in names))

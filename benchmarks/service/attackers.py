@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from benchmarks.harness.pictures import SMALL, saved
+from tests.support.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from tests.support.pictures import SMALL, saved
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"
@@ -171,19 +171,6 @@ def slow_uploads() -> Request:
     return drip
 
 
-def streams() -> Request:
-    """Hold streams of events open."""
-
-    async def watch(crowd: Crowd, source: str) -> str:
-        async with crowd.connection(source) as (reader, writer):
-            writer.write(f"GET /jobs/{crowd.job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            if (status := await status_of(reader)) == "200":
-                await reader.read()
-            return status
-
-    return watch
-
-
 def untaken() -> Request:
     """Ask for large pictures, and do not read them."""
 
@@ -212,7 +199,6 @@ ATTACKS = {
     "idle": Attack("idle connections of one address", 10_100, idle),
     "idle-many": Attack("idle connections of 101 addresses", 10_100, idle, 101),
     "slow": Attack("uploads at 2 kB a second", 1000, slow_uploads),
-    "streams": Attack("streams of events", 1000, streams),
     "untaken": Attack("large pictures that are not read", 1000, untaken),
 }
 

@@ -21,13 +21,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import some_of
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.nginx import Nginx, make_certificate
-from benchmarks.harness.service import Service
-from benchmarks.machine import RUNS, Record, peak_bytes
+from benchmarks.machine import ROOT, RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import Request, send_all
 from benchmarks.service.pictures import made_picture
+from tests.support.nginx import Nginx, make_certificate
+from tests.support.service import Service
 
 VICTIM = "127.0.0.2"
 LIMITS = {"p99_ms": 1000, "web_mb": 400}

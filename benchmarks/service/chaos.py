@@ -21,10 +21,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness.postgres_server import HINT, PostgresServer, find_binaries
-from benchmarks.machine import RUNS, command, origin, write_json
+from benchmarks.machine import RUNS, command, one_a_line, origin, write_text
 from benchmarks.service.killed import ChaosService
 from benchmarks.service.pictures import made_picture
+from tests.support.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end
 STUCK_AFTER_S = 180.0  # without any job that ends
@@ -237,7 +237,8 @@ def main() -> int:
         **{"seconds": round(time.monotonic() - began)},
     }
     settings = {"jobs": options.jobs, "seed": options.seed, "pause_s": PAUSE_S, "weights": WEIGHTS}
-    write_json(options.out or RUNS / "service" / f"chaos-{kind}.json", {**head, "settings": settings, "rows": [row]})
+    path = options.out or RUNS / "service" / f"chaos-{kind}.json"
+    write_text(path, one_a_line({**head, "settings": settings, "rows": [row]}))
     print(json.dumps(row, indent=1))
     if balanced:
         shutil.rmtree(folder)

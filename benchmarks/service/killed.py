@@ -12,13 +12,13 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 
-from benchmarks.harness.processes import PATIENCE_S, Kind, Process, processes
-from benchmarks.harness.service import ServiceProcess
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.worker.sweeping import sweep
+from tests.support.processes import PATIENCE_S, Kind, Process, processes
+from tests.support.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
     **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
@@ -33,11 +33,11 @@ class ChaosService(ServiceProcess):
         self._seen: set[int] = set()
         super().__init__(folder / "data", database_url=database_url, **SETTINGS)
 
-    def ask(self, method: str, path: str, **more: Any) -> httpx.Response | None:
+    def ask(self, method: str, path: str, **more: Any) -> httpx2.Response | None:
         """The answer, or None if there was none."""
         try:
-            return httpx.request(method, self.url + path, timeout=PATIENCE_S, **more)
-        except httpx.TransportError:
+            return httpx2.request(method, self.url + path, timeout=PATIENCE_S, **more)
+        except httpx2.TransportError:
             return None
 
     def jobs(self) -> dict[str, Any] | None:

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import ServiceProcess
 from benchmarks.machine import RUNS, Record
 from benchmarks.service.generator import Request, send_all
 from benchmarks.service.pictures import made_picture
+from tests.support.processes import wait_until
+from tests.support.service import ServiceProcess
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 LIVE_RATE = 20.0

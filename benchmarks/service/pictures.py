@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image
 
-from benchmarks.harness.pictures import saved
+from tests.support.pictures import saved
 
 
 def made_picture(width: int, height: int, seed: int = 0) -> bytes:

@@ -15,11 +15,11 @@ import sys
 from pathlib import Path
 
 from benchmarks.arguments import numbers, run_part, some_of
-from benchmarks.harness.data import PHOTOGRAPHS
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.baselines import versions
 from benchmarks.speed import growth, kernels, sizes
+from tests.support.data import PHOTOGRAPHS
 
 PARTS = ("sizes", "kernels")
 GAUSSIANS = 5000  # on which the kernels are timed

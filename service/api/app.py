@@ -34,7 +34,7 @@ from service.api.middleware import BodyLimit, RequestLog
 from service.api.problems import PAGE, install_problem_handlers
 from service.api.room import DiskRoom
 from service.api.routes import add_routes
-from service.api.turns import ClientTasks, Streams, Turns
+from service.api.turns import ClientTasks, Turns, Waits
 from service.keys import KeyRing
 from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
@@ -146,7 +146,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
         Turns(UPLOADS_IN_MEMORY, WAITING_UPLOADS),
-        Streams(settings.max_streams),
+        Waits(settings.max_waits),
         stopping,
         KeyRing(settings.key_names),
         metrics,

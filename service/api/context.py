@@ -15,7 +15,7 @@ from service.api.callers import Caller
 from service.api.metrics import Metrics
 from service.api.models import HealthView
 from service.api.problems import ProblemError
-from service.api.turns import ClientTasks, Streams, Together, Turns
+from service.api.turns import ClientTasks, Together, Turns, Waits
 from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
 from service.keys import KeyRing
@@ -34,8 +34,8 @@ JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", exampl
 class Context:
     """The parts of the running service.
 
-    tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; streams: bounds event streams
-    and requests that wait; stopping: returns whether the service is shutting down; readiness: the check of all parts,
+    tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; waits: counts requests
+    that wait for a job; stopping: returns whether the service is shutting down; readiness: the check of all parts,
     which anyone may ask for and which writes to disk.
 
     reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: threads for
@@ -48,7 +48,7 @@ class Context:
     tasks: ClientTasks
     pictures: PictureCache
     accepting: Turns
-    streams: Streams
+    waits: Waits
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics

@@ -12,10 +12,10 @@ from fastapi.responses import JSONResponse
 from starlette.datastructures import UploadFile
 
 from service.api import models
-from service.api.context import Context, JobId, UseCaller, UseContext, known_job
+from service.api.context import Context, UseCaller, UseContext
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
-from service.api.pictures import bitstream, open_image, picture
+from service.api.pictures import bitstream, picture
 from service.api.problems import FOR_NOW, ProblemError
 from service.api.requests import (
     FORM_TYPE,
@@ -23,7 +23,6 @@ from service.api.requests import (
     NEVER_STORED,
     VARIES,
     accepted_format,
-    fields_alone,
     idempotency_key,
     image_and_fields,
     wanted_wait_s,
@@ -35,8 +34,12 @@ from service.pictures import PictureOptions
 from service.storage.files import source_key
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
-FORM: dict[str, Any] = {"type": "object", "additionalProperties": False, "properties": OPTION_SCHEMAS}
-IMAGE_FORM = {**FORM, "required": [IMAGE_FIELD], "properties": {IMAGE_FIELD: BINARY, **OPTION_SCHEMAS}}
+FORM: dict[str, Any] = {
+    "type": "object",
+    "additionalProperties": False,
+    "required": [IMAGE_FIELD],
+    "properties": {IMAGE_FIELD: BINARY, **OPTION_SCHEMAS},
+}
 PARAMETERS: list[dict[str, Any]] = [
     {
         "name": "Idempotency-Key",
@@ -49,14 +52,8 @@ PARAMETERS: list[dict[str, Any]] = [
 ENCODE_BODY: dict[str, Any] = {
     "required": True,
     "description": "a form with the image and the options, or the image itself with the options in the query",
-    "content": {FORM_TYPE: {"schema": IMAGE_FORM}, "image/*": {"schema": BINARY}},
+    "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
 }
-AGAIN_BODY: dict[str, Any] = {
-    "required": False,
-    "description": "the options, unless they are in the query",
-    "content": {FORM_TYPE: {"schema": FORM}},
-}
-
 WaitSeconds = Annotated[int, Depends(wanted_wait_s)]
 IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
@@ -96,25 +93,6 @@ async def encode(
                 await file.seek(0)
                 job = await context.store(_accept, context, asked, header, await file.read())
     return await _answer(request, context, job, wait_s, caller.client)
-
-
-async def encode_again(
-    job_id: JobId, request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
-) -> Response:
-    """Start a new job with the image of an existing one, without uploading it again.
-
-    410 once that image has been deleted. Takes the options of `POST /encode`, in the query or in a form.
-    """
-    asked = _Asked(caller.owner, key, read_options(await fields_alone(request)), job_id)
-    again = await _first(asked, context)
-    if again is None:
-        job = await known_job(job_id, context, caller)
-        await context.read(context.table.check_queue, caller.owner, key)
-        async with context.accepting.turn(caller.client):
-            with await context.store(open_image, context, job) as file:
-                image = await context.store(file.read)
-            again = await context.store(_accept, context, asked, job.image, image)
-    return await _answer(request, context, again, wait_s, caller.client)
 
 
 async def _digest(file: UploadFile, context: Context) -> str:
@@ -161,7 +139,7 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int, cli
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     file = None
-    if wait_s and not context.streams.is_full(client):
+    if wait_s and not context.waits.is_full(client):
         try:
             file = await _file_within(request, context, job, wait_s, client)
         except ProblemError as problem:

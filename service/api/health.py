@@ -62,7 +62,7 @@ async def metrics(context: UseContext) -> Response:
     with suppress(ProblemError):
         context.metrics.free_bytes.set(await _free_bytes(context))
     context.metrics.cache_bytes.set(context.pictures.bytes)
-    context.metrics.streams.set(context.streams.open)
+    context.metrics.waits.set(context.waits.open)
     return Response(context.metrics.text(counts), media_type=CONTENT_TYPE_LATEST)
 
 

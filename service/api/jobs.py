@@ -1,31 +1,24 @@
-"""Handlers of existing jobs: get, list, wait, follow, link, stop and remove."""
+"""Handlers of existing jobs: get, list, wait, link, stop and remove."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
-from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import Depends, Query, Request, Response
-from fastapi.sse import ServerSentEvent
+from fastapi import Query, Request, Response
 from pydantic import Field
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters, while_client_waits
-from service.errors import JobTableError
 from service.jobs.job import FINAL_STATES, Job, JobState
 from service.keys import Link
 from service.storage.files import source_key
 
-log = logging.getLogger(__name__)
-
 LONGEST_LINK_S = 7 * 86_400
-EVENTS_POLL_S = 0.5  # as often as workers report progress
 FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
@@ -64,7 +57,7 @@ async def jobs(
 
 async def job_within(request: Request, job: Job, seconds: int, context: Context, client: str) -> Job | None:
     """Wait for the job to end; None if it takes longer. Raises ProblemError 409 if it is removed meanwhile."""
-    with context.streams.one(client):
+    with context.waits.one(client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 
 
@@ -80,58 +73,6 @@ async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
             raise ProblemError(409, "the job was removed before it was done")
         job = seen
     return job
-
-
-async def _one_stream(context: UseContext, caller: UseCaller) -> AsyncIterator[None]:
-    """Occupy a place for a stream until it ends. Raises ProblemError 503."""
-    with context.streams.one(caller.client):
-        yield
-
-
-StreamPlace = Annotated[None, Depends(_one_stream)]
-
-
-# The place is first, so that a stream too many is refused before the job is looked up.
-async def events(_place: StreamPlace, job: KnownJob, context: UseContext) -> AsyncIterator[ServerSentEvent]:
-    """Send server-sent events.
-
-    "state" with the job whenever it changes, "trace" with new points and the progress, and finally "done" or "failed"
-    with the job, or "removed". Every stream starts from the beginning, so after a broken connection simply open a new
-    one. A new attempt starts a new trace.
-    """
-    try:
-        async for event in _story(job, context):
-            yield event
-    except JobTableError as error:
-        log.error("an event stream ended early: %s", error)
-
-
-async def _story(job: Job, context: Context) -> AsyncIterator[ServerSentEvent]:
-    last: models.JobSummary | None = None
-    attempt, sent, progress = 0, 0, 0.0
-    while True:
-        summary = models.summary(job, context.settings)
-        if summary != last:
-            yield ServerSentEvent(event="state", data=summary)
-            last = summary
-        if job.attempt != attempt:
-            attempt, sent = job.attempt, 0
-        points = await context.read(context.table.trace, job.id, sent)
-        if points:
-            sent += len(points)
-            progress = max(progress, models.progress(points))
-            yield ServerSentEvent(event="trace", data=models.TraceView(progress=progress, trace=points))
-        if job.state in FINAL_STATES:
-            yield ServerSentEvent(event=job.state, data=summary)
-            return
-        await asyncio.sleep(EVENTS_POLL_S)
-        if context.stopping():
-            return
-        seen = await context.read(context.table.get, job.id)
-        if seen is None:
-            yield ServerSentEvent(event="removed", data={})
-            return
-        job = seen
 
 
 async def links(

@@ -80,7 +80,7 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
-        self.streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
+        self.waits = Gauge("sgmethod_waits", "Requests that wait for a job.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.decode_seconds = Histogram(
             "sgmethod_decode_seconds",

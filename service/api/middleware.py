@@ -45,7 +45,7 @@ class RequestLog:
         given = Headers(scope=scope).get(ID_HEADER, "")
         name = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
         method, path, state = scope["method"], scope["path"], scope.setdefault("state", {})
-        if method == "HEAD" and not path.endswith("/events"):  # event streams never end
+        if method == "HEAD":
             scope = {**scope, "method": "GET"}  # the server sends no body
         status, size, started = 0, 0, time.monotonic()
 

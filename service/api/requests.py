@@ -153,34 +153,15 @@ async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, 
         yield images[0], _in_query(request) + texts
 
 
-async def fields_alone(request: Request) -> list[Field]:
-    """Read the fields of a request without an image, from the query, a form, or both.
-
-    Raises ProblemError 415, or HTTPException 400 for a malformed form.
-    """
-    has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
-    if has_body and media_type(request) == FORM_TYPE:
-        async with request.form(max_files=0, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
-            return _in_query(request) + [(name, str(text)) for name, text in form.multi_items()]
-    detail = f"the fields belong in the query, or in a body of type {FORM_TYPE}"
-    await _refuse_body(request, ProblemError(415, detail, headers={"Accept": FORM_TYPE}))
-    return _in_query(request)
-
-
 def _in_query(request: Request) -> list[Field]:
     return [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
 
 
-async def _refuse_body(request: Request, refusal: ProblemError) -> None:
-    """Raise the refusal if the request has a body, which would otherwise be ignored in silence."""
+async def no_body(request: Request) -> None:
+    """Raise ProblemError 422 if there is a body, which would otherwise be ignored in silence."""
     async for chunk in request.stream():
         if chunk:
-            raise refusal
-
-
-async def no_body(request: Request) -> None:
-    """Raise ProblemError 422 if there is a body."""
-    await _refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
+            raise ProblemError(422, "this request takes no body; its parameters are in the query")
 
 
 async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, Query, Response
-from fastapi.sse import EventSourceResponse
 
 from service.api import encode, health, jobs, pictures
 from service.api.callers import OPEN_PATHS
@@ -30,7 +29,6 @@ def _body(media_type: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": {media_type: BINARY}}}
 
 
-ENCODE_REFUSALS = (400, 406, 409, 413, 415, 429, 500)
 DONE_IN_TIME = {200: {"description": "done in time", "content": dict.fromkeys((BITSTREAM_TYPE, *PICTURES), BINARY)}}
 
 
@@ -63,34 +61,15 @@ ROUTES = [
         encode.encode,
         "Encode an image",
         "--fail -F image=@photo.jpg -F bpp=0.3 'HOST/encode?wait=50' -o photo.sg",
-        ENCODE_REFUSALS,
+        (400, 406, 409, 413, 415, 429, 500),
         answers=DONE_IN_TIME,
         document={"requestBody": encode.ENCODE_BODY, "parameters": encode.PARAMETERS},
         own_query=True,
         status=202,
         options={"response_model": AcceptedView},
     ),
-    Route(
-        "POST /jobs/{job_id}/encode",
-        encode.encode_again,
-        "Re-encode a job's image",
-        "-X POST 'HOST/jobs/ID/encode?bpp=0.5'",
-        (*ENCODE_REFUSALS, 410),
-        answers=DONE_IN_TIME,
-        document={"requestBody": encode.AGAIN_BODY, "parameters": encode.PARAMETERS},
-        own_query=True,
-        status=202,
-        options={"response_model": AcceptedView},
-    ),
     Route("GET /jobs/{job_id}", jobs.status, "Get a job", "HOST/jobs/ID"),
     Route("GET /jobs", jobs.jobs, "List jobs", "'HOST/jobs?state=done&limit=20'", own_query=True),
-    Route(
-        "GET /jobs/{job_id}/events",
-        jobs.events,
-        "Follow a job",
-        "-N HOST/jobs/ID/events",
-        options={"response_class": EventSourceResponse},
-    ),
     Route(
         "POST /jobs/{job_id}/links",
         jobs.links,

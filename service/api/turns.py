@@ -1,4 +1,4 @@
-"""Limits on concurrent work: sandbox tasks, shared fairly between clients, and open streams."""
+"""Limits on concurrent work: sandbox tasks, shared fairly between clients, and requests that wait for a job."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, Generic, TypeVar
 from starlette.datastructures import UploadFile
 
 from service.api.metrics import Metrics
-from service.api.problems import RETRY_AFTER, ProblemError
+from service.api.problems import ProblemError
 from service.jobs.job import SourceImage
 from service.pictures import ComparisonFormat, PictureFormat, PictureOptions
 from service.sandbox.client import RefusedError, Sandbox, TaskError
@@ -93,10 +93,10 @@ class Turns:
                 del self._present[client], self._clients[client]
 
 
-class Streams:
-    """Limits responses that stay open: event streams, and requests that wait for a job. Use it in the event loop only.
+class Waits:
+    """Counts requests that wait for a job. Use it in the event loop only.
 
-    max_open: concurrent responses, of which one client may have half.
+    max_open: how many may wait at a time, of which one client may have half.
     """
 
     def __init__(self, max_open: int) -> None:
@@ -105,19 +105,16 @@ class Streams:
 
     @property
     def open(self) -> int:
-        """Number of open responses."""
+        """Number of requests that wait."""
         return self._open.total()
 
     def is_full(self, client: str) -> bool:
-        """Whether the client may open no more."""
+        """Whether one more request of the client would be too many."""
         return self.open >= self._max_open or self._open[client] >= -(-self._max_open // 2)
 
     @contextmanager
     def one(self, client: str) -> Iterator[None]:
-        """Count a response as open during the context. Raises ProblemError 503 if there are too many."""
-        if self.is_full(client):
-            detail = "too many streams of events are open"
-            raise ProblemError(503, detail, reason="streams", headers=RETRY_AFTER)
+        """Count a request as waiting during the context."""
         self._open[client] += 1
         try:
             yield

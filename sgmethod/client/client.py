@@ -3,20 +3,21 @@
     with Client("http://127.0.0.1:8000") as client:
         encoded = client.encode("photo.jpg", Budget("bpp", 0.3))
 
-Needs httpx (pip install 'sgmethod[client]'). Every failure is a ServerError with one clear sentence, except for a path
+Needs httpx2 (pip install 'sgmethod[client]'). Every failure is a ServerError with one clear sentence, except for a path
 that cannot be read, which is an OSError.
 """
 
 from __future__ import annotations
 
 import secrets
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, TypedDict, Unpack
 from urllib.parse import urlsplit
 
-import httpx
+import httpx2
 
 from sgmethod.arguments import AnyFloat, AnyInt
 from sgmethod.budget import Budget
@@ -30,6 +31,7 @@ PAGE = 200  # jobs in one answer
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
 WAIT_S = 50  # per request: less than the timeouts of proxies and of this client
+POLL_S = 0.4  # a little more often than workers report progress
 
 
 class Options(TypedDict, total=False):
@@ -91,7 +93,7 @@ class Client:
         query = _query(budget, profile, options)
         try:
             wait_s = WAIT_S if on_progress is None else 0
-            answer = self._submit("/encode", query, bytes_of(image, ServerError), wait_s, idempotency_key)
+            answer = self._submit(query, bytes_of(image, ServerError), wait_s, idempotency_key)
         except RefusedError as refusal:
             if "id" not in refusal.problem:
                 raise
@@ -99,7 +101,7 @@ class Client:
             raise ServerError(refusal.problem["detail"]) from None
         job_id = _id_of(answer)
         try:
-            if answer.status_code == httpx.codes.OK:
+            if answer.status_code == httpx2.codes.OK:
                 data, job = answer.content, self.job(job_id)
             else:
                 job = self.wait(job_id, on_progress)
@@ -118,23 +120,11 @@ class Client:
     ) -> str:
         """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
         query = _query(budget, profile, options)
-        return _id_of(self._submit("/encode", query, bytes_of(image, ServerError)))
+        return _id_of(self._submit(query, bytes_of(image, ServerError)))
 
-    def submit_again(
-        self, job_id: str, budget: Budget | None = None, profile: Profile = DEFAULT_PROFILE, **options: Unpack[Options]
-    ) -> str:
-        """Submit the image of an existing job again, without another upload, and return the id of the new job.
-
-        Raises ServerError once the server has deleted the image.
-        """
-        query = _query(budget, profile, options)
-        return _id_of(self._submit(f"/jobs/{job_id}/encode", query))
-
-    def _submit(
-        self, path: str, query: Json, image: bytes = b"", wait_s: int = 0, key: str | None = None
-    ) -> httpx.Response:
+    def _submit(self, query: Json, image: bytes, wait_s: int = 0, key: str | None = None) -> httpx2.Response:
         headers = {"Content-Type": "image/*", "Idempotency-Key": key or secrets.token_hex(16)}
-        return self._connection.ask("POST", path, params={**query, "wait": wait_s}, content=image, headers=headers)
+        return self._connection.ask("POST", "/encode", params={**query, "wait": wait_s}, content=image, headers=headers)
 
     def job(self, job_id: str) -> Json:
         """Return a job's state, progress, trace, result and error."""
@@ -151,28 +141,20 @@ class Client:
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
         """Wait for a job and return it with its trace. Raises ServerError if it fails or is removed."""
-        patience = self._connection.patience()
+        attempt = reported = 0
         while True:
-            why, least_s = ServerError("the job's event stream ended"), 0.0
-            try:
-                for name, data in self._connection.events(job_id):
-                    patience.renew()
-                    if name == "trace" and on_progress is not None:
-                        for point in data["trace"]:
-                            on_progress(TracePoint(**point))
-                    if name == "done":
-                        return self.job(job_id)
-                    if name == "failed":
-                        raise ServerError(data["error"]["detail"])
-                    if name == "removed":
-                        raise ServerError("the job was removed before it was done")
-            except httpx.RequestError as error:
-                why = self._connection.out_of_reach(error)
-            except RefusedError as refusal:
-                if refusal.again_s is None:
-                    raise
-                why, least_s = refusal, refusal.again_s
-            patience.pause(why, least_s)
+            job = self.job(job_id)
+            if job["attempt"] != attempt:  # which starts a new trace
+                attempt, reported = job["attempt"], 0
+            if on_progress is not None:
+                for point in job["trace"][reported:]:
+                    on_progress(TracePoint(**point))
+                reported = len(job["trace"])
+            if job["state"] == "done":
+                return job
+            if job["state"] == "failed":
+                raise ServerError(job["error"]["detail"])
+            time.sleep(POLL_S)
 
     def bitstream(self, job_id: str) -> bytes:
         """Fetch the .sg file of a finished job."""
@@ -214,7 +196,7 @@ def _query(budget: Budget | None, profile: Profile, options: Options) -> Json:
     return {name: value for name, value in wanted.items() if value is not None}
 
 
-def _id_of(answer: httpx.Response) -> str:
+def _id_of(answer: httpx2.Response) -> str:
     """Return the id of the job that a request has created. Raises ServerError if there is none."""
     if "Location" not in answer.headers:
         raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")

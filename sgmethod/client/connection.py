@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-import httpx
-from httpx_sse import EventSource
+import httpx2
 
 from sgmethod.errors import ServerError
 
@@ -17,13 +16,13 @@ Json = dict[str, Any]
 Say = Callable[[str], None]
 AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
-SILENCE_S = 60.0  # the server sends a sign of life every 15 s
+SILENCE_S = 60.0  # more than the longest wait
 WHERE_THE_KEY_IS = "set SG_API_KEY for the command line, or api_key of a Client"
 UNUSABLE = (
     "an environment variable names a proxy or a file that cannot be used: HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, "
-    "SSL_CERT_FILE or SSLKEYLOGFILE (SOCKS needs: pip install 'httpx[socks]')"
+    "SSL_CERT_FILE or SSLKEYLOGFILE (SOCKS needs: pip install 'httpx2[socks]')"
 )
-PASSING = (httpx.TimeoutException, httpx.NetworkError, httpx.RemoteProtocolError)
+PASSING = (httpx2.TimeoutException, httpx2.NetworkError, httpx2.RemoteProtocolError)
 
 log = logging.getLogger("sgmethod.client")
 
@@ -41,10 +40,6 @@ class Patience:
 
     def __init__(self, seconds: float, say: Say) -> None:
         self._seconds, self._say = seconds, say
-        self.renew()
-
-    def renew(self) -> None:
-        """Start over after a success."""
         self._deadline: float | None = None
         self._pause_s = PAUSE_S
 
@@ -70,34 +65,30 @@ class Connection:
         self._server, self._patience_s, self._on_retry = server, patience_s, on_retry
         self._has_answered = False
         try:
-            url = httpx.URL(server)
+            url = httpx2.URL(server)
             if url.scheme not in ("http", "https") or not url.host:
                 raise ServerError(f"the server's address must begin with http:// or https://, got {server!r}")
             url.host.encode("idna")
-        except (httpx.InvalidURL, ValueError) as error:
+        except (httpx2.InvalidURL, ValueError) as error:
             raise ServerError(f"{server!r} is not a valid address: {error}") from error
-        limits = httpx.Limits(max_connections=None)  # as many as the caller has threads
+        limits = httpx2.Limits(max_connections=None)  # as many as the caller has threads
         try:
-            self._http = httpx.Client(base_url=url, headers=headers, timeout=SILENCE_S, limits=limits)
-        except (OSError, ValueError, ImportError, httpx.InvalidURL):  # whose texts may repeat a proxy's password
+            self._http = httpx2.Client(base_url=url, headers=headers, timeout=SILENCE_S, limits=limits)
+        except (OSError, ValueError, ImportError, httpx2.InvalidURL):  # whose texts may repeat a proxy's password
             raise ServerError(UNUSABLE) from None
 
     def close(self) -> None:
         """Close the connections."""
         self._http.close()
 
-    def patience(self) -> Patience:
-        """Start the patience of one request."""
-        return Patience(self._patience_s, self._on_retry)
-
-    def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
+    def ask(self, method: str, path: str, **request: Any) -> httpx2.Response:
         """Send a request and return the successful response, after retries if they may help."""
-        patience = self.patience()
+        patience = Patience(self._patience_s, self._on_retry)
         while True:
             try:
                 answer = self._http.request(method, path, **request)
-            except httpx.RequestError as error:
-                patience.pause(self.out_of_reach(error))
+            except httpx2.RequestError as error:
+                patience.pause(self._out_of_reach(error))
                 continue
             self._has_answered = True
             if answer.is_success:
@@ -115,17 +106,7 @@ class Connection:
             raise ServerError(f"{self._server} is not an sgmethod service: it does not answer in JSON") from error
         return found
 
-    def events(self, job_id: str) -> Iterator[tuple[str, Json]]:
-        """Yield names and data of a job's events until the stream ends. Raises RefusedError, httpx.RequestError."""
-        with self._http.stream("GET", f"/jobs/{job_id}/events") as answer:
-            self._has_answered = True
-            if not answer.is_success:
-                answer.read()
-                raise _refusal(answer)
-            for event in EventSource(answer).iter_sse():
-                yield event.event, event.json()
-
-    def out_of_reach(self, error: httpx.RequestError) -> ServerError:
+    def _out_of_reach(self, error: httpx2.RequestError) -> ServerError:
         """Return the error to report if it may be temporary; else raise it."""
         failure = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
         if "CERTIFICATE_VERIFY_FAILED" in str(error):
@@ -133,15 +114,15 @@ class Connection:
                 f"the certificate of {self._server} is not trusted; SSL_CERT_FILE may name one: {error}"
             )
         # If nothing has ever answered, a wrong address is more likely than a restarting server.
-        never = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout) and not self._has_answered
+        never = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout) and not self._has_answered
         if never or not isinstance(error, PASSING):
             raise failure from error
         return failure
 
 
-def _refusal(answer: httpx.Response) -> RefusedError:
+def _refusal(answer: httpx2.Response) -> RefusedError:
     again_s = _retry_after_s(answer.headers) if answer.status_code in AGAIN else None
-    hint = f"; {WHERE_THE_KEY_IS}" if answer.status_code == httpx.codes.UNAUTHORIZED else ""
+    hint = f"; {WHERE_THE_KEY_IS}" if answer.status_code == httpx2.codes.UNAUTHORIZED else ""
     with suppress(ValueError, KeyError, TypeError):
         problem = answer.json()
         return RefusedError(f"the server refused: {problem['detail']}{hint}", problem, again_s)

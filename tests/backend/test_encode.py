@@ -12,7 +12,6 @@ import torch
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.pictures import photo, png
 from sgmethod.backend.devices import backend_on
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
@@ -27,6 +26,7 @@ from sgmethod.settings.shared import Tune
 from sgmethod.view import View
 from tests.definitions.backend import Reference
 from tests.rd.short import requested
+from tests.support.pictures import photo, png
 
 SIZE, BYTES = (40, 32), 400
 SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, size_tries=1))

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import torch
 
-from benchmarks.harness.data import ROOT
 from sgmethod.backend.devices import has_tiles
+from tests.support.data import ROOT
 
 PARTS = ("pyramid or needles", "plain", "backend", "batch or nothing", "steps or fits")
 POINTERS = {"table": "i32", "levels": "i32", "counts": "i32", "ends": "i64", "keys": "i64", "starts": "i64"}

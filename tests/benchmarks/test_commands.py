@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import PHOTOGRAPHS, ROOT
+from tests.support.data import PHOTOGRAPHS, ROOT
 
 pytestmark = pytest.mark.thorough
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.data import ROOT
 from benchmarks.report import __main__ as report
 from benchmarks.report.__main__ import filled, stale
+from tests.support.data import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
 JSONS = sorted(RESULTS.rglob("*.json"))

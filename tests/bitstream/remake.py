@@ -13,13 +13,13 @@ from dataclasses import replace
 from hashlib import sha256
 from typing import Any
 
-from benchmarks.harness.data import ROOT, golden, golden_path, with_checksum
 from sgmethod import decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2 as plain
 from tests.bitstream.plain_decoder_v2 import Header, Integers, SizeClass
 from tests.bitstream.plain_encoder_v2 import Wanted, write_payload
+from tests.support.data import ROOT, golden, golden_path, with_checksum
 
 FORMAT = ROOT / "docs" / "format"
 MODELS, VECTORS = FORMAT / "models.json", FORMAT / "vectors.json"

@@ -6,12 +6,12 @@ import re
 
 import pytest
 
-from benchmarks.harness.data import JAVASCRIPT
 from sgmethod import BitstreamError
 from sgmethod.bitstream import v1, v2
 from sgmethod.bitstream.fields import BitField, BitReader, Header, write_bits
 from sgmethod.bitstream.stream import SIGNATURE_BYTES
 from tests.bitstream.test_format_v1 import table
+from tests.support.data import JAVASCRIPT
 
 pytestmark = pytest.mark.thorough
 

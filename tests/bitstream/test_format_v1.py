@@ -7,7 +7,6 @@ import zlib
 import pytest
 from hypothesis import given, strategies as st
 
-from benchmarks.harness.data import ROOT, golden, with_checksum
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.stream import SIGNATURE, VERSION_ZERO
@@ -17,6 +16,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.bitstream import plain_decoder_v1
 from tests.bitstream.plain_decoder_v2 import Gaussian, RefusedError
+from tests.support.data import ROOT, golden, with_checksum
 
 TEXT = (ROOT / "docs" / "format.md").read_text()
 GOLDEN = golden(1)

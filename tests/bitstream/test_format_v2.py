@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from benchmarks.harness.data import ROOT, damaged, golden, golden_path, with_checksum
 from sgmethod import BitstreamError, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
@@ -26,6 +25,7 @@ from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2, remake
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
 from tests.bitstream.test_format_v1 import TEXT, rows, table
+from tests.support.data import ROOT, damaged, golden, golden_path, with_checksum
 
 GOLDEN = golden(2)
 PARTS = (0.01, 0.1, 0.25, 0.5, 0.77, 0.99)

@@ -18,7 +18,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import sgmethod
-from benchmarks.harness.data import SIGNATURES, damaged, golden, with_checksum
 from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.fields import write_bits
@@ -26,6 +25,7 @@ from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v2 import BACKGROUND, FLAGS, QUANTUM, SIZE, StreamV2
 from sgmethod.view import View
 from tests.backend.cases import single
+from tests.support.data import SIGNATURES, damaged, golden, with_checksum
 
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
 MAX_CPU_S = 2.0  # 0.14 s is the worst seen

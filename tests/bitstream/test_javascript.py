@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.harness.data import JAVASCRIPT, ROOT
 from sgmethod.native import native
+from tests.support.data import JAVASCRIPT, ROOT
 
 FILES = 2000  # of each kind
 SIDES = [1, 2, 7, 16, 33, 64, 300, 4096, 65_535]

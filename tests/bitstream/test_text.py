@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.harness.data import golden
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.text import from_text, to_text
+from tests.support.data import golden
 
 GOLDEN = {**golden(1), **golden(2)}
 

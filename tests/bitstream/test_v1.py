@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from benchmarks.harness.data import golden, with_checksum
 from sgmethod.bitstream import v1
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.errors import BitstreamError
+from tests.support.data import golden, with_checksum
 
 GOLDEN = golden(1)
 

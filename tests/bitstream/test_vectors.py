@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.harness.data import JAVASCRIPT, ROOT
 from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.remake import maps_of, refusals, row_of
 from tests.bitstream.test_format_v1 import rows
+from tests.support.data import JAVASCRIPT, ROOT
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import ROOT
 from benchmarks.pictures import pictures_in
 from tests.bitstream import plain_decoder_v2 as plain
+from tests.support.data import ROOT
 
 SKIMAGE = ("astronaut", "coffee", "chelsea", "rocket", "retina", "hubble_deep_field")
 RATES, PREVIEW_BYTES = (0.1, 0.25, 0.4), (60, 200, 1000)

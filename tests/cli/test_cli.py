@@ -22,8 +22,6 @@ import torch
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import ROOT, golden_path
-from benchmarks.harness.pictures import photo
 from sgmethod import codec, decode, info
 from sgmethod.budget import Budget
 from sgmethod.cli import arguments, decoding, files, main as cli, terminal
@@ -34,6 +32,8 @@ from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
 from tests.rd.short import shortened
+from tests.support.data import ROOT, golden_path
+from tests.support.pictures import photo
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
 FIGURES = {"bytes", "bpp", "psnr", "ms_ssim", "ssimulacra2", "gaussians", "steps", "seconds", "width", "height"}

@@ -11,8 +11,6 @@ import pytest
 import torch
 
 import sgmethod
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.pictures import photo
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame
@@ -23,6 +21,8 @@ from sgmethod.native import native
 from sgmethod.view import NO_CUTOFF, recut
 from tests.backend.cases import scattered, single
 from tests.definitions.drawing import render
+from tests.support.data import golden_path
+from tests.support.pictures import photo
 
 SIZE = (64, 48)
 SOME = scattered(20, 1, SIZE)

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import sgmethod
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
@@ -29,6 +27,8 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
 from tests.backend.cases import single
 from tests.rd.short import requested
+from tests.support.data import golden_path
+from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200

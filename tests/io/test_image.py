@@ -13,11 +13,11 @@ import pytest
 from hypothesis import example, given, strategies as st
 from PIL import Image
 
-from benchmarks.harness.pictures import photo
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
 from tests.io.odd_files import chunk, png, tiff
+from tests.support.pictures import photo
 
 pillow_heif.register_heif_opener()
 PIXELS = np.ascontiguousarray(photo("kodim05-crop")[30:62, 20:68])

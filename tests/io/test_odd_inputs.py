@@ -15,14 +15,14 @@ import pillow_heif
 import pytest
 from PIL import Image, ImageCms
 
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.pictures import photo
 from sgmethod.errors import ImageError, ImageWarning
 from sgmethod.io import items
 from sgmethod.io.image import read_header, read_image_8_bit
 from tests.io import profiles
 from tests.io.odd_files import chunk, png, tiff
 from tests.io.test_image import exif_with
+from tests.support.data import golden_path
+from tests.support.pictures import photo
 
 SIZE = (32, 24)
 RED = (200, 80, 60)

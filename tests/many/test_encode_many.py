@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget, ImageWarning, Row, SgError, Tally, encode, encode_many
 from sgmethod.client import RemoteEncoded, encode_many as encode_on_server
 from sgmethod.errors import noted
@@ -28,6 +27,7 @@ from sgmethod.io.image import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short
+from tests.support.pictures import photo
 
 PHOTO = Image.fromarray(photo()).resize((64, 48))
 

@@ -11,11 +11,11 @@ from unittest.mock import Mock
 
 import pytest
 
-from benchmarks.harness.processes import wait_until
 from sgmethod import SgError
 from sgmethod.many import processes
 from sgmethod.many.processes import in_processes
 from tests.many.killing import doubled
+from tests.support.processes import wait_until
 
 
 def test_results_come_as_they_finish() -> None:

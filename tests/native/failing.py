@@ -15,7 +15,6 @@ from itertools import count
 
 import numpy as np
 
-from benchmarks.harness.data import PHOTOGRAPHS
 from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
@@ -24,6 +23,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.native.harness.golden import GOLDEN, is_golden
 from tests.rd.short import short
+from tests.support.data import PHOTOGRAPHS
 
 WIDTH, HEIGHT = 200, 150
 Action = Callable[[], bytes]

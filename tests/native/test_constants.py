@@ -6,8 +6,8 @@ import ast
 
 import numpy as np
 
-from benchmarks.harness.data import ROOT
 from sgmethod.native import native
+from tests.support.data import ROOT
 
 STUB = ROOT / "sgmethod" / "native" / "_native.pyi"
 

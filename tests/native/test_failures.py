@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.data import ROOT
+from tests.support.data import ROOT
 
 SHIMS = Path(__file__).parent / "shims"
 PATIENCE_S = 300  # of a process that may hang

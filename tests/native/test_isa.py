@@ -8,9 +8,9 @@ import sys
 import pytest
 
 import sgmethod
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.processes import Outcome, run
 from sgmethod.native import ISAS, native
+from tests.support.data import golden_path
+from tests.support.processes import Outcome, run
 
 GOLDEN = golden_path("v2-color.sg")
 CODED = """

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.harness.data import golden_path
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
@@ -16,6 +15,7 @@ from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2, quantum_code, quantum_o
 from tests.bitstream.plain_encoder_v2 import Wanted, write_payload
 from tests.bitstream.remake import header_of
 from tests.native.test_codec import gaussians, rows, scattered
+from tests.support.data import golden_path
 
 
 def busy() -> StreamV2:

@@ -15,7 +15,6 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.harness.pictures import photo
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.errors import GaussiansError
@@ -32,6 +31,7 @@ from sgmethod.trace import TracePoint
 from tests.backend.cases import single
 from tests.definitions import drawing
 from tests.rd.short import SlowClock
+from tests.support.pictures import photo
 
 KERNELS = Kernels()
 PHOTO = photo() / np.float32(255)

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks.harness.pictures import photo
 from sgmethod import encode
 from sgmethod.paper import encode as paper
+from tests.support.pictures import photo
 
 
 @pytest.mark.parametrize(("limit_s", "attempts"), [(0.001, 1), (None, 4)])

@@ -15,8 +15,6 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.pictures import photo, saved
 from sgmethod.errors import BitstreamError, BudgetError, ImageError
 from sgmethod.io.image import ImageLimits
 from sgmethod.metrics import psnr
@@ -25,6 +23,8 @@ from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short
+from tests.support.data import ROOT
+from tests.support.pictures import photo, saved
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
 LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)

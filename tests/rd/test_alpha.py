@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
@@ -24,6 +23,7 @@ from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
 from tests.rd.short import SlowClock, requested, short
+from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
 PHOTO = np.ascontiguousarray(photo()[:72, :96])

@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import golden_path
 from sgmethod import Budget, BudgetError, ImageError, SgError, View, ViewError
 from sgmethod.io.image import read_input
 from sgmethod.profiles import PROFILES
 from tests.rd.short import shortened
+from tests.support.data import golden_path
 
 GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 PIXELS = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, RefineLimits, step_by_step
@@ -19,6 +18,7 @@ from sgmethod.rd import encode as pipeline
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
 from tests.rd.short import begun, requested
+from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
 CROP = photo()

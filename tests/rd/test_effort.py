@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.rd.densify import densify, prune
@@ -21,6 +20,7 @@ from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import DEFAULT_EFFORT
 from sgmethod.settings.shared import Tune
 from tests.rd.short import SlowClock, begun, requested
+from tests.support.pictures import photo
 
 CROP = np.ascontiguousarray(photo()[24:64, 40:88])  # a parrot's eye, 48 x 40
 FLAT = np.full((40, 48, 3), (200, 40, 90), np.uint8)

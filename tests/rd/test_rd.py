@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from benchmarks.harness.pictures import ODD, grey, noise, photo
 from sgmethod import Budget, Encoded, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import SMALLEST_FILE, StreamV2
 from sgmethod.native import native
 from sgmethod.settings.rd import RD, RdSettings
 from tests.rd.short import short
+from tests.support.pictures import ODD, grey, noise, photo
 
 FloatArray = NDArray[np.float32]
 CROP = photo()[24:72, 40:104] / np.float32(255)  # a parrot's eye, 64 x 48

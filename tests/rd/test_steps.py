@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
@@ -18,6 +17,7 @@ from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
 from tests.rd.short import begun, requested, short, stage_of
+from tests.support.pictures import photo
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 BUDGET = Budget("bytes", 2000)

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from benchmarks.harness.pictures import photo
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
@@ -21,6 +20,7 @@ from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 from tests.rd.short import SlowClock, requested, short, stage_of
+from tests.support.pictures import photo
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 NOISE = np.random.default_rng(0).integers(0, 256, (128, 160, 3), np.uint8)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service
 
 CHROMIUM, CHROMEDRIVER, FIREFOX = (shutil.which(name) for name in ("chromium", "chromedriver", "firefox-esr"))
 HINT = "Chromium is not installed, so the page was not tested: sudo apt install chromium chromium-driver"

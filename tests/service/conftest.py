@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
-from benchmarks.harness import nginx, postgres_server
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.job_table import LONG_S, OpenTable, open_table
-from benchmarks.harness.nginx import Nginx
-from benchmarks.harness.postgres_server import PostgresServer, find_binaries
-from benchmarks.harness.processes import Outcome
-from benchmarks.harness.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 from service.__main__ import main
 from service.jobs.table import JobTable
 from tests.service.s3_server import S3Server
+from tests.support import nginx, postgres_server
+from tests.support.data import PICTURE
+from tests.support.job_table import LONG_S, OpenTable, open_table
+from tests.support.nginx import Nginx
+from tests.support.postgres_server import PostgresServer, find_binaries
+from tests.support.processes import Outcome
+from tests.support.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 
 if TYPE_CHECKING:
     from tests.service.browser import Chromium, Firefox, Page

@@ -10,7 +10,7 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-from benchmarks.harness.processes import PATIENCE_S, wait_until
+from tests.support.processes import PATIENCE_S, wait_until
 
 KEY, BUCKET = "test", "pictures"
 

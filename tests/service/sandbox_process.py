@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import BinaryIO
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import PATIENCE_S
 from service.jobs.job import EncodeRequest, new_job_id
 from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
 from service.sandbox.frames import Encode, Message, Preview, TracePoint
+from tests.support.data import ROOT
+from tests.support.processes import PATIENCE_S
 
 # In place of an encode, a program in the file runs where the encoder would run: as confined, with `answer` at hand.
 TAKEN_OVER = """

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.job_table import IMAGE
-from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.processes import Outcome, run
-from benchmarks.harness.service import FAKE_CODEC, RunCommand
 from service.alive import touch
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
 from service.commands import _where
 from service.settings import Settings
+from tests.support.job_table import IMAGE
+from tests.support.postgres_server import PostgresServer
+from tests.support.processes import Outcome, run
+from tests.support.service import FAKE_CODEC, RunCommand
 
 
 def verdicts(result: Outcome) -> dict[str, str]:

@@ -12,13 +12,13 @@ from pathlib import Path
 import certifi
 import pytest
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import PATIENCE_S, Outcome, failing, run, wait_until
-from benchmarks.harness.service import RunCommand
 from service.process import supervisor
 from service.settings import Settings, add_secrets
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
+from tests.support.data import ROOT
+from tests.support.processes import PATIENCE_S, Outcome, failing, run, wait_until
+from tests.support.service import RunCommand
 
 COMPUTED = {
     "workers": "cores / 4, at least 1",

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.harness.pictures import ODD, grey, photo
 from sgmethod.scene import Gaussians
 from sgmethod.settings.shared import STRUCTURE
 from sgmethod.start import structure
 from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
 from sgmethod.start.structure import Structure
+from tests.support.pictures import ODD, grey, photo
 
 FloatArray = NDArray[np.float32]
 KODAK = 768 * 512

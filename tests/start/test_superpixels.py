@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from benchmarks.harness.pictures import photo
 from sgmethod.native import native
+from tests.support.pictures import photo
 
 FloatArray = NDArray[np.float32]
 RANDOM = np.random.default_rng(0)

@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 import sgmethod
-from benchmarks.harness.pictures import photo
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.metrics import psnr
 from sgmethod.rd.exact import ExactFit
 from sgmethod.torch import Fit, fit, render
+from tests.support.pictures import photo
 
 PHOTO = torch.from_numpy(photo()).permute(2, 0, 1)
 HEIGHT, WIDTH = 33, 47

@@ -10,10 +10,10 @@ import torch
 
 import sgmethod
 import sgmethod.torch
-from benchmarks.harness.data import ROOT
 from sgmethod.metrics import psnr
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short
+from tests.support.data import ROOT
 
 PAGE = (ROOT / "docs" / "python.md").read_text()
 

@@ -16,10 +16,10 @@ from PIL import Image
 from torch.utils.data import DataLoader
 
 import sgmethod
-from benchmarks.harness.pictures import photo
 from sgmethod.errors import BudgetError, GaussiansError, SgError
 from sgmethod.torch import SgDataset, fit, fit_many, render
 from sgmethod.torch.shards import samples_of
+from tests.support.pictures import photo
 
 PHOTO = photo()
 

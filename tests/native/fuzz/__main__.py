@@ -15,10 +15,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.harness.data import golden
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2, quantum_code
 from tests.native.harness.build import BUILDS, PATH, build
+from tests.support.data import golden
 
 CORPUS = Path(__file__).parent / "corpus" / "entropy"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"

@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from benchmarks.harness.data import ROOT
+from tests.support.data import ROOT
 
 BUILDS = ROOT / "build"
 BIN = Path(sys.executable).parent  # of the environment, whose programs come first

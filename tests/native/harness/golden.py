@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.harness.data import golden, golden_path
+from tests.support.data import golden, golden_path
 
 GOLDEN = {**golden(1), **golden(2)}
 

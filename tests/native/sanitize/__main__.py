@@ -14,8 +14,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.harness.data import ROOT
 from tests.native.harness.build import build, imports, layout, nanobind
+from tests.support.data import ROOT
 
 GCC = {"CC": "gcc", "CXX": "g++"}
 ASAN = "detect_leaks=1:detect_stack_use_after_return=1:strict_string_checks=1"

@@ -13,10 +13,10 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from benchmarks.harness.data import with_checksum
 from sgmethod import BitstreamError, View, ViewError, decode
 from sgmethod.native import native
 from tests.native.harness.golden import GOLDEN, is_golden
+from tests.support.data import with_checksum
 
 MAX_PIXELS = 1 << 16  # a header can claim 4 gigapixels
 NUMBERS = (0, 1, 2, 15, 16, 17, 127, 128, 254, 255)

@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
-from benchmarks.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import NAME_LENGTH, processes, wait_until
-from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
+from tests.support.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import NAME_LENGTH, processes, wait_until
+from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
 
 pytestmark = pytest.mark.thorough
 
@@ -39,20 +39,20 @@ def crowded() -> bytes:
 
 
 @pytest.fixture
-def eve(web: Service) -> Iterator[httpx.Client]:
+def eve(web: Service) -> Iterator[httpx2.Client]:
     """The attacker."""
-    with httpx.Client(base_url=web.url, headers=bearer("eve"), timeout=100) as client:
+    with httpx2.Client(base_url=web.url, headers=bearer("eve"), timeout=100) as client:
         yield client
 
 
 @pytest.fixture
-def ann(web: Service) -> Iterator[httpx.Client]:
+def ann(web: Service) -> Iterator[httpx2.Client]:
     """Somebody else."""
-    with httpx.Client(base_url=web.url, headers=bearer("ann"), timeout=100) as client:
+    with httpx2.Client(base_url=web.url, headers=bearer("ann"), timeout=100) as client:
         yield client
 
 
-def posted(client: httpx.Client, image: bytes) -> httpx.Response:
+def posted(client: httpx2.Client, image: bytes) -> httpx2.Response:
     return client.post("/encode?bpp=1", content=image, headers={"Content-Type": "image/*"})
 
 
@@ -79,7 +79,7 @@ def cpu_s_and_peak_bytes_of(service: Service) -> tuple[float, int]:
     [(tiff_of_many_strips, 800_000), (png_of_many_chunks, 1_000_000), (jpeg_of_many_markers, 3_500_000)],
 )
 def test_a_header_that_takes_long_is_given_up(
-    web: Service, eve: httpx.Client, ann: httpx.Client, make: Callable[[int], bytes], parts: int
+    web: Service, eve: httpx2.Client, ann: httpx2.Client, make: Callable[[int], bytes], parts: int
 ) -> None:
     """It took the web process 0.8 to 2.7 s, and up to 280 MB; others waited up to 7 s."""
     image = make(parts)
@@ -92,7 +92,7 @@ def test_a_header_that_takes_long_is_given_up(
     assert posted(ann, SMALL).status_code == 202
 
 
-def test_slow_headers_delay_no_other_client(eve: httpx.Client, ann: httpx.Client) -> None:
+def test_slow_headers_delay_no_other_client(eve: httpx2.Client, ann: httpx2.Client) -> None:
     image = tiff_of_many_strips(800_000)
     with ThreadPoolExecutor(4) as pool:
         attack = [pool.submit(posted, eve, image) for _ in range(4)]
@@ -102,7 +102,7 @@ def test_slow_headers_delay_no_other_client(eve: httpx.Client, ann: httpx.Client
         assert {attempt.result().status_code for attempt in attack} == {422}
 
 
-def test_a_header_that_takes_much_memory_is_given_up(eve: httpx.Client) -> None:
+def test_a_header_that_takes_much_memory_is_given_up(eve: httpx2.Client) -> None:
     assert_problem(posted(eve, tiff_of_many_strips(6_000_000)), 422, "exceeds the time limit")
     assert posted(eve, SMALL).status_code == 202
 
@@ -121,7 +121,7 @@ def is_answered(connection: socket.socket) -> bool:
     return bool(select.select([connection], [], [], 0)[0])
 
 
-def test_decodes_of_one_client_keep_no_other_waiting(web: Service, ann: httpx.Client, crowded: bytes) -> None:
+def test_decodes_of_one_client_keep_no_other_waiting(web: Service, ann: httpx2.Client, crowded: bytes) -> None:
     """Twelve of them held another key's POST /encode for 21 s, and its POST /decode for 26 s."""
     attack = [sent_by_eve(web, crowded) for _ in range(12)]
     try:
@@ -190,7 +190,7 @@ def test_a_task_that_is_killed_harms_no_other(start_service: StartService, crowd
     wait_until(lambda: not {*waiting} & processes().keys())  # else the next task is given to one that is dying
     assert web.client.post("/decode", content=PICTURE).status_code == 200
 
-    def killed_twice() -> httpx.Response | None:
+    def killed_twice() -> httpx2.Response | None:
         answer = pool.submit(web.client.post, "/decode", content=crowded)
         for _ in range(2):
             busy = busy_fork(web, lambda: not answer.done())

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service, StartService, assert_problem, bearer, keys_of
 from service.keys import digest
 from service.pictures import MEDIA_TYPES
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
 
 
 @pytest.mark.parametrize(
@@ -75,15 +75,13 @@ def test_unknown_parameters(web: Service, done: str, path: str) -> None:
 
 def test_head_of_everything(web: Service, done: str) -> None:
     paths = web.client.get("/openapi.json").json()["paths"]
-    files = [path for path in paths if "get" in paths[path] and not path.endswith(("events", "comparison.{kind}"))]
+    files = [path for path in paths if "get" in paths[path] and not path.endswith("comparison.{kind}")]
     assert len(files) >= 8
     for path in (*files, "/", "/docs", "/openapi.json", "/static/main.js"):
         url = path.format(job_id=done, kind="png")
         head, get = web.client.head(url), web.client.get(url)
         assert (head.status_code, head.content) == (200, b""), url
         assert head.headers["content-type"] == get.headers["content-type"]
-    answer = web.client.head(f"/jobs/{done}/events")
-    assert (answer.status_code, answer.headers["allow"]) == (405, "GET")
 
 
 def test_requests_have_ids_and_lines(start_service: StartService) -> None:

@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import pixels_of
 from service.api.cache import PictureCache
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
+from tests.support.data import PICTURE
+from tests.support.pictures import pixels_of
 
 INFO = sgmethod.info(PICTURE)
 SIZE = (INFO.width, INFO.height)

@@ -12,16 +12,16 @@ import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.job_table import grow_older
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
 from service.api.context import WORK_THREADS
 from service.api.problems import ProblemError
 from service.api.turns import Together
+from tests.support.data import PICTURE
+from tests.support.job_table import grow_older
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
@@ -34,7 +34,7 @@ def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> No
     assert web.client.get("/readyz").status_code == web.client.head("/readyz").status_code == 200
     job_id = web.accepted()
     problem = wait_until(lambda: (answer := web.client.get("/readyz")).status_code == 503 and answer)
-    assert isinstance(problem, httpx.Response)
+    assert isinstance(problem, httpx2.Response)
     assert_problem(problem, 503, "no worker")
     assert web.client.get("/livez").status_code == 200
     web.client.delete(f"/jobs/{job_id}")
@@ -97,7 +97,7 @@ def test_nothing_waits_behind_requests_that_wait_for_a_lock(start_service: Start
         threads = Path("/proc", str(web.process.pid), "task")
         wait_until(lambda: len(list(threads.iterdir())) > WORK_THREADS)  # all that there are for this
         for path in ("/livez", "/readyz", "/", "/static/main.js", "/jobs", f"/jobs/{jobs[-1]}", "/metrics"):
-            assert httpx.get(web.url + path, timeout=PATIENCE_S).status_code == 200
+            assert httpx2.get(web.url + path, timeout=PATIENCE_S).status_code == 200
             assert not any(deletion.done() for deletion in deletions)
         lock.execute("ROLLBACK")
         assert {deletion.result().status_code for deletion in deletions} == {204}
@@ -133,7 +133,7 @@ def test_figures(start_service: StartService) -> None:
     web.client.request("BREW", "/no/such/path")
     seen = web.figures()
     assert seen["sgmethod_jobs_accepted_total"] == 1
-    assert seen["sgmethod_streams"] == 0
+    assert seen["sgmethod_waits"] == 0
     assert (seen['sgmethod_jobs{state="queued"}'], seen['sgmethod_jobs{state="done"}']) == (1, 1)
     route = "/decode/{job_id}.{kind}"
     assert seen[f'sgmethod_requests_total{{method="GET",route="{route}",status="200"}}'] == 3

@@ -11,10 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from PIL import Image
 
-from benchmarks.harness.attacks import crowded_bitstream, png_chunk, png_that_claims
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL, saved
-from benchmarks.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
+from tests.support.attacks import crowded_bitstream, png_chunk, png_that_claims
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL, saved
+from tests.support.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 SOME_ID = "0123456789abcdef" * 2
 BOUNDARY = "frontier"

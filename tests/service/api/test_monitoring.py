@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.service import Service
+from tests.support.data import ROOT
+from tests.support.service import Service
 
 PARTS = {"histogram": ("_bucket", "_sum", "_count"), "summary": ("_sum", "_count")}
 

@@ -8,19 +8,19 @@ import shlex
 import sys
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 from fastapi import FastAPI
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, run
-from benchmarks.harness.service import FAKE_CODEC, Service, StartService, keys_of
 from service.api import models
 from service.api.app import _document
 from service.api.routes import HOST
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, run
+from tests.support.service import FAKE_CODEC, Service, StartService, keys_of
 
 pytestmark = pytest.mark.thorough
 
@@ -58,7 +58,7 @@ def test_the_example_is_a_job() -> None:
     models.JobView.model_validate(example)
 
 
-def curl(command: str, folder: Path) -> httpx.Response:
+def curl(command: str, folder: Path) -> httpx2.Response:
     """The answer to a curl command that is run in a folder, and the file that it asks for."""
     parser = argparse.ArgumentParser()
     parser.add_argument("url")
@@ -73,7 +73,7 @@ def curl(command: str, folder: Path) -> httpx.Response:
     given = parser.parse_args(arguments)
     fields = dict(field.split("=", 1) for field in given.fields)
     files = {name: (folder / value[1:]).read_bytes() for name, value in fields.items() if value.startswith("@")}
-    answer = httpx.request(
+    answer = httpx2.request(
         given.method or ("POST" if fields or given.body else "GET"),
         given.url,
         headers=dict(header.split(": ") for header in given.headers),

@@ -5,21 +5,21 @@ from __future__ import annotations
 import io
 from email.utils import parsedate_to_datetime
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness import pictures
-from benchmarks.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
-from benchmarks.harness.job_table import change
-from benchmarks.harness.pictures import SMALL, page_of_text, saved
-from benchmarks.harness.service import Service, StartService, assert_problem, max_age
 from service.api.requests import LONGEST_CACHED_S
 from service.pictures import as_large, comparison_file
 from sgmethod.view import View
+from tests.support import pictures
+from tests.support.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
+from tests.support.job_table import change
+from tests.support.pictures import SMALL, page_of_text, saved
+from tests.support.service import Service, StartService, assert_problem, max_age
 
 TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
@@ -32,7 +32,7 @@ def tight(start_for_module: StartService) -> Service:
     return start_for_module("web", max_pixels=10_000, max_upload_bytes=len(PICTURE))
 
 
-def pixels_of(answer: httpx.Response) -> NDArray[np.uint8]:
+def pixels_of(answer: httpx2.Response) -> NDArray[np.uint8]:
     assert answer.status_code == 200, answer.text
     assert int(answer.headers["content-length"]) == len(answer.content)
     return pictures.pixels_of(answer.content)

@@ -9,16 +9,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import JAVASCRIPT, PICTURE, ROOT, STATIC
-from benchmarks.harness.pictures import SMALL, png, saved
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 from service.api.options import OPTION_SCHEMAS
 from service.api.problems import REASONS
+from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
+from tests.support.pictures import SMALL, png, saved
+from tests.support.processes import wait_until
+from tests.support.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
 
@@ -174,7 +174,7 @@ def test_forms_that_are_refused(web: Service) -> None:
 
 
 def test_an_image_as_the_body(web: Service) -> None:
-    def post(query: str, **more: Any) -> httpx.Response:
+    def post(query: str, **more: Any) -> httpx2.Response:
         options = {"content": SMALL, "headers": {"Content-Type": "image/png"}, **more}
         return web.client.post(f"/encode{query}", **options)
 
@@ -269,7 +269,7 @@ def test_a_key_is_known_whatever_has_changed_since(start_service: StartService) 
     old = web.published(PICTURE)
     (web.data_dir / "sources" / old).write_bytes(SMALL)
 
-    def again(key: str) -> httpx.Response:
+    def again(key: str) -> httpx2.Response:
         return web.client.post(f"/jobs/{old}/encode?bpp=1&time_limit_s=0.1", headers={"Idempotency-Key": key})
 
     first, of_old = web.post(key="first"), again("second")

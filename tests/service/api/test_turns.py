@@ -8,7 +8,7 @@ import pytest
 
 from service.api.callers import UNKNOWN, address_of
 from service.api.problems import ProblemError
-from service.api.turns import Streams, Turns
+from service.api.turns import Turns, Waits
 
 
 class Clients:
@@ -122,15 +122,13 @@ def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | N
     assert address_of(peer) == client
 
 
-def test_streams_are_shared() -> None:
+def test_places_to_wait_are_shared() -> None:
     """One client leaves half of them to others."""
-    streams = Streams(4)
-    with streams.one("ann"), streams.one("ann"):
-        assert streams.is_full("ann")
-        with pytest.raises(ProblemError, match="too many streams"), streams.one("ann"):
-            pass
-        with streams.one("bob"), streams.one("bob"):
-            assert streams.is_full("cat")
-            assert streams.open == 4
-    assert streams.open == 0
-    assert not streams.is_full("ann")
+    waits = Waits(4)
+    with waits.one("ann"), waits.one("ann"):
+        assert waits.is_full("ann")
+        with waits.one("bob"), waits.one("bob"):
+            assert waits.is_full("cat")
+            assert waits.open == 4
+    assert waits.open == 0
+    assert not waits.is_full("ann")

@@ -14,9 +14,6 @@ from typing import Any
 import psycopg
 import pytest
 
-from benchmarks.harness.job_table import IMAGE, claimed, new, settings, submitted
-from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.processes import PATIENCE_S, failing
 from service.errors import JobTableError, LimitError, NotSetUpError
 from service.jobs import postgres as postgres_table
 from service.jobs.job import job_of
@@ -24,6 +21,9 @@ from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
 from service.process.loops import StopSignal
+from tests.support.job_table import IMAGE, claimed, new, settings, submitted
+from tests.support.postgres_server import PostgresServer
+from tests.support.processes import PATIENCE_S, failing
 
 PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
 

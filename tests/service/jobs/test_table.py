@@ -7,7 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.job_table import (
+from service.errors import LimitError
+from service.jobs import table as table_module
+from service.jobs.job import EncodeResult, Job
+from service.jobs.outcomes import OUTCOMES, SECONDS
+from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, JobTable
+from service.storage.files import source_key
+from tests.support.job_table import (
     CRASH,
     IMAGE,
     LONG_S,
@@ -25,12 +31,6 @@ from benchmarks.harness.job_table import (
     submitted,
     what_all_say,
 )
-from service.errors import LimitError
-from service.jobs import table as table_module
-from service.jobs.job import EncodeResult, Job
-from service.jobs.outcomes import OUTCOMES, SECONDS
-from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, JobTable
-from service.storage.files import source_key
 
 
 def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:

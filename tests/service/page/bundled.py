@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import run
+from tests.support.data import ROOT
+from tests.support.processes import run
 
 
 def packed() -> Path:
@@ -19,10 +19,11 @@ def packed() -> Path:
     return files[-1]
 
 
-def install(folder: Path, *packages: str) -> None:
-    """Install the package and others in a folder; skip the test where the registry is out of reach."""
-    package = packed()
+def install(folder: Path, *packages: str | Path) -> None:
+    """Install packages in a folder; skip the test where the registry is out of reach."""
+    if shutil.which("npm") is None:
+        pytest.skip("npm is not installed")
     (folder / "package.json").write_text('{ "private": true, "type": "module" }')
-    done = run("npm", "install", "--silent", "--no-audit", "--no-fund", package, *packages, folder=folder)
+    done = run("npm", "install", "--silent", "--no-audit", "--no-fund", *packages, folder=folder)
     if done.status:
-        pytest.skip(f"npm cannot install {' '.join(packages)}: {done.stderr[-300:]}")
+        pytest.skip(f"npm cannot install {' '.join(map(str, packages))}: {done.stderr[-300:]}")

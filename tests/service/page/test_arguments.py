@@ -7,9 +7,9 @@ import shutil
 
 import pytest
 
-from benchmarks.harness.data import JAVASCRIPT, golden
-from benchmarks.harness.processes import run
 from sgmethod.bitstream.text import to_text
+from tests.support.data import JAVASCRIPT, golden
+from tests.support.processes import run
 
 SCRIPT = """
 const [{ encodePreview }, { dataUri }, { decodePreview }, { decode, info }] = await Promise.all(

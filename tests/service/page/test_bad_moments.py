@@ -11,12 +11,12 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import golden
-from benchmarks.harness.pictures import SMALL, saved
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import Service
 from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
+from tests.support.data import golden
+from tests.support.pictures import SMALL, saved
+from tests.support.processes import wait_until
+from tests.support.service import Service
 
 pytestmark = pytest.mark.thorough
 

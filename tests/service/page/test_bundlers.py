@@ -20,8 +20,6 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PHOTOGRAPHS, ROOT
-from benchmarks.harness.processes import PATIENCE_S, Outcome, run, wait_until
 from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
@@ -30,6 +28,8 @@ from tests.io.profiles import DISPLAY_P3, rgb
 from tests.service.browser import Page
 from tests.service.page.bundled import install, packed
 from tests.service.page.test_recipes import blocks, code_of
+from tests.support.data import PHOTOGRAPHS, ROOT
+from tests.support.processes import PATIENCE_S, Outcome, run, wait_until
 
 pytestmark = pytest.mark.thorough
 
@@ -46,7 +46,7 @@ console.log(JSON.stringify(answers));
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder node_modules with Vite, sharp, TypeScript and the package."""
     folder = tmp_path_factory.mktemp("packages")
-    install(folder, "vite@8", "sharp@0.35", "typescript@5")
+    install(folder, packed(), "vite@8", "sharp@0.35", "typescript@5")
     return folder / "node_modules"
 
 

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.harness.pictures import SLOW, SMALL
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import Service
 from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, PHOTOGRAPH
+from tests.support.pictures import SLOW, SMALL
+from tests.support.processes import wait_until
+from tests.support.service import Service
 
 pytestmark = pytest.mark.thorough
 

@@ -17,13 +17,13 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import PHOTOGRAPHS, PICTURE, ROOT
-from benchmarks.harness.processes import run, wait_until
 from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from tests.service.browser import Chromium, Page
 from tests.service.page.steps import assert_open_to_all
+from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT
+from tests.support.processes import run, wait_until
 
 pytestmark = pytest.mark.thorough
 

@@ -17,13 +17,13 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import JAVASCRIPT, PHOTOGRAPHS
-from benchmarks.harness.processes import run
 from sgmethod.bitstream import container
 from sgmethod.bitstream.text import from_text
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
+from tests.support.data import JAVASCRIPT, PHOTOGRAPHS
+from tests.support.processes import run
 
 ENCODE = """
 const { encodePreview } = await import("%s");

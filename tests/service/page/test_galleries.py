@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import JAVASCRIPT, golden
-from benchmarks.harness.processes import wait_until
 from sgmethod.bitstream.text import to_text
 from tests.service.browser import Page
 from tests.service.page.test_recipes import blocks
+from tests.support.data import JAVASCRIPT, golden
+from tests.support.processes import wait_until
 
 SIZES = [
     (60, 40),

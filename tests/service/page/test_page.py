@@ -10,14 +10,14 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.harness.data import golden_path
-from benchmarks.harness.pictures import SLOW, SMALL
-from benchmarks.harness.processes import encoder_of, wait_until
-from benchmarks.harness.service import Service, StartService
 from service.keys import digest
 from sgmethod.budget import DEFAULT_BUDGET
 from tests.service.browser import Chromium, Page
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
+from tests.support.data import golden_path
+from tests.support.pictures import SLOW, SMALL
+from tests.support.processes import encoder_of, wait_until
+from tests.support.service import Service, StartService
 
 
 def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> None:
@@ -264,4 +264,4 @@ def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartS
 def test_accessibility(page: Chromium, web: Service) -> None:
     page.open_page(web)
     page.says("AVIF", "#verdict")
-    assert_open_to_all(page, least=20)
+    assert_open_to_all(page, at_least=20)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import sgmethod
-from benchmarks.harness.data import JAVASCRIPT, STATIC, golden
-from benchmarks.harness.processes import run, wait_until
-from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
 from tests.service.browser import Chromium, Page
 from tests.service.page.steps import assert_as_python, assert_open_to_all
+from tests.support.data import JAVASCRIPT, STATIC, golden
+from tests.support.processes import run, wait_until
+from tests.support.service import Service
 
 SIZE = 96  # of the longer side, pixels
 SHORT = [golden(2)[name] for name in ("v2-color", "v2-grey", "v2-empty")]

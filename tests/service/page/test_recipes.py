@@ -13,19 +13,19 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from PIL import Image
 
 import sgmethod
-from benchmarks.harness.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
 from tests.service.browser import Chromium
 from tests.service.page.test_previews import show
+from tests.support.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
@@ -124,9 +124,9 @@ def test_fastapi() -> None:
     names: dict[str, Any] = {"__name__": "recipe"}
     exec(compile(block, "recipe", "exec"), names)
 
-    async def upload(data: bytes) -> httpx.Response:
-        transport = httpx.ASGITransport(app=names["app"])
-        async with httpx.AsyncClient(transport=transport, base_url="http://recipe") as client:
+    async def upload(data: bytes) -> httpx2.Response:
+        transport = httpx2.ASGITransport(app=names["app"])
+        async with httpx2.AsyncClient(transport=transport, base_url="http://recipe") as client:
             return await client.post("/photos", content=data)
 
     answer = asyncio.run(upload(PHOTOGRAPH.read_bytes()))

@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from benchmarks.harness.data import golden
-from benchmarks.harness.pictures import page_of_text
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import Service
 from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
+from tests.support.data import golden
+from tests.support.pictures import page_of_text
+from tests.support.processes import wait_until
+from tests.support.service import Service
 
 pytestmark = pytest.mark.thorough
 

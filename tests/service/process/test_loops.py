@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service import logs
 from service.api import app
 from service.keys import KeyRing, digest
 from service.process.loops import PeriodicThread, StopSignal
+from tests.support.processes import PATIENCE_S, failing, wait_until
 
 
 def test_rounds_go_on() -> None:

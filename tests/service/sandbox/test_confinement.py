@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.processes import encoder_of, failing, processes, running_encoder, wait_until
-from benchmarks.harness.service import FAKE_CODEC, RunCommand, StartService
 from service.sandbox import confinement
 from service.sandbox.confinement import LAYERS
 from service.sandbox.frames import Crashed, Ended, Preview
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task
+from tests.support.processes import encoder_of, failing, processes, running_encoder, wait_until
+from tests.support.service import FAKE_CODEC, RunCommand, StartService
 
 SECRET = "not-for-everyone-" * 2
 MEMORY_BYTES = 2**28

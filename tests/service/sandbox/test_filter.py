@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.processes import run
 from service.sandbox.filter import (
     ABSENT,
     ALLOW,
@@ -25,6 +24,7 @@ from service.sandbox.filter import (
     program,
     steps,
 )
+from tests.support.processes import run
 
 PROCESS = 1234
 HEADERS = {"x86_64": "x86_64-linux-gnu/asm/unistd_64.h", "aarch64": "asm-generic/unistd.h"}

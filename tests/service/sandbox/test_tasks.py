@@ -17,16 +17,16 @@ import pytest
 from PIL import Image, ImageCms
 
 import sgmethod
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SMALL, saved
-from benchmarks.harness.processes import encoder_of, wait_until
-from benchmarks.harness.service import FAKE_CODEC
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
 from service.sandbox import confinement, frames, server
 from service.sandbox.client import OutOfMemoryError, Sandbox, TaskError
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
+from tests.support.data import PICTURE
+from tests.support.pictures import SMALL, saved
+from tests.support.processes import encoder_of, wait_until
+from tests.support.service import FAKE_CODEC
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
 FORMATS = ("PNG", "JPEG", "WebP", "TIFF", "BMP", "GIF", "AVIF", "PPM")

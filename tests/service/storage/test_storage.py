@@ -18,12 +18,12 @@ from pathlib import Path
 import obstore
 import pytest
 
-from benchmarks.harness.nginx import make_certificate
-from benchmarks.harness.processes import failing
 from service.storage import bucket
 from service.storage.bucket import BucketStorage
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from tests.service.s3_server import S3Server
+from tests.support.nginx import make_certificate
+from tests.support.processes import failing
 
 JOB = "0123456789abcdef" * 2
 A_MOMENT_S = -5.0  # what was stored just now is older than this, whatever the server's clock

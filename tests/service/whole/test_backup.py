@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.service import Service
 from tests.service.s3_server import S3Server
+from tests.support.data import ROOT
+from tests.support.postgres_server import PostgresServer
+from tests.support.service import Service
 
 pytestmark = [
     pytest.mark.thorough,

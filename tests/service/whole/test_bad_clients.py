@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import httpx
+import httpx2
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.nginx import Nginx
-from benchmarks.harness.pictures import SMALL
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import Service, StartService
+from tests.support.data import PICTURE
+from tests.support.nginx import Nginx
+from tests.support.pictures import SMALL
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import Service, StartService
 
 pytestmark = pytest.mark.thorough
 
@@ -38,10 +38,10 @@ def behind(start_for_module: StartService, start_proxy: Any) -> tuple[Service, N
 
 
 @pytest.fixture(scope="module")
-def other(behind: tuple[Service, Nginx]) -> Iterator[httpx.Client]:
+def other(behind: tuple[Service, Nginx]) -> Iterator[httpx2.Client]:
     """Somebody else, at another address."""
-    transport = httpx.HTTPTransport(local_address="127.0.0.2", verify=ssl.create_default_context())
-    with httpx.Client(base_url=behind[1].url, transport=transport, timeout=PATIENCE_S) as client:
+    transport = httpx2.HTTPTransport(local_address="127.0.0.2", verify=ssl.create_default_context())
+    with httpx2.Client(base_url=behind[1].url, transport=transport, timeout=PATIENCE_S) as client:
         yield client
 
 
@@ -119,29 +119,27 @@ def test_a_client_that_never_reads(behind: tuple[Service, Nginx]) -> None:
         assert wait_until(cut_off)
 
 
-def test_connections_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx.Client) -> None:
+def test_connections_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx2.Client) -> None:
     service, proxy = behind
-    job = service.accepted()
-    stream = f"GET /jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    head = f"Host: localhost\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}\r\n\r\n".encode()
     crowd = []
     try:
         for _ in range(CONNECTIONS):
             crowd.append(connected(proxy))
-            crowd[-1].sendall(stream)
-            assert crowd[-1].recv(15) == b"HTTP/1.1 200 OK"
-        assert status_of(behind, GET + b"\r\n") == 429
+            crowd[-1].sendall(b"POST /encode?wait=50 HTTP/1.1\r\n" + head + SMALL)
+        wait_until(lambda: status_of(behind, GET + b"\r\n") == 429)
         assert other.get("/livez").status_code == 200
         assert other.post("/encode?bpp=1", content=SMALL, headers={"Content-Type": "image/*"}).status_code == 202
     finally:
         for connection in crowd:
             connection.close()
-        service.client.delete(f"/jobs/{job}")
+        service.clear()
     assert wait_until(lambda: status_of(behind, GET + b"\r\n") == 200)
 
 
-def test_requests_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx.Client) -> None:
+def test_requests_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx2.Client) -> None:
     """A problem document says so, as the service's own do."""
-    with httpx.Client(base_url=behind[1].url, timeout=PATIENCE_S) as client, ThreadPoolExecutor(4) as pool:
+    with httpx2.Client(base_url=behind[1].url, timeout=PATIENCE_S) as client, ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(lambda _: client.get("/livez"), range(4 * REQUESTS)))
         assert {answer.status_code for answer in answers} == {200, 429}
         assert sum(answer.is_success for answer in answers) >= REQUESTS / 2  # earlier tests have had some of them

@@ -17,12 +17,13 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 
-from benchmarks.harness.data import PICTURE
-from benchmarks.harness.pictures import SLOW, SMALL
-from benchmarks.harness.processes import (
+from service.sandbox.client import KILLED
+from tests.support.data import PICTURE
+from tests.support.pictures import SLOW, SMALL
+from tests.support.processes import (
     PATIENCE_S,
     Kind,
     encoder_of,
@@ -32,8 +33,7 @@ from benchmarks.harness.processes import (
     wait_until,
     worker_of,
 )
-from benchmarks.harness.service import FAKE_CODEC, Service, StartService
-from service.sandbox.client import KILLED
+from tests.support.service import FAKE_CODEC, Service, StartService
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     (web,) = solo.ours("web")
     os.kill(web, signal.SIGKILL)
     solo.client.close()
-    solo.client = httpx.Client(base_url=solo.url, timeout=PATIENCE_S)
+    solo.client = httpx2.Client(base_url=solo.url, timeout=PATIENCE_S)
     assert solo.wait(job_id)["attempt"] == 1
     assert solo.ours("web") != [web]
     assert_settled(solo, job_id)

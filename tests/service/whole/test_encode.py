@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import sgmethod
-from benchmarks.harness.pictures import SMALL, pixels_of
-from benchmarks.harness.processes import wait_until
-from benchmarks.harness.service import Service, assert_problem
 from sgmethod.profiles import DEFAULT_PROFILE
+from tests.support.pictures import SMALL, pixels_of
+from tests.support.processes import wait_until
+from tests.support.service import Service, assert_problem
 
 
 @pytest.fixture(scope="module")

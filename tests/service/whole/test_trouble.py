@@ -10,15 +10,19 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import httpx
+import httpx2
 import psycopg
 import pytest
 from PIL import Image
 
-from benchmarks.harness.data import PICTURE, ROOT
-from benchmarks.harness.pictures import noisy_png, saved
-from benchmarks.harness.postgres_server import PostgresServer
-from benchmarks.harness.processes import (
+from service.api.context import PROBE_THREADS, WORK_THREADS
+from service.jobs.postgres import ENGINE_TABLES
+from service.storage.bucket import SILENCE
+from tests.service.s3_server import S3Server
+from tests.support.data import PICTURE, ROOT
+from tests.support.pictures import noisy_png, saved
+from tests.support.postgres_server import PostgresServer
+from tests.support.processes import (
     PATIENCE_S,
     encoder_of,
     end_early,
@@ -27,11 +31,7 @@ from benchmarks.harness.processes import (
     wait_until,
     worker_of,
 )
-from benchmarks.harness.service import FAKE_CODEC, StartService, assert_problem
-from service.api.context import PROBE_THREADS, WORK_THREADS
-from service.jobs.postgres import ENGINE_TABLES
-from service.storage.bucket import SILENCE
-from tests.service.s3_server import S3Server
+from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
@@ -198,7 +198,7 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
     service = start_service(**settings, extra={**own_s3.environment, **FAKE_CODEC})
     done = service.wait(service.accepted())
     own_s3.freeze()
-    service.client.timeout = httpx.Timeout(SOON_S)
+    service.client.timeout = httpx2.Timeout(SOON_S)
     large = noisy_png(700)
     for ask in (
         lambda: service.client.get(done["bitstream_url"]),
@@ -221,10 +221,10 @@ def test_nothing_waits_behind_a_storage_that_hangs(start_service: StartService, 
     own_s3.freeze()
     with ThreadPoolExecutor(3 * WORK_THREADS) as pool:
         paths = [done["bitstream_url"]] * 2 * WORK_THREADS + ["/readyz"] * 2 * PROBE_THREADS
-        waiting = [pool.submit(httpx.get, service.url + path, timeout=PATIENCE_S) for path in paths]
+        waiting = [pool.submit(httpx2.get, service.url + path, timeout=PATIENCE_S) for path in paths]
         wait_until(lambda: any(each.done() for each in waiting))  # the probes lose patience first
         for path in ("/livez", "/", "/static/main.js", "/jobs", done["status_url"]):
-            assert httpx.get(service.url + path, timeout=PATIENCE_S).status_code == 200
+            assert httpx2.get(service.url + path, timeout=PATIENCE_S).status_code == 200
         assert not all(each.done() for each in waiting)  # of which half wait for the others
         assert service.figures()["sgmethod_job_table_up"] == 1
         assert {each.result().status_code for each in waiting} == {503}

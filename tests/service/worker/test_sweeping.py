@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness import job_table
-from benchmarks.harness.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
-from benchmarks.harness.processes import failing, wait_until
 from service.errors import JobTableError
 from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
@@ -20,6 +17,9 @@ from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, preview_key, source_key
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
+from tests.support import job_table
+from tests.support.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
+from tests.support.processes import failing, wait_until
 
 AT_ONCE_S = -5.0
 

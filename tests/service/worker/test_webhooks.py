@@ -14,9 +14,6 @@ from typing import Any
 
 import pytest
 
-from benchmarks.harness.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
-from benchmarks.harness.processes import PATIENCE_S, wait_until
-from benchmarks.harness.service import FAKE_CODEC, StartService
 from service.jobs import outcomes
 from service.jobs.job import JobError
 from service.jobs.outcomes import Delivery
@@ -24,6 +21,9 @@ from service.jobs.table import MAX_ATTEMPTS, JobTable
 from service.process.loops import PeriodicThread, StopSignal
 from service.worker import webhooks
 from service.worker.webhooks import headers, send_next
+from tests.support.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
+from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.service import FAKE_CODEC, StartService
 
 KEY = bytes(range(24))
 SECRET = f"whsec_{base64.b64encode(KEY).decode()}"

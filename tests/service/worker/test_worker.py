@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.harness.job_table import LONG_S, claimed, job_of, settings, submitted
-from benchmarks.harness.processes import PATIENCE_S, failing, wait_until
 from service.errors import JobTableError
 from service.jobs.job import EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
@@ -23,6 +21,8 @@ from service.storage.files import DiskStorage, Storage, bitstream_key, source_ke
 from service.worker import attempt as attempt_module
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
+from tests.support.job_table import LONG_S, claimed, job_of, settings, submitted
+from tests.support.processes import PATIENCE_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):

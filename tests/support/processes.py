@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from benchmarks.harness.data import ROOT
 from service.sandbox.frames import END_EARLY
+from tests.support.data import ROOT
 
 T = TypeVar("T")
 Kind = Literal["web", "worker", "sandbox", "encoder"]

@@ -14,7 +14,7 @@ from typing import Any
 
 import psycopg
 
-from benchmarks.harness.processes import wait_until
+from tests.support.processes import wait_until
 
 HINT = "PostgreSQL is not installed, so nothing was tested on it: sudo apt install postgresql"
 REQUIRED = "SGMETHOD_TEST_POSTGRES"  # set to "required", a missing PostgreSQL fails the tests

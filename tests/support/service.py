@@ -14,13 +14,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 
 import sgmethod
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.job_table import IMAGE, LONG_S, submitted
-from benchmarks.harness.pictures import SLOW, SMALL
-from benchmarks.harness.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 from service.errors import JobTableError
 from service.jobs.job import EncodeResult, Job, JobError, SourceImage
 from service.jobs.table import JobTable
@@ -28,10 +24,14 @@ from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
+from tests.support.data import ROOT
+from tests.support.job_table import IMAGE, LONG_S, submitted
+from tests.support.pictures import SLOW, SMALL
+from tests.support.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
 
 SMALL_QUEUE = 5
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
-_FOLDERS = (str(ROOT / "benchmarks" / "harness" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
+_FOLDERS = (str(ROOT / "tests" / "support" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
 FAKE_CODEC = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
 
 
@@ -71,7 +71,7 @@ class ServiceProcess:
             self.process.wait()
             raise AssertionError(self.log.read_text())
         self.url = words[3].rstrip(",")
-        self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
+        self.client = httpx2.Client(base_url=self.url, timeout=self.timeout_s)
 
     def wait_ready(self) -> None:
         """Wait until it can do all that it is for, the sandbox too."""
@@ -124,7 +124,7 @@ class Service(ServiceProcess):
         chosen = {"workers": 1, "lease_s": lease_s, "source_retention_s": 0, **settings}
         super().__init__(data_dir, command, extra, **chosen)
 
-    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
+    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx2.Response:
         """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
         form = {name: str(value) for name, value in {"time_limit_s": 0.1, **(fields or {"bpp": 1})}.items()}
         headers = {"Idempotency-Key": key} if key else {}
@@ -230,7 +230,7 @@ class Service(ServiceProcess):
 
     def connect(self) -> socket.socket:
         """A connection over which a test says what it likes."""
-        url = httpx.URL(self.url)
+        url = httpx2.URL(self.url)
         return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
 
     def raw(self, request: bytes) -> bytes:
@@ -260,13 +260,13 @@ def bearer(key: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {key}"}
 
 
-def max_age(answer: httpx.Response) -> int:
+def max_age(answer: httpx2.Response) -> int:
     """For how many seconds a client may cache an answer."""
     assert answer.status_code == 200, answer.text
     return int(re.findall(r"max-age=(\d+)", answer.headers["cache-control"])[0])
 
 
-def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
+def assert_problem(answer: httpx2.Response, status: int, *words: str) -> dict[str, Any]:
     """The answer is a problem document of that status whose detail holds the words."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"

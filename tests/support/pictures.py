@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from benchmarks.harness.data import PHOTOGRAPHS
+from tests.support.data import PHOTOGRAPHS
 
 FloatArray = NDArray[np.float32]
 

@@ -8,9 +8,9 @@ import zlib
 import numpy as np
 from PIL import Image
 
-from benchmarks.harness.pictures import SMALL, pixels_of, saved
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import Group, StreamV1
+from tests.support.pictures import SMALL, pixels_of, saved
 
 
 def tiff_of_many_strips(strips: int) -> bytes:

@@ -9,10 +9,10 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import httpx
+import httpx2
 
-from benchmarks.harness.data import ROOT
-from benchmarks.harness.processes import PATIENCE_S, wait_until
+from tests.support.data import ROOT
+from tests.support.processes import PATIENCE_S, wait_until
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 REQUIRED = "SGMETHOD_TEST_NGINX"  # set to "required", a missing nginx fails the tests
@@ -86,8 +86,8 @@ class Nginx:
 
     def _answers(self) -> bool:
         try:
-            return httpx.get(f"{self.url}/livez").is_success
-        except httpx.TransportError:
+            return httpx2.get(f"{self.url}/livez").is_success
+        except httpx2.TransportError:
             return False
 
     def stop(self) -> None:
