@@ -124,9 +124,13 @@ class ExaggeratedTarget(FitTarget):
         """Add both offsets to the original, and subtract hidden grain."""
         _, *size = self.original.shape
         by_coarse = np.rint(by * TARGET_WHITE).astype(np.int16)
-        by_detail = _enlarged(np.rint(detail * TARGET_WHITE).astype(np.int16), (*size,))
-        now = np.empty_like(self.original) if into is None else into
-        in_parallel(lambda k: cv2.resize(by_coarse[k], size[::-1], now[k], interpolation=cv2.INTER_LINEAR), range(3))
+        detail = np.rint(detail * TARGET_WHITE).astype(np.int16)
+        now, by_detail = np.empty_like(self.original) if into is None else into, np.empty((*size,), np.int16)
+
+        def enlarge(pair: tuple[NDArray[Any], NDArray[Any]]) -> None:
+            cv2.resize(pair[0], size[::-1], pair[1], interpolation=cv2.INTER_LINEAR)
+
+        in_parallel(enlarge, zip((detail, *by_coarse), (by_detail, *now), strict=True))
 
         def strip(first: int, end: int) -> None:
             for k, plane in enumerate(now[:, first:end]):
