@@ -76,9 +76,11 @@ class Refinement {
   }
 
  private:
+  bool is_late() const { return Clock::now() >= until_; }
+
   // Returns whether another sweep may gain more. coarse: includes coarse levels, whose few Gaussians converge early.
   bool sweep(bool coarse, std::vector<uint8_t>& payload) {
-    if (Clock::now() >= until_) return false;
+    if (is_late()) return false;
     const size_t changed = visit_everywhere(coarse);
     payload = encode();
     return changed >= all_.size() * kConverged;
@@ -213,8 +215,8 @@ class Refinement {
   }
 
   // Drops Gaussians, beginning with those that lower the error least for each of their bits, until the payload fits.
-  // The neighbours of dropped ones gain in worth, so the order becomes stale: unless the excess is small, this stops
-  // after one round, to be called again.
+  // The neighbours of dropped ones gain in worth, so the order becomes stale: unless the excess is small, or time is
+  // over, this stops after one round, to be called again.
   void drop_least(std::vector<uint8_t>& payload) {
     look();
     std::vector<std::pair<double, size_t>> order(all_.size());
@@ -236,7 +238,7 @@ class Refinement {
     const auto most = static_cast<double>(state_.settings.max_bytes);
     const auto excess = [&] { return static_cast<double>(payload.size()) - most; };
     do {
-      double bits = 0.6 * 8.0 * excess();  // less than the excess, because the sizes are estimates
+      double bits = (is_late() ? 1.0 : 0.6) * 8.0 * excess();  // less, because the sizes are estimates
       for (; next < order.size() && bits > 0; ++next) {
         Symbols& s = staying[order[next].second];
         bits -= sizes[order[next].second];
@@ -244,7 +246,7 @@ class Refinement {
       }
       all_ = staying;
       payload = encode();
-    } while (next < order.size() && excess() > 0 && excess() < kSmallExcess * payload.size());
+    } while (next < order.size() && excess() > 0 && (is_late() || excess() < kSmallExcess * payload.size()));
   }
 
   const int16_t* target_;
