@@ -163,8 +163,8 @@ def encode(
     effort: 1 (fastest) to 9 (best file); profile rd only.
     settings: all parameters of the method, for experiments; replaces profile and effort.
     seed: random seed. Without a time limit, the same call gives the same file on the same machine.
-    time_limit_s: limit for the whole encode, which then returns its best file so far. About 0.2 s per megapixel is
-    needed in any case.
+    time_limit_s: limit for the whole encode, which uses it up unless it needs less. About 0.1 s per megapixel, divided
+    by the cores, is needed in any case.
     on_progress: called with each point of the trace; if it raises, the encode is abandoned.
     stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
     3 s.

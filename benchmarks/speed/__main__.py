@@ -1,6 +1,7 @@
 """Time and memory: by size of the picture, and of the kernels alone.
 
     python -m benchmarks.speed growth [--help]    seconds by megapixels for fixed bytes and the other way, beside AVIF
+    python -m benchmarks.speed threads [--help]   which stages of an encode do not scale with the threads
     python -m benchmarks.speed [--images FOLDER] [--only sizes,kernels] [--megapixels 0.1,0.4,1.6,6,24]
                                [--bpp 0.25] [--repeats 3] [--out FILE]
 
@@ -18,7 +19,7 @@ from benchmarks.arguments import numbers, run_part, some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.baselines import versions
-from benchmarks.speed import growth, kernels, sizes
+from benchmarks.speed import growth, kernels, sizes, threads
 from tests.support.data import PHOTOGRAPHS
 
 PARTS = ("sizes", "kernels")
@@ -49,4 +50,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_part({"sizes": main, "growth": growth.main}, __doc__, default="sizes"))
+    sys.exit(run_part({"sizes": main, "growth": growth.main, "threads": threads.main}, __doc__, default="sizes"))

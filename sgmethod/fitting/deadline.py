@@ -8,14 +8,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import takewhile
+from typing import TypeVar
 
 from sgmethod.backend.protocol import thread_count
 from sgmethod.settings.rd import DeadlineSettings
 from sgmethod.trace import Stop
 
+Result = TypeVar("Result")
 STEPS_S = 0.05  # duration of steps that are taken together
 
 
@@ -44,6 +46,8 @@ class Deadline:
     began_s: float
     end_s: float
     settings: DeadlineSettings
+    drawings_s: float = 0.0  # of the search over the file's integers, before any of its tries
+    _coding_s: list[float] = field(default_factory=list)  # duration of the last trial coding
 
     @classmethod
     def from_limit(
@@ -70,7 +74,14 @@ class Deadline:
 
     def left_to_fit_s(self) -> float:
         """Seconds left, without those for the search over the file's integers."""
-        return max(self._until_s(self.settings.fit_share) - self.clock.seconds(), 0.0)
+        return max(self._fit_until_s() - self.clock.seconds(), 0.0)
+
+    def coded(self, task: Callable[[], Result]) -> Result:
+        """Code a fit, and note how long that takes: the search will do so several times."""
+        began_s = self.clock.seconds()
+        found = task()
+        self._coding_s[:] = [self.clock.seconds() - began_s]
+        return found
 
     def tries(self, most: int) -> Iterator[int]:
         """Yield 0, 1, ... while there is time for another try as long as the longest so far; 0 in any case."""
@@ -105,13 +116,16 @@ class Deadline:
         return math.isfinite(self.left_s())
 
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
-        """Yield a pace for each run of these lengths: the first in any case, others while they end in time."""
+        """Yield a pace for each run of these lengths: the first in any case, others as far as there is time."""
         prepared_s = self.clock.seconds()
         least_until_s = prepared_s + self.settings.least_part * (prepared_s - self.began_s)
         step_s = 0.0
         for number, length in enumerate(lengths):
-            if number > 0 and step_s * length >= self.left_to_fit_s():
-                break
+            if number > 0:
+                in_time = int(min(self.left_to_fit_s() / step_s, length))
+                if in_time < self.settings.least_round * length:
+                    break
+                length = in_time
             began_s = self.clock.seconds()
             yield Pace(self.clock, length, partial(self._run_until_s, least_until_s if number == 0 else 0.0))
             step_s = (self.clock.seconds() - began_s) / length
@@ -121,7 +135,12 @@ class Deadline:
         return Pace(self.clock, steps, lambda: self._until_s(1.0))
 
     def _run_until_s(self, least_s: float) -> float:
-        return max(self._until_s(self.settings.fit_share), least_s)
+        return max(self._fit_until_s(), least_s)
+
+    def _fit_until_s(self) -> float:
+        """Second at which the search begins."""
+        search_s = self.drawings_s + self.settings.search_codings * sum(self._coding_s)
+        return min(self._until_s(1 - self.settings.search_share), self.end_s - search_s)
 
     def _until_s(self, share: float) -> float:
         """Second at which `share` of the time is over. A stop shortens the rest of the schedule, like a limit."""

@@ -220,10 +220,11 @@ class OnSheet:
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         size = self.islands.width, self.islands.height
         on_sheet = replace(descent, price=descent.price / self.share, width=size[0], height=size[1])
-        moving = self._on_sheet(gaussians)
-        self.backend.steps(moving, moments, on_sheet, rates)
-        gaussians.means[:] = moved(moving.means, self.islands.to_picture)
-        self.backend.keep_in_range(gaussians, descent.width, descent.height)
+        for rate in rates:  # one by one: how many come together depends on the time they take, and the file must not
+            moving = self._on_sheet(gaussians)
+            self.backend.steps(moving, moments, on_sheet, [rate])
+            gaussians.means[:] = moved(moving.means, self.islands.to_picture)
+            self.backend.keep_in_range(gaussians, descent.width, descent.height)
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         return self.backend.rounded(gaussians, coding)

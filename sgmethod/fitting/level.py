@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Backend, Frame, Target, Visibility
-from sgmethod.fitting.bands import Rows, bands
+from sgmethod.fitting.bands import Rows, bands, in_strips
 from sgmethod.fitting.islands import Islands, OnSheet, moved
 from sgmethod.fitting.visibility import amplitudes
 from sgmethod.opencv import cv2
@@ -74,9 +74,13 @@ def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
 def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 0, 0)) -> Target:
     """Convert pixels [H, W, 3] to the sum that Gaussians on a background should reach, [3, H, W]."""
     target = np.empty((3, *pixels.shape[:2]), np.int16)
-    for plane, channel, below in zip(target, pixels.transpose(2, 0, 1), background, strict=True):
-        np.subtract(channel, below, out=plane, dtype=np.int16)
-        plane *= TARGET_WHITE // 255
+
+    def strip(first: int, end: int) -> None:
+        for plane, channel, below in zip(target, pixels.transpose(2, 0, 1), background, strict=True):
+            np.subtract(channel[first:end], below, out=plane[first:end], dtype=np.int16)
+            plane[first:end] *= TARGET_WHITE // 255
+
+    in_strips(strip, len(pixels))
     return target
 
 
@@ -159,7 +163,17 @@ class Level:
         visibility, missing = self.visibility, self.missing(gaussians)
         if visibility is None:
             return missing
-        return lambda first, end: amplitudes(visibility, missing(first, end), first, end)
+
+        def rows(first: int, end: int) -> FloatArray:
+            planes = missing(first, end)
+
+            def strip(top: int, bottom: int) -> None:
+                planes[:, top:bottom] = amplitudes(visibility, planes[:, top:bottom], first + top, first + bottom)
+
+            in_strips(strip, end - first)
+            return planes
+
+        return rows
 
     def solve_colors(self, shapes: Gaussians, steps: int, others: Gaussians | None = None) -> Gaussians:
         """Give shapes approximately least-squares colours; the image is linear in these.
@@ -233,4 +247,4 @@ class Pyramid:
 
 def _contrast(target: Target) -> float:
     """Variance of a picture, summed over its channels."""
-    return float(sum(np.square(cv2.meanStdDev(plane)[1]).item() for plane in target))
+    return float(sum(in_parallel(lambda plane: np.square(cv2.meanStdDev(plane)[1]).item(), target)))

@@ -17,22 +17,23 @@ Gaussians. So a setting limits the number of coarser sizes that can hide a place
 If a side is odd, the last coarse sample reaches beyond the picture, where the residual counts as zero. If the last
 pixels were repeated instead, a bright or dark frame would promise impossible gains there, and hide all other places.
 
-The full size of a large picture is processed in bands of rows, to save memory.
+The full size of a large picture is processed in bands of rows, to save memory, and each band in strips, one for each
+thread.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.planes import even, halved
-from sgmethod.fitting.bands import Rows, bands
+from sgmethod.fitting.bands import Rows, bands, in_strips
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
-from sgmethod.threads import in_parallel
 
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first fits a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
@@ -84,20 +85,19 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by:
     levels: list[_Level] = []
     if by_shrink:
         for first, end in parts:
-            for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
-                to[...] = halved(plane, "constant")
+            _halve(residual(first, end), half[:, first // 2 : -(-end // 2)])
         levels = _coarse_levels(list(half), by_shrink)
     hiding = levels[-1].most(hidden_by - 1) if levels else None
     found = []
     for first, end in parts:
         top, bottom = max(first - margin, 0), min(end + margin, height)
         level = _Level(list(residual(top, bottom)), 1, narrow)
-        most = level.gain if hiding is None else np.maximum(level.gain, _enlarged(hiding, top, bottom, width))
+        most = level.gain if hiding is None else _larger(level.gain, hiding, top)
         here = slice(first - top, end - top)
         _most_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
         found.append(level.places(most, least_gain, here, top))
     for level in reversed(levels):  # finest first
-        seen = np.maximum(seen, level.most(hidden_by))
+        np.maximum(seen, level.most(hidden_by), out=seen)
         found.append(level.places(seen, least_gain))
         seen = _most_of_four(seen)
     return found
@@ -119,13 +119,23 @@ class _Level:
         self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
         self.depth: int = 0 if coarser is None else coarser.depth + 1  # number of coarser levels
         self._most: dict[int, FloatArray] = {}
-        # The widest blur takes longest, and so comes first.
-        *wider, self.gain = in_parallel(lambda b: _gain(planes, b / shrink, b), blurs[::-1])
-        self.chosen = np.zeros(self.gain.shape, np.uint8)  # index of the blur with the largest gain
-        for index, more in enumerate(reversed(wider), 1):
-            # Indices rise, so the maximum keeps the last blur that exceeded all before it.
-            np.maximum(self.chosen, (more > self.gain).view(np.uint8) * np.uint8(index), out=self.chosen)
-            np.maximum(self.gain, more, out=self.gain)
+        height, width = planes[0].shape
+        self.gain = np.empty((height, width), np.float32)
+        self.chosen = np.zeros((height, width), np.uint8)  # index of the blur with the largest gain
+
+        def strip(first: int, end: int) -> None:
+            margin = math.ceil(REACH * blurs[-1] / shrink) + 1
+            top, bottom = max(first - margin, 0), min(end + margin, height)
+            part, inside = [plane[top:bottom] for plane in planes], slice(first - top, end - top)
+            gain, chosen = self.gain[first:end], self.chosen[first:end]
+            gain[...] = _gain(part, blurs[0] / shrink, blurs[0])[inside]
+            for index, b in enumerate(blurs[1:], 1):
+                more = _gain(part, b / shrink, b)[inside]
+                # Indices rise, so the maximum keeps the last blur that exceeded all before it.
+                np.maximum(chosen, (more > gain).view(np.uint8) * np.uint8(index), out=chosen)
+                np.maximum(gain, more, out=gain)
+
+        in_strips(strip, height)
 
     def most(self, coarser: int) -> FloatArray:
         """Largest gain on this level and the next `coarser` ones."""
@@ -133,8 +143,7 @@ class _Level:
         if self.coarser is None or coarser == 0:
             return self.gain
         if coarser not in self._most:
-            height, width = self.gain.shape
-            self._most[coarser] = np.maximum(self.gain, _enlarged(self.coarser.most(coarser - 1), 0, height, width))
+            self._most[coarser] = _larger(self.gain, self.coarser.most(coarser - 1), 0)
         return self._most[coarser]
 
     def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
@@ -142,17 +151,26 @@ class _Level:
 
         everywhere: the largest gain at all levels; first_row: the picture's row at which this level's rows begin.
         """
-        peaks = np.zeros(self.gain[rows].shape, np.bool_)
-        largest, reach = everywhere, 0  # the maximum within `reach` samples
-        for index, b in enumerate(self.blurs):
-            wider = _reach(b, self.shrink)
-            if wider > reach:  # extend the window step by step: the time of one dilation is proportional to its width
-                side = 2 * (wider - reach) + 1
-                largest = np.asarray(cv2.dilate(largest, np.ones((side, side), np.uint8)), np.float32)
-                reach = wider
-            peaks |= (self.gain[rows] >= largest[rows]) & (self.chosen[rows] == index)
-        y, x = np.nonzero(peaks & (self.gain[rows] > least))
-        y += rows.start or 0
+        begin, stop, _ = rows.indices(len(self.gain))
+        margin = _reach(self.blurs[-1], self.shrink)
+
+        def strip(first: int, end: int) -> tuple[NDArray[np.intp], ...]:
+            first, end = begin + first, begin + end
+            top, bottom = max(first - margin, 0), min(end + margin, len(self.gain))
+            gain, chosen = self.gain[first:end], self.chosen[first:end]
+            peaks = np.zeros(gain.shape, np.bool_)
+            largest, reach = everywhere[top:bottom], 0  # the maximum within `reach` samples
+            for index, b in enumerate(self.blurs):
+                wider = _reach(b, self.shrink)
+                if wider > reach:  # extend the window step by step: a dilation's time is proportional to its width
+                    side = 2 * (wider - reach) + 1
+                    largest = np.asarray(cv2.dilate(largest, np.ones((side, side), np.uint8)), np.float32)
+                    reach = wider
+                peaks |= (gain >= largest[first - top : end - top]) & (chosen == index)
+            y, x = np.nonzero(peaks & (gain > least))
+            return y + first, x
+
+        y, x = (np.concatenate(found) for found in zip(*in_strips(strip, stop - begin), strict=True))
         gain, blurs = self.gain[y, x], np.array(self.blurs, np.float32)[self.chosen[y, x]]
         x_px, y_px = ((place + np.float32(0.5)) * np.float32(self.shrink) for place in self._peak(x, y))
         return Places(gain, x_px, y_px + np.float32(first_row), blurs)
@@ -175,11 +193,35 @@ def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> lis
     """Build a level for each shrink, coarsest first. half: the residual's planes at half the size."""
     planes = {2: half}
     for shrink in list(blurs)[1:]:
-        planes[shrink] = [halved(plane, "constant") for plane in planes[shrink // 2]]
+        height, width = planes[shrink // 2][0].shape
+        planes[shrink] = list(_halve(planes[shrink // 2], np.empty((3, -(-height // 2), -(-width // 2)), np.float32)))
     levels: list[_Level] = []
     for shrink, here in reversed(blurs.items()):
         levels.append(_Level(planes[shrink], shrink, here, levels[-1] if levels else None))
     return levels
+
+
+def _halve(planes: Iterable[FloatArray], out: FloatArray) -> FloatArray:
+    """Reduce planes to half the size, into `out`."""
+
+    def strip(first: int, end: int) -> None:
+        for plane, to in zip(planes, out, strict=True):
+            to[first:end] = halved(plane[2 * first : 2 * end], "constant")
+
+    in_strips(strip, out.shape[1])
+    return out
+
+
+def _larger(gain: FloatArray, coarse: FloatArray, first_row: int) -> FloatArray:
+    """Maximum of a gain, whose first row is one of the picture, and of the whole picture's at half the size."""
+    larger = np.empty_like(gain)
+
+    def strip(first: int, end: int) -> None:
+        enlarged = _enlarged(coarse, first_row + first, first_row + end, gain.shape[1])
+        np.maximum(gain[first:end], enlarged, out=larger[first:end])
+
+    in_strips(strip, len(gain))
+    return larger
 
 
 def _enlarged(plane: FloatArray, first: int, end: int, width: int) -> FloatArray:
@@ -214,6 +256,13 @@ def _reach(blur: float, shrink: int) -> int:
 
 def _most_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
     """Reduce a plane to half the size, by the largest of each four samples."""
-    plane = even(plane)
-    rows = np.maximum(plane[0::2], plane[1::2])
-    return np.maximum(rows[:, 0::2], rows[:, 1::2], out=out)
+    height, width = plane.shape
+    fewer = np.empty((-(-height // 2), -(-width // 2)), np.float32) if out is None else out
+
+    def strip(first: int, end: int) -> None:
+        part = even(plane[2 * first : 2 * end])
+        rows = np.maximum(part[0::2], part[1::2])
+        np.maximum(rows[:, 0::2], rows[:, 1::2], out=fewer[first:end])
+
+    in_strips(strip, len(fewer))
+    return fewer

@@ -14,6 +14,7 @@ So only the target is moved, every few steps, and the kernels stay as they are.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.planes import all_halved, halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
-from sgmethod.fitting.bands import Rows, bands
+from sgmethod.fitting.bands import Rows, bands, in_strips
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import MovingTargetSettings
@@ -123,16 +124,22 @@ class ExaggeratedTarget(FitTarget):
         """Add both offsets to the original, and subtract hidden grain."""
         _, *size = self.original.shape
         by_coarse = np.rint(by * TARGET_WHITE).astype(np.int16)
-        by_detail = _enlarged(np.rint(detail * TARGET_WHITE).astype(np.int16), (*size,))
-        now = np.empty_like(self.original) if into is None else into
+        detail = np.rint(detail * TARGET_WHITE).astype(np.int16)
+        now, by_detail = np.empty_like(self.original) if into is None else into, np.empty((*size,), np.int16)
 
-        def move(k: int) -> None:
-            np.add(self.original[k], _enlarged(by_coarse[k], (*size,)), out=now[k])
-            now[k] += by_detail
-            if self.grain is not None:
-                now[k] -= self.grain[k]
+        def enlarge(pair: tuple[NDArray[Any], NDArray[Any]]) -> None:
+            cv2.resize(pair[0], size[::-1], pair[1], interpolation=cv2.INTER_LINEAR)
 
-        in_parallel(move, range(3))
+        in_parallel(enlarge, zip((detail, *by_coarse), (by_detail, *now), strict=True))
+
+        def strip(first: int, end: int) -> None:
+            for k, plane in enumerate(now[:, first:end]):
+                plane += self.original[k, first:end]
+                plane += by_detail[first:end]
+                if self.grain is not None:
+                    plane -= self.grain[k, first:end]
+
+        in_strips(strip, size[0])
         return now
 
     def _source(self, first: int, end: int) -> FloatArray:
@@ -144,22 +151,40 @@ class ExaggeratedTarget(FitTarget):
         coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
         luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
         for first, end in bands(height, width):
-            here = coarse[:, first // shrink : -(-end // shrink)]
-            for plane, weight, to in zip(halves(first, end), LUMA, here, strict=True):
-                luma[first // 2 : -(-end // 2)] += np.float32(weight) * plane
-                to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
+            here, planes = coarse[:, first // shrink : -(-end // shrink)], halves(first, end)
+            seen = luma[first // 2 : -(-end // 2)]
+
+            def reduce(k: int, planes: FloatArray = planes, here: FloatArray = here) -> None:
+                here[k] = cv2.resize(planes[k], here.shape[:0:-1], interpolation=cv2.INTER_AREA)
+
+            def strip(top: int, bottom: int, planes: FloatArray = planes, seen: FloatArray = seen) -> None:
+                for plane, weight in zip(planes[:, top:bottom], LUMA, strict=True):
+                    seen[top:bottom] += np.float32(weight) * plane
+
+            in_parallel(reduce, range(3))
+            in_strips(strip, len(seen))
         return coarse, luma
 
     def _more_detail(self, detail: tuple[FloatArray, ...], missing: FloatArray) -> tuple[FloatArray, ...]:
         """Update the exaggeration of each octave of detail. missing: luma of the error at half the size."""
         s = self.settings
-        more = [
-            np.minimum(_unlikeness(source, source - less, s), most) - 1
-            for source, less, most in zip(detail, _octaves(missing, s), s.most_detail, strict=True)
-        ]
-        return tuple(
-            old + np.float32(s.detail_rate) * (new - old) for old, new in zip(self.more or more, more, strict=True)
-        )
+        margin = math.ceil(4 * s.detail_window) + 1  # to the ends of a blur's kernel
+
+        def moved(octave: int, less: FloatArray) -> FloatArray:
+            source, moved = detail[octave], np.empty_like(less)
+
+            def strip(first: int, end: int) -> None:
+                top, bottom = max(first - margin, 0), min(end + margin, len(source))
+                part = source[top:bottom]
+                unlike = _unlikeness(part, part - less[top:bottom], s)[first - top : end - top]
+                new = np.minimum(unlike, s.most_detail[octave]) - 1
+                old = self.more[octave][first:end] if self.more else new
+                moved[first:end] = old + np.float32(s.detail_rate) * (new - old)
+
+            in_strips(strip, len(source))
+            return moved
+
+        return tuple(moved(octave, less) for octave, less in enumerate(_octaves(missing, s)))
 
     def _exaggerated(
         self, detail: tuple[FloatArray, ...], more: tuple[FloatArray, ...], size: tuple[int, ...]

@@ -19,6 +19,7 @@ from sgmethod.fitting.bands import Rows, bands
 from sgmethod.opencv import cv2
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import TextureSettings
+from sgmethod.threads import in_parallel
 
 Plane = NDArray[np.float32]
 Value = TypeVar("Value", np.float32, np.float64)
@@ -47,14 +48,17 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
     missing = np.empty((TEXTURE_OCTAVES, rows * SIDE, columns * SIDE), np.float32)
-    for row in range(rows):  # one row of cells at a time, which takes little memory
+
+    def measure(row: int) -> None:  # of one row of cells at a time, which takes little memory
         band, here = (slice(row * side, (row + 1) * side) for side in (TEXTURE_CELL, SIDE))
         wanted, drawn = (_padded(_luma(pixels[band]), columns) for pixels in (source, decoded))
         for octave, (whole, part) in enumerate(zip(_energies(wanted), _energies(drawn), strict=True)):
             missing[octave, here] = np.maximum(whole - part - settings.floor**2, 0)
         missing[:, here] *= _noisy(wanted)
+
+    in_parallel(measure, range(rows))
     most = settings.most_levels
-    spreads = [most * np.tanh(_strengths(np.sqrt(one), settings) / most) for one in missing]
+    spreads = in_parallel(lambda one: most * np.tanh(_strengths(np.sqrt(one), settings) / most), missing)
     codes = _codes(np.stack([spread / shown for spread, shown in zip(spreads, SHOWN, strict=True)]))
     return codes if codes.any() else None
 
@@ -71,13 +75,17 @@ def grain(source: Pixels, left: Rows, settings: TextureSettings) -> Target:
     size = tuple(BLOCK * side for side in share.shape[::-1])
     share = _plane(cv2.resize(share * (TARGET_WHITE / 255), size, interpolation=cv2.INTER_LINEAR))
     hidden = np.empty((3, height, width), np.int16)
-    for first, end in bands(height, width):
+
+    def hide(band: tuple[int, int]) -> None:
+        first, end = band
         top, bottom = max(first - MARGIN, 0), min(end + MARGIN, height)
         part = source[top:bottom]
         even = cv2.copyMakeBorder(part, 0, len(part) % 2, 0, width % 2, cv2.BORDER_REPLICATE)
         detail = _detail(_plane(even))[first - top : end - top, :width]
         for channel, to in zip(detail.transpose(2, 0, 1), hidden[:, first:end], strict=True):
             to[...] = np.rint(channel * share[first:end, :width])
+
+    in_parallel(hide, bands(height, width))
     return hidden
 
 
@@ -87,7 +95,8 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
     rows, columns = cells(width, height)
     energy, noisy = np.empty((2, rows * SIDE, columns * SIDE), np.float32)
     strength = np.empty((rows, columns), np.float32)
-    for row in range(rows):
+
+    def measure(row: int) -> None:
         first, here = row * TEXTURE_CELL, slice(row * SIDE, (row + 1) * SIDE)
         end = min(first + TEXTURE_CELL, height)
         luma = _padded(_luma(source[first:end]), columns)
@@ -98,6 +107,8 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
         found *= _rise(np.sqrt(found), settings.grain_levels)
         found *= _rise(np.median(_by_cell(part)[0], axis=1), settings.grain_left)
         strength[row] = found
+
+    in_parallel(measure, range(rows))
     strength = _plane(cv2.resize(strength, energy.shape[::-1], interpolation=cv2.INTER_LINEAR))
     share = noisy * np.minimum(strength / (energy + TINY), 1)
     return _plane(cv2.GaussianBlur(share, (0, 0), 0.7))

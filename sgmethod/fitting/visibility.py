@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import VISIBLE, Visibility
+from sgmethod.native import native
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import VisibilitySettings
@@ -62,12 +63,7 @@ def amplitudes(visibility: Visibility, planes: FloatArray, first: int, end: int)
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:
     """Weighted sum of squared errors of a decoded picture [H, W, 3], in squared levels of 255."""
-    total, color = 0.0, visibility.color.astype(np.float32)
-    for row in np.flatnonzero((decoded != source).any((1, 2))):
-        e = decoded[row].astype(np.float32) - source[row]
-        weighted = np.einsum("na,ab->nb", e, color)  # apart: one einsum of four factors takes three times as long
-        total += float(np.einsum("nb,nb,n->", weighted, e, visibility.values[row].astype(np.float32)))
-    return total / VISIBLE
+    return native.seen_difference(decoded, source, visibility.values, visibility.by_eye) / VISIBLE
 
 
 class SeenShare:

@@ -186,6 +186,12 @@ def keep_in_range(
 ) -> None:
     """Clamp scale, slant and amplitude to the limits of a fit, and means to within reach sqrt(l1 l3) of the picture."""
 
+def squared_difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> int:
+    """Sum of squared differences of values [N]."""
+
+def seen_difference(a: NDArray[np.uint8], b: NDArray[np.uint8], visibility: NDArray[np.int16], by_eye: bool) -> float:
+    """VISIBLE times the squared difference of pictures [height, width, 3], as the visibility counts it."""
+
 def superpixels(lab: FloatArray, side: int, compactness: float) -> NDArray[np.int32]:
     """Labels [height, width] of an image [3, height, width] in CIELAB, as cv2.ximgproc's SLIC has them."""
 

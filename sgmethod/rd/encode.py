@@ -37,7 +37,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
     request, pyramid = on_islands(request)
     gaussians = place(request, pyramid)
     plan = Plan.from_request(request, pyramid, gaussians)
-    state = plan.begin(gaussians)
+    request, state = plan.request, plan.begin(gaussians)
     rate, rounds = request.rate, plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds
     for number, pace in enumerate(request.deadline.runs(plan.lengths)):

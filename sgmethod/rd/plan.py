@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Descent, Moments, Visibility
-from sgmethod.fitting.deadline import Pace
+from sgmethod.fitting.deadline import Deadline, Pace
 from sgmethod.fitting.level import Level, Pyramid
 from sgmethod.fitting.moving_target import FitTarget
 from sgmethod.rd.rate_control import error_per_bit
@@ -35,13 +35,13 @@ class Plan:
     def from_request(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
         """Plan a request whose first Gaussians are placed.
 
-        If time is too short for all steps, it takes the settings of a lower effort; if that takes too long as well, a
-        smaller picture is fitted. The time of a gradient is measured here, on this machine.
+        If time is too short for all steps, it takes a lower effort, with the steps that fill the time. If
+        that takes too long as well, a smaller picture is fitted. The time of a gradient is measured here.
         """
         most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * request.rate.expected_gaussians())
         settings = sized(request.settings, most.pixels)
         if request.deadline.has_limit():
-            settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
+            request, settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
         return cls(request, within_pixels(settings, pyramid), pyramid)
 
     @property
@@ -117,22 +117,33 @@ class Plan:
 
 def _in_time(
     request: Request, settings: RdSettings, pyramid: Pyramid, most: Level, gaussians: Gaussians
-) -> tuple[RdSettings, Pyramid]:
-    """Reduce settings and pyramid to the time left. most: the level of most steps.
+) -> tuple[Request, RdSettings, Pyramid]:
+    """Reduce settings and pyramid to the time left, of which the search has its part. most: the level of most steps.
 
     Computing the gradient on the finest level takes no longer than a step may. A coarser level is used only if it
-    halves the time, because it lacks detail.
+    halves the time, because it lacks detail. A level finer than `most` is used if its drawings leave time for steps.
     """
-    rate, deadline = request.rate, request.deadline
+    rate, deadline, s = request.rate, request.deadline, request.deadline.settings
 
     def gradient_s(level: Level) -> float:
         return deadline.seconds_of(lambda: level.gradients(gaussians))
 
     took_s = gradient_s(most)
+    pixel_s, hides = took_s / most.pixels, request.objective.replaces_grain
+    of_whole, of_texture, of_finest = s.search_gradients
+    as_finest = s.finest_gradients[0] + s.finest_gradients[1] * hides
+
+    def searching(finest: Level) -> Deadline:
+        pixels = (of_whole + of_texture * hides) * request.samples / 3 + of_finest * finest.pixels
+        return replace(deadline, drawings_s=pixel_s * pixels)
+
+    finer = [level for level in pyramid.levels if level.pixels > most.pixels]
+    affordable = (one for one in finer if as_finest * pixel_s * one.pixels <= searching(one).left_to_fit_s())
+    finest = next(affordable, most)
+    deadline = searching(finest)
     in_time = deadline.steps_in_time(took_s)
     settings = hurried(settings, most.pixels, in_time / rate.steps(settings) * settings.effort.steps)
-    step_s = took_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
-    finest = pyramid.finest if took_s <= step_s else most
+    step_s = took_s * in_time * s.gradients_per_step / rate.steps(settings)
     for level in pyramid.from_level(most).levels[1:]:
         if took_s <= step_s:
             break
@@ -140,7 +151,7 @@ def _in_time(
         if took_s > before_s / 2:
             break
         finest = level
-    return settings, pyramid.from_level(finest)
+    return replace(request, deadline=deadline), settings, pyramid.from_level(finest)
 
 
 def within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
@@ -164,13 +175,15 @@ def sized(settings: RdSettings, pixels: int) -> RdSettings:
 def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     """Reduce settings, already sized(), to a number of steps.
 
-    The effort stays if it fits, else it becomes the highest lower effort that fits, else the lowest with fewer
-    Gaussians.
+    The effort stays if it fits, else it becomes the highest lower effort that fits, with as many steps as there may be
+    time for, else the lowest with fewer Gaussians.
     """
+    most = min(round(settings.deadline.spare_steps * steps), settings.effort.steps) if steps < math.inf else 0
     lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
     choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
     few = replace(choices[-1].densify, most=settings.deadline.most_hurried)
-    return next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
+    found = next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
+    return replace(found, effort=replace(found.effort, steps=max(found.effort.steps, most)))
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
 
     report = partial(_report, plan, state, rounds, fit_error)
     report(0, rate.usual_tries)
-    texture = request.objective.texture(coded(state.quantum))
+    is_late = request.deadline.left_s() == 0
+    texture = None if is_late else request.objective.texture(coded(state.quantum))
     if texture is not None and not rate.affords(texture):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
@@ -58,7 +59,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         tried.append(refined(state.gaussians, quantum, limit))
         report(len(tried), max(rate.usual_tries, len(tried) + 1))
         quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
-    if rate.is_cut_short(payload(state.quantum), limit):
+    if request.deadline.left_s() > 0 and rate.is_cut_short(payload(state.quantum), limit):
         tried.append(refined(state.gaussians, state.quantum, limit))
     best = exact = rate.chosen(tried)
     if state.is_enough:  # the fit itself may be too large for the budget, and small enough below

@@ -48,7 +48,8 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
     Where bytes are left at the finest quantum, the picture may be exact already.
     """
     request = plan.request
-    now = FitNow(plan, state, request.stream(state.gaussians, state.quantum))
+    stream = request.deadline.coded(lambda: request.stream(state.gaussians, state.quantum))
+    now = FitNow(plan, state, stream)
     if request.recorder.preview is not None:
         request.recorder.preview(container.serialise(now.stream))
     if now.stream.quantum <= MIN_QUANTUM and request.rate.is_enough(Coded(now.stream, request.objective)):

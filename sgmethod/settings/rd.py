@@ -292,13 +292,21 @@ class DeadlineSettings:
     """Planning for a time limit and a stop."""
 
     # Reserved for writing and measuring the file; the shared part is divided by the number of threads.
-    reserve_s: float = 0.02
-    reserve_s_per_megapixel: float = 0.1
-    shared_s_per_megapixel: float = 0.1
+    reserve_s: float = 0.005
+    reserve_s_per_megapixel: float = 0.002
+    shared_s_per_megapixel: float = 0.015
     winding_down: float = 0.25  # a stopped encode ends within this part of the time so far ...
     most_winding_down_s: float = 3.0  # ... and within this
-    fit_share: float = 0.9  # of the limit; the rest is for the search over the file's integers
+    # The search over the file's integers has this part of the limit, or more if these take longer: drawings of the
+    # whole picture, its texture, and drawings of the finest level, in gradients with few Gaussians; and trial codings.
+    search_share: float = 0.1
+    search_gradients: tuple[float, float, float] = (4.0, 7.0, 6.0)
+    search_codings: float = 8.0
     gradients_per_step: float = 4.0  # duration of a step, in gradients timed at the start with few Gaussians
+    spare_steps: float = 2.0  # steps planned, in multiples of those expected: the limit is what ends them
+    # Least time left for a level to be the finest, in gradients on it, and more if its target moves and loses grain.
+    finest_gradients: tuple[float, float] = (25.0, 70.0)
+    least_round: float = 0.3  # of a round's steps, for which it is begun
     most_hurried: float = 1.3  # DensifySettings.most if time is too short for the lowest effort
     short: float = 4.0  # in multiples of the time for the pyramid; with less left, growth searches few pixels
     least_part: float = 1 / 3  # least time for the first run, as a part of the time for preparing, even beyond a limit

@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "max_bytes",
         [250, 120],
     ),
+    "speed threads": ("--cases small --threads 1,2 --repeats 1", "threads", [1, 2]),
     "ablation": (
         "--images {small} --tables positions --seeds 1 --fit-steps 60 --tune-steps 20",
         "setting",

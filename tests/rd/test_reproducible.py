@@ -1,8 +1,19 @@
-"""Files are the same, whichever kernels the linear algebra behind NumPy chooses."""
+"""Files are the same for every number of threads, however long a step takes, and whatever NumPy's kernels are."""
 
 import os
 import subprocess
 import sys
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from sgmethod import encode, set_threads
+from sgmethod.fitting import deadline
+from sgmethod.native import native
+from sgmethod.scene import Pixels
+from tests.support.pictures import photo
 
 ENCODE = """
 import sys, sgmethod
@@ -22,3 +33,33 @@ def test_files_do_not_depend_on_kernels_of_openblas() -> None:
         return subprocess.run(command, env=environment | kernels, check=True, capture_output=True).stdout
 
     assert files_with({}) == files_with({"OPENBLAS_CORETYPE": "Prescott"})
+
+
+def page() -> Pixels:
+    """A word on white, which is fitted as islands."""
+    pixels = np.full((600, 500, 3), 255, np.uint8)
+    cv2.putText(pixels, "islands", (90, 320), cv2.FONT_HERSHEY_SIMPLEX, 1, (0, 30, 60), 2)
+    return pixels
+
+
+@pytest.mark.parametrize(
+    ("pixels", "options"),
+    [
+        pytest.param(cv2.resize(photo(), (211, 173)), {"bpp": 0.5, "effort": 3}, id="visual"),
+        pytest.param(cv2.resize(photo(), (211, 173)), {"bpp": 0.5, "effort": 3, "tune": "psnr"}, id="psnr"),
+        pytest.param(page(), {"bytes": 400, "effort": 3}, id="islands"),
+    ],
+)
+def test_files_do_not_depend_on_threads_or_time(
+    pixels: Pixels, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Strips of a picture are as many as threads; steps taken together are as many as fit a part of a second."""
+    before, files = native.thread_count(), set()
+    try:
+        for threads, steps_s in ((1, 0.05), (2, 0.0), (5, 1.0)):
+            set_threads(threads)
+            monkeypatch.setattr(deadline, "STEPS_S", steps_s)
+            files.add(encode(pixels, **options).data)
+    finally:
+        set_threads(before)
+    assert len(files) == 1

@@ -79,8 +79,10 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed; and a first state."""
     clock = WorkClock()
     spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
+    settings = replace(RD.deadline, search_gradients=(0.0, 0.0, 0.0))
     reserve_s = 1 - Deadline.from_limit(clock, 1.0).left_s()
-    deadline = Deadline.from_limit(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
+    limit_s = (seconds + spent_s) / (1 - RD.deadline.search_share) + reserve_s
+    deadline = Deadline.from_limit(clock, limit_s, settings=settings)
     request = requested(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
@@ -133,11 +135,50 @@ def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
 def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> None:
     one, two, three, five = (sized(of_effort(effort), pixels) for effort in (1, 2, 3, 5))
     all_steps = five.effort.steps
-    assert [hurried(five, pixels, steps) for steps in (math.inf, all_steps, all_steps - 1)] == [five, five, three]
-    assert [hurried(five, pixels, one.effort.steps - 1) for one in (three, two)] == [two, one]
+
+    def filled(chosen: RdSettings, steps: int) -> RdSettings:
+        """As many steps as the estimate may be short of."""
+        return replace(chosen, effort=replace(chosen.effort, steps=steps))
+
+    assert [hurried(five, pixels, steps) for steps in (math.inf, all_steps)] == [five, five]
+    assert hurried(five, pixels, all_steps - 1) == filled(three, all_steps)
+    assert hurried(five, pixels, three.effort.steps - 1) == filled(two, all_steps)
+    fewer = two.effort.steps - 1
+    assert hurried(five, pixels, fewer) == filled(one, min(round(RD.deadline.spare_steps * fewer), all_steps))
     assert hurried(two, pixels, three.effort.steps) == two
     with_few = replace(one, densify=replace(one.densify, most=RD.deadline.most_hurried))
-    assert [hurried(fit, pixels, one.effort.steps - 1) for fit in (five, one)] == [with_few, with_few]
+    fewest = one.effort.steps // 4
+    assert [hurried(fit, pixels, fewest) for fit in (five, one)] == [with_few, with_few]
+
+
+def test_a_time_limit_leaves_the_search_its_part() -> None:
+    """A tenth of it, or more where drawings of the whole picture and trial codings take longer."""
+    clock = WorkClock()
+    deadline = Deadline.from_limit(clock, 10.0)
+    whole_s = deadline.left_s()
+    assert deadline.left_to_fit_s() == pytest.approx((1 - RD.deadline.search_share) * whole_s)
+    assert replace(deadline, drawings_s=4.0).left_to_fit_s() == pytest.approx(whole_s - 4)
+
+    def code() -> str:
+        clock.now += 0.25
+        return "coded"
+
+    assert deadline.coded(code) == "coded"
+    clock.now = 0.0
+    assert deadline.left_to_fit_s() == pytest.approx(whole_s - 0.25 * RD.deadline.search_codings)
+
+
+def test_a_round_is_as_long_as_there_is_time_for() -> None:
+    clock = WorkClock()
+    deadline = Deadline.from_limit(clock, 10.0)
+    lengths = []
+    for pace in deadline.runs([100, 80, 80]):
+        lengths.append(pace.length)
+        for _ in pace.until(1.0):
+            clock.now += 0.06
+    assert lengths[0] == 100
+    assert len(lengths) == 2  # the third would have less than the least part of its steps
+    assert RD.deadline.least_round * 80 <= lengths[1] < 80
 
 
 def test_large_pictures_are_spared_steps() -> None:

@@ -29,6 +29,8 @@ using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::devi
 using Target = nb::ndarray<const int16_t, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Codes = nb::ndarray<const uint8_t, nb::shape<-1, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Visibility = nb::ndarray<const int16_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
+using Bytes = nb::ndarray<const uint8_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+using Pixels = nb::ndarray<const uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 
 inline void require(bool condition, const char* message) {

@@ -6,6 +6,7 @@
 #include "core/thread_pool.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
+#include "fit/pixels.h"
 #include "start/superpixels.h"
 
 using namespace nb::literals;
@@ -46,6 +47,20 @@ void keep_in_range(float reach, float width, float height, RowsOut<2> means, Row
   });
 }
 
+uint64_t squared_difference(Bytes a, Bytes b) {
+  require(a.size() == b.size(), "as many values");
+  const Unlocked unlocked;
+  return sg::squared_difference(a.data(), b.data(), static_cast<int64_t>(a.size()));
+}
+
+double seen_difference(Pixels a, Pixels b, Visibility visibility, bool by_eye) {
+  const int height = side(a, 0), width = side(a, 1);
+  require(side(b, 0) == height && side(b, 1) == width, "the pictures have different sizes");
+  const int16_t* seen = values_of(visibility, width, height);
+  const Unlocked unlocked;
+  return sg::seen_difference(a.data(), b.data(), width, height, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike);
+}
+
 auto superpixels(Image lab, int region, float compactness) {
   const int height = side(lab, 1), width = side(lab, 2);
   require(1 <= region && region <= std::min(width, height), "a region has 1 pixel along a side, or up to the image's");
@@ -72,5 +87,7 @@ void bind_fit(nb::module_& m) {
         "second"_a.noconvert(), "bias"_a.noconvert());
   m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(),
         "factors"_a.noconvert(), "colors"_a.noconvert());
+  m.def("squared_difference", &squared_difference, "a"_a, "b"_a);
+  m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a);
   m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);
 }

@@ -4,6 +4,7 @@
 #include <mutex>
 #include <new>
 #include <utility>
+#include <vector>
 
 #include "core/platform.h"
 
@@ -20,7 +21,7 @@ constexpr size_t kMaxFloats = 1 << 25;  // kept in all, 128 MB: a huge picture m
 struct Kept {
   Kept() { blocks.reserve(kMaxKept + 1); }  // so that returning a block never throws
   std::mutex lock;
-  std::vector<std::vector<float>> blocks;  // free ones, least recently used first
+  std::vector<Scratch::Block> blocks;  // free ones, least recently used first
 };
 
 // Never destroyed, because other threads may draw while the process ends.
@@ -29,9 +30,9 @@ Kept* const kept = new Kept;
 // Another thread may have held the lock when a child was forked.
 [[maybe_unused]] const int watched = in_children([] { new (kept) Kept; });
 
-size_t floats_of(const std::vector<std::vector<float>>& blocks) {
+size_t floats_of(const std::vector<Scratch::Block>& blocks) {
   size_t sum = 0;
-  for (const auto& block : blocks) sum += block.size();
+  for (const auto& block : blocks) sum += block.size;
   return sum;
 }
 
@@ -41,22 +42,22 @@ Scratch::Scratch(size_t floats) {
   {
     auto& blocks = kept->blocks;
     const std::lock_guard<std::mutex> hold(kept->lock);
-    const auto enough = [&](const auto& block) { return block.size() >= floats && block.size() / 2 <= floats; };
+    const auto enough = [&](const auto& block) { return block.size >= floats && block.size / 2 <= floats; };
     const auto found = std::find_if(blocks.begin(), blocks.end(), enough);
     if (found != blocks.end()) {
-      floats_ = std::move(*found);
+      block_ = std::move(*found);
       blocks.erase(found);
       return;
     }
   }
-  floats_.resize(floats);
+  block_ = {std::unique_ptr<float[]>(new float[floats]), floats};
 }
 
 Scratch::~Scratch() {
-  if (floats_.empty()) return;
+  if (block_.size == 0) return;
   auto& blocks = kept->blocks;
   const std::lock_guard<std::mutex> hold(kept->lock);
-  blocks.push_back(std::move(floats_));
+  blocks.push_back(std::move(block_));
   while (blocks.size() > kMaxKept || floats_of(blocks) > kMaxFloats) blocks.erase(blocks.begin());
 }
 

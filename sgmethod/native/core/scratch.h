@@ -3,21 +3,25 @@
 #pragma once
 
 #include <cstddef>
-#include <vector>
+#include <memory>
 
 namespace sg {
 
-// Uninitialised floats. Throws std::bad_alloc.
+// Uninitialised floats, whose pages the threads that write them first ask the system for. Throws std::bad_alloc.
 class Scratch {
  public:
+  struct Block {
+    std::unique_ptr<float[]> floats;
+    size_t size = 0;
+  };
   explicit Scratch(size_t floats);
   ~Scratch();
   Scratch(const Scratch&) = delete;
   Scratch& operator=(const Scratch&) = delete;
-  float* get() { return floats_.data(); }
+  float* get() { return block_.floats.get(); }
 
  private:
-  std::vector<float> floats_;
+  Block block_;
 };
 
 // Returns memory kept for later calls, and the C library's free memory, to the system.

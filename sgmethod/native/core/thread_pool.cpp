@@ -198,7 +198,7 @@ void parallel_for(int count, const std::function<void(int)>& task) {
     for (int i = 0; i < count; ++i) task(i);
     return;
   }
-  if (alone) {
+  if (alone || count <= 1) {  // one task wakes nobody
     const TaskMode mode;
     for (int i = 0; i < count; ++i) task(i);
     return;

@@ -20,6 +20,7 @@ namespace {
 
 // Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of the
 // next tile.
+constexpr int kOverTogether = 8;  // rows of tiles whose overlaps one task adds
 constexpr int kAhead = 2 * kTileWidth - 1;
 
 // Converts gradients, in place, from those by a Gaussian's mean [2], factor [3] and gain in samples of its coarse level
@@ -107,7 +108,7 @@ void reduce(const Rasterization& raster, int level, Planes& planes, const Load& 
       fit_kernels(raster.isa()).reduce(values, rows, planes.at(level + 1, x, y), aside + (x - below.x), stride);
     }
   });
-  for (int block = 0; block < grid.blocks(); ++block)
+  parallel_each(grid.blocks(), kOverTogether, [&](int block) {
     for (int row = 0; row < kOver; ++row) {
       const int y = y0 + (block + 1) * kRows + row;
       if (y >= below.y + below.height) continue;
@@ -115,6 +116,7 @@ void reduce(const Rasterization& raster, int level, Planes& planes, const Load& 
       float* to = planes.at(level + 1, below.x, y);
       for (int64_t i = 0; i < row_floats; ++i) to[i] += from[i];
     }
+  });
 }
 
 // Reduces the picture to all coarse levels. Calls each(tile, values) for each tile of every level, to set the values of

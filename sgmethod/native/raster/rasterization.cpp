@@ -20,6 +20,7 @@ constexpr int kMaxBins = 64;
 constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
 constexpr int kPairsExpected = 4;         // per Gaussian; a bin allocates for this many at once
 constexpr char kTooManyPairs[] = "too many pairs of Gaussian and tile";
+constexpr int kTilesTogether = 1024;      // counted by one task
 constexpr int64_t kPairsAtOnce = 1 << 20; // more are counted before memory is taken: there may be far too many
 
 // Gaussians in a bin. Each bin has a counter for every tile, so there must be few bins: summing their counters should
@@ -192,8 +193,10 @@ void Rasterization::sort_pairs() {
   // Bin by bin, so that the loop over neighbouring tiles is vectorised.
   const int count = tiles();
   std::vector<int32_t> next(count);
-  for (const Bin& bin : bins_)
-    for (int tile = 0; tile < count; ++tile) next[tile] += bin.next[tile];
+  parallel_chunks(count, kTilesTogether, [&](int first, int last, int) {
+    for (const Bin& bin : bins_)
+      for (int tile = first; tile < last; ++tile) next[tile] += bin.next[tile];
+  });
   tile_start_.resize(count + 1);
   int64_t total = 0;
   for (int tile = 0; tile < count; ++tile) {
@@ -201,12 +204,14 @@ void Rasterization::sort_pairs() {
     total += std::exchange(next[tile], static_cast<int32_t>(total));
   }
   tile_start_[count] = total;
-  for (Bin& bin : bins_)
-    for (int tile = 0; tile < count; ++tile) {
-      const int32_t here = bin.next[tile];
-      bin.next[tile] = next[tile];
-      next[tile] += here;
-    }
+  parallel_chunks(count, kTilesTogether, [&](int first, int last, int) {
+    for (Bin& bin : bins_)
+      for (int tile = first; tile < last; ++tile) {
+        const int32_t here = bin.next[tile];
+        bin.next[tile] = next[tile];
+        next[tile] += here;
+      }
+  });
   pairs_.reset(new Pair[total]);  // uninitialised: every element is written below
   parallel_for(static_cast<int>(bins_.size()), [&](int k) {
     Bin& bin = bins_[k];

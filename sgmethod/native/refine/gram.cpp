@@ -12,6 +12,7 @@
 namespace sg {
 namespace {
 
+constexpr int kRowsTogether = 32;
 constexpr int kLanes = 16;  // partial sums, so that their order does not depend on the instruction set
 
 using Rows = const float* const[Patch::kTaps];
@@ -116,16 +117,18 @@ void Gram::set_roots(const std::vector<Grid>& grids, const int16_t* visibility) 
       }
       return 0.25f * sum;
     };
-    for (int y = 0; y < grid.height; ++y)
+    parallel_each(grid.height, kRowsTogether, [&](int y) {
       for (int x = 0; x < grid.width; ++x) here[static_cast<size_t>(y) * grid.width + x] = mean(x, y);
+    });
     Roots& roots = roots_[level];
     roots.stride = grid.width + 2 * kPad;
     roots.rows = grid.height;
     roots.values.resize(static_cast<size_t>(roots.stride) * roots.rows);
-    for (int y = 0; y < grid.height; ++y)
+    parallel_each(grid.height, kRowsTogether, [&](int y) {
       for (int x = 0; x < roots.stride; ++x)
         roots.values[static_cast<size_t>(y) * roots.stride + x] =
             std::sqrt(here[static_cast<size_t>(y) * grid.width + std::clamp(x - kPad, 0, grid.width - 1)]);
+    });
     finer = std::move(here);
   }
 }

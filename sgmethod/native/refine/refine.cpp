@@ -46,15 +46,20 @@ class Refinement {
         state_{p, settings, exp_minus(kCutoffV2), std::sqrt(2.0f * kCutoffV2), {}, nullptr, gram_, nullptr, {}},
         all_(std::move(all)) {
     const int64_t width = width_, height = height_, strips = (width + kTileWidth - 1) / kTileWidth;
-    values_.assign(strips * height * 3 * kTileWidth, 0.0f);
-    state_.left = {values_.data(), width_, height_};
+    values_.reset(new float[strips * height * 3 * kTileWidth]);  // of which each look() sets all
+    state_.left = {values_.get(), width_, height_};
     if (settings.visibility == nullptr) return;
-    visibility_.assign(strips * height * kTileWidth, 0.0f);
-    for (int64_t y = 0; y < height; ++y)
-      for (int64_t x = 0; x < width; ++x)
-        visibility_[(x / kTileWidth * height + y) * kTileWidth + x % kTileWidth] =
-            static_cast<float>(settings.visibility[y * width + x]) / kVisible;
-    state_.visibility = visibility_.data();
+    visibility_.reset(new float[strips * height * kTileWidth]);
+    parallel_for(static_cast<int>(strips), [&](int strip) {
+      const int64_t x = int64_t{strip} * kTileWidth, columns = std::min<int64_t>(kTileWidth, width - x);
+      float* to = &visibility_[strip * height * kTileWidth];
+      for (int64_t y = 0; y < height; ++y, to += kTileWidth) {
+        for (int64_t i = 0; i < columns; ++i)
+          to[i] = static_cast<float>(settings.visibility[y * width + x + i]) / kVisible;
+        std::fill(to + columns, to + kTileWidth, 0.0f);
+      }
+    });
+    state_.visibility = visibility_.get();
   }
 
   std::vector<uint8_t> run() {
@@ -71,9 +76,11 @@ class Refinement {
   }
 
  private:
+  bool is_late() const { return Clock::now() >= until_; }
+
   // Returns whether another sweep may gain more. coarse: includes coarse levels, whose few Gaussians converge early.
   bool sweep(bool coarse, std::vector<uint8_t>& payload) {
-    if (Clock::now() >= until_) return false;
+    if (is_late()) return false;
     const size_t changed = visit_everywhere(coarse);
     payload = encode();
     return changed >= all_.size() * kConverged;
@@ -154,12 +161,14 @@ class Refinement {
     if (columns * rows == 1) return 0;
     const float samples = std::ldexp(1.0f, -level);
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
-    for (const size_t i : waiting) {
-      const Candidate c = state_.decoded(all_[i]);
+    std::vector<size_t> cell_of(waiting.size());
+    parallel_each(static_cast<int>(waiting.size()), kPatience, [&](int k) {
+      const Candidate c = state_.decoded(all_[waiting[k]]);
       const int column = std::clamp(static_cast<int>(c.place[0] * samples / side), 0, columns - 1);
       const int row = std::clamp(static_cast<int>(c.place[1] * samples / side), 0, rows - 1);
-      cells[static_cast<size_t>(row) * columns + column].push_back(i);
-    }
+      cell_of[k] = static_cast<size_t>(row) * columns + column;
+    });
+    for (size_t k = 0; k < waiting.size(); ++k) cells[cell_of[k]].push_back(waiting[k]);
     std::atomic<size_t> changed{0};
     for (int phase = 0; phase < 4; ++phase) {
       const int column0 = phase % 2, row0 = phase / 2, across = (columns - column0 + 1) / 2;
@@ -206,8 +215,8 @@ class Refinement {
   }
 
   // Drops Gaussians, beginning with those that lower the error least for each of their bits, until the payload fits.
-  // The neighbours of dropped ones gain in worth, so the order becomes stale: unless the excess is small, this stops
-  // after one round, to be called again.
+  // The neighbours of dropped ones gain in worth, so the order becomes stale: unless the excess is small, or time is
+  // over, this stops after one round, to be called again.
   void drop_least(std::vector<uint8_t>& payload) {
     look();
     std::vector<std::pair<double, size_t>> order(all_.size());
@@ -229,7 +238,7 @@ class Refinement {
     const auto most = static_cast<double>(state_.settings.max_bytes);
     const auto excess = [&] { return static_cast<double>(payload.size()) - most; };
     do {
-      double bits = 0.6 * 8.0 * excess();  // less than the excess, because the sizes are estimates
+      double bits = (is_late() ? 1.0 : 0.6) * 8.0 * excess();  // less, because the sizes are estimates
       for (; next < order.size() && bits > 0; ++next) {
         Symbols& s = staying[order[next].second];
         bits -= sizes[order[next].second];
@@ -237,7 +246,7 @@ class Refinement {
       }
       all_ = staying;
       payload = encode();
-    } while (next < order.size() && excess() > 0 && excess() < kSmallExcess * payload.size());
+    } while (next < order.size() && excess() > 0 && (is_late() || excess() < kSmallExcess * payload.size()));
   }
 
   const int16_t* target_;
@@ -246,8 +255,8 @@ class Refinement {
   State state_;
   std::vector<Symbols> all_;
   std::vector<Symbols> drawn_;  // all_ at the last look()
-  std::vector<float> values_;  // memory of state_.left
-  std::vector<float> visibility_;  // memory of state_.visibility
+  std::unique_ptr<float[]> values_;  // memory of state_.left
+  std::unique_ptr<float[]> visibility_;  // memory of state_.visibility
   std::unique_ptr<Planes> reduced_;
   std::vector<int> levels_;  // of all_ at the last look()
   Clock::time_point until_;

@@ -1,0 +1,17 @@
+// Errors of decoded pictures, in 8 bits.
+#pragma once
+
+#include <cstdint>
+
+#include "core/constants.h"
+
+namespace sg {
+
+// Sum of squared differences of values. Exact, so in no particular order.
+uint64_t squared_difference(const uint8_t* a, const uint8_t* b, int64_t count);
+
+// The same of pictures [height][width][3] as they are seen, times kVisible. visibility: of each pixel.
+double seen_difference(const uint8_t* a, const uint8_t* b, int width, int height, const int16_t* visibility,
+                       const Seen& seen);
+
+}  // namespace sg
