@@ -15,7 +15,7 @@ function layOverWhite(data) {
 
 const answers = {
   open({ key, bytes }) {
-    const file = readFile(bytes);
+    const file = readFile(bytes, { costs: true });
     files.set(key, file);
     return { ...file };
   },

@@ -1,6 +1,6 @@
 // The entropy decoder of version 2: docs/format.md, "States and symbols" and "Raw bits and numbers".
 
-import { refuseUnless } from "./header.js";
+import { floor, refuseUnless } from "./header.js";
 
 export const MODEL = 35; // numbers of a model: 17 fast ones, 17 slow ones, and how many symbols it has seen
 const SLOW = 17;
@@ -42,13 +42,10 @@ export const bitsAfter = (symbol) => (symbol > 3 && symbol < 15 ? (symbol >> 1) 
  * onCost(bits, state, row) is called for each symbol and number, with the bits of information that it takes and the row
  * of its model. */
 export function newCoder(payload, models, isShort, onCost) {
-  const queue = new Uint8Array(64); // of raw bits, a ring
-  let [at, head, tail, rests] = [0, 0, 0, 0]; // the next byte, the queue's first bit and its end, bits of numbers to come
+  let [at, queue, held, rests] = [0, 0, 0, 0]; // the next byte, raw bits and how many, bits of numbers to come
   const byte = () => payload[at++] ?? 0;
   const half = () => byte() + 256 * byte();
-  const first = () => half() + 65536 * half();
-  const states = [first()];
-  WHOLE: if (!isShort) states.push(first());
+  const states = new Uint32Array(isShort ? 1 : 2).map(() => half() + 65536 * half());
 
   WHOLE: refuseUnless(states.every((state) => state >= 65536), "its first state is too small");
 
@@ -74,9 +71,9 @@ export function newCoder(payload, models, isShort, onCost) {
     return found;
   };
 
-  /** Append whole bytes until the queue holds `count` bits. */
+  /** Append whole bytes until the queue holds `count` bits: 49 of them at most, which a number holds. */
   const fill = (count) => {
-    while (tail - head < count) for (let bits = byte() + 256; bits > 1; bits >>= 1) queue[tail++ & 63] = bits & 1;
+    for (; held < count; held += 8) queue += byte() * 2 ** held;
   };
 
   /** Fetch the rests of the numbers since the last time, and some bits more. */
@@ -86,9 +83,10 @@ export function newCoder(payload, models, isShort, onCost) {
   };
 
   const take = (count) => {
-    let value = 0;
-    for (let weight = 1; weight < 2 ** count; weight *= 2) value += queue[head++ & 63] * weight;
-    return value;
+    const bits = queue;
+    queue = floor(bits / 2 ** count);
+    held -= count;
+    return bits - queue * 2 ** count;
   };
 
   /** A number, whose rest is still to be fetched and taken: its symbol, or 16 times the number and 15 if it has none. */
@@ -117,7 +115,7 @@ export function newCoder(payload, models, isShort, onCost) {
 
   /** Whether the payload ends as it must. */
   const isEnded = () =>
-    states.every((state) => state === 65536) && !take(tail - head) && payload.subarray(at).every((rest) => rest === 0);
+    states.every((state) => state === 65536) && !queue && payload.subarray(at).every((rest) => rest === 0);
 
   return [symbol, number, fetch, take, whole, bytesRead, isEnded];
 }

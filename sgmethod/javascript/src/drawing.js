@@ -30,34 +30,47 @@ function mix(h) {
 
 export const SIDE = 256; // samples after which noise repeats
 export const NOISE_UNITS = [2 * 34.1 * 255, 2 * 29.7 * 255]; // by octave: divides noise to a spread of 0.5 / 255
+let white = null; // noise
 const tables = [null, null];
+
+/** Add a row of a plane that repeats to a row of sums, shifted and weighted. Rows have functions of their own, which
+ * browsers compile sooner than what calls them. */
+function addRow(sums, to, plane, row, shift, weight) {
+  for (let i = 0; i < SIDE; i++) sums[to + i] += weight * plane[row + ((i + shift) & (SIDE - 1))];
+}
 
 /** Sums of neighbours in a plane that repeats, weighted along both axes. */
 function filtered(plane, weights) {
-  const middle = weights.length >> 1;
-  const sums = (from, x, y) =>
-    from.map((_, i) =>
-      weights.reduce((sum, weight, k) => {
-        const [column, row] = [i + x * (k - middle), (i >> 8) + y * (k - middle)];
-        return sum + weight * from[SIDE * (row & (SIDE - 1)) + (column & (SIDE - 1))];
-      }, 0),
-    );
-  return sums(sums(plane, 1, 0), 0, 1);
+  const across = new Int32Array(SIDE * SIDE);
+  const sums = new Int32Array(SIDE * SIDE);
+  const shift = weights.length >> 1;
+  for (let row = 0; row < sums.length; row += SIDE) {
+    weights.forEach((weight, k) => addRow(across, row, plane, row, k - shift, weight));
+  }
+  for (let row = 0; row < sums.length; row += SIDE) {
+    weights.forEach((weight, k) => addRow(sums, row, across, (row + (k - shift) * SIDE) & (SIDE * SIDE - 1), 0, weight));
+  }
+  return sums;
+}
+
+function whiteNoise() {
+  const noise = new Int32Array(SIDE * SIDE);
+  for (let row = 0; row < SIDE; row++) {
+    const ofRows = mix(mix(1) + (row >> 2));
+    for (let i = 0; i < SIDE; i++) noise[SIDE * row + i] = ((mix(i + ofRows) >>> (8 * (row & 3))) & 255) - 128;
+  }
+  return noise;
 }
 
 /** Noise of an octave, row by row: white noise less its mean around each sample; the finest octave is smoothed. */
 export function noiseOf(octave) {
   if (tables[octave]) return tables[octave];
-  const white = Int32Array.from({ length: SIDE * SIDE }, (_, i) => {
-    const row = i >> 8;
-    return ((mix((i & (SIDE - 1)) + mix(mix(1) + (row >> 2))) >>> (8 * (row & 3))) & 255) - 128;
-  });
-  const mean = filtered(white, octave ? [1, 2, 1] : [1, 4, 6, 4, 1]);
-  const detail = white.map((value, i) => (octave ? 16 : 256) * value - mean[i]);
-  const noise = octave
-    ? detail.map((value) => (value + 16) >> 5)
-    : filtered(detail, [1, 6, 1]).map((value) => (value + 8192) >> 14);
-  return (tables[octave] = Int8Array.from(noise));
+  white ??= whiteNoise();
+  const noise = filtered(white, octave ? [1, 2, 1] : [1, 4, 6, 4, 1]);
+  for (let i = 0; i < noise.length; i++) noise[i] = (octave ? 16 : 256) * white[i] - noise[i];
+  const [smooth, bits] = octave ? [noise, 5] : [filtered(noise, [1, 6, 1]), 14];
+  for (let i = 0; i < noise.length; i++) smooth[i] = (smooth[i] + (1 << (bits - 1))) >> bits;
+  return (tables[octave] = new Int8Array(smooth));
 }
 
 /** The two neighbouring cells of a position, and the fraction between them. */
@@ -67,28 +80,37 @@ function between(place, cells) {
   return [low, Math.min(low + 1, cells - 1), at - low];
 }
 
+/** Add a row of noise to samples, whose strengths lie between those of two rows. */
+function addNoise(samples, at, table, row, left, above, below, share) {
+  for (let i = 0; i < above.length; i++, at += 3) {
+    const value = table[row + ((left + i) & (SIDE - 1))] * (above[i] * (1 - share) + below[i] * share);
+    samples[at] += value;
+    samples[at + 1] += value;
+    samples[at + 2] += value;
+  }
+}
+
 /** Add an octave's noise to a level of a view, as strong as its codes say. */
-function addTexture(plane, texture, octave, level, { sx, sy, dx, dy }, gain) {
+function addTexture({ left, top, width, height, samples }, texture, octave, level, { sx, sy, dx, dy }, gain) {
   const { columns, rows } = texture;
   const strengths = Float64Array.from(texture.octaves[octave], (code) =>
     code === 0 ? 0 : (255 * gain * 2 ** ((code - 1) / 2)) / NOISE_UNITS[octave],
   );
   const side = 2 ** level;
   const table = noiseOf(octave);
-  const across = Array.from({ length: plane.width }, (_, i) =>
-    between(((plane.left + i + 0.5) * side - dx) / sx, columns),
-  );
-  for (let j = 0, at = 0; j < plane.height; j++) {
-    const [above, below, share] = between(((plane.top + j + 0.5) * side - dy) / sy, rows);
-    const row = SIDE * ((plane.top + j) & (SIDE - 1));
-    for (let i = 0; i < plane.width; i++, at += 3) {
-      const [left, right, part] = across[i];
-      const along = (r) => strengths[r * columns + left] * (1 - part) + strengths[r * columns + right] * part;
-      const strength = along(above) * (1 - share) + along(below) * share;
-      if (strength === 0) continue;
-      const value = table[row + ((plane.left + i) & (SIDE - 1))] * strength;
-      for (let c = 0; c < 3; c++) plane.samples[at + c] += value;
+  const ofRows = []; // strengths along a row of cells, for each column of samples
+  const along = (r) => {
+    if (ofRows[r]) return ofRows[r];
+    const found = new Float64Array(width);
+    for (let i = 0; i < width; i++) {
+      const [low, next, share] = between(((left + i + 0.5) * side - dx) / sx, columns);
+      found[i] = strengths[r * columns + low] * (1 - share) + strengths[r * columns + next] * share;
     }
+    return (ofRows[r] = found);
+  };
+  for (let j = 0; j < height; j++) {
+    const [low, next, share] = between(((top + j + 0.5) * side - dy) / sy, rows);
+    addNoise(samples, 3 * width * j, table, SIDE * ((top + j) & (SIDE - 1)), left, along(low), along(next), share);
   }
 }
 

@@ -53,34 +53,47 @@ function readTexture(bit, width, height) {
 
 /** Header and Gaussians of a file. Throws SgError.
  *
- * In the file's order, each Gaussian has 8 numbers in `values` (x, y, l1, l2, l3, red, green, blue), the bits that it
- * took in `bits`, and the bytes of the payload that it needs in `ends`. `spent` sums the bits by what they describe. */
-export function readFile(bytes) {
+ * In the file's order, each Gaussian has 8 numbers in `values` (x, y, l1, l2, l3, red, green, blue), and the bytes of the
+ * payload that it needs in `ends`. With costs, each has the bits that it took in `bits`, and `spent` sums these by what
+ * they describe. */
+export function readFile(bytes, { costs = false } = {}) {
   refuseOthers(bytes);
   const { payload, alpha, parts, ...header } = readHeader(bytes, readTexture);
   const [textureAt, alphaAt, payloadAt, end] = parts;
+  const read = costs ? readWithCosts : readPayload;
   return {
     ...header,
     texture: header.texture ?? null,
-    alpha: alpha ? { ...alpha, texture: null, ...readPayload(alpha, alpha.payload) } : null,
+    alpha: alpha ? { ...alpha, texture: null, ...read(alpha, alpha.payload) } : null,
     headerBytes: textureAt + bytes.length - end,
     textureBytes: alphaAt - textureAt,
     alphaBytes: payloadAt - alphaAt,
     payloadBytes: payload.length,
     bytes: bytes.length,
-    ...readPayload(header, payload),
+    ...read(header, payload),
   };
 }
 
-function readPayload(header, payload) {
+function readPayload(header, payload, onTurn, onCost) {
+  const ends = [];
+  const values = readGaussians(
+    header,
+    payload,
+    (isWhole, end) => {
+      if (isWhole) ends.push(end);
+      onTurn?.(isWhole);
+    },
+    onCost,
+  );
+  return { count: ends.length, values, ends: Uint32Array.from(ends) };
+}
+
+function readWithCosts(header, payload) {
   const spent = { place: 0, shape: 0, slant: 0, light: 0, tint: 0 };
-  const [bits, ends] = [[], []];
+  const bits = [];
   let [now, next] = [0, 0]; // bits of the two Gaussians in a turn
-  const onTurn = (isWhole, end) => {
-    if (isWhole) {
-      bits.push(now);
-      ends.push(end);
-    }
+  const onTurn = (isWhole) => {
+    if (isWhole) bits.push(now);
     [now, next] = [next, 0];
   };
   const onCost = (cost, state, row) => {
@@ -89,8 +102,7 @@ function readPayload(header, payload) {
     if (state) now += cost;
     else next += cost;
   };
-  const values = readGaussians(header, payload, onTurn, onCost);
-  return { spent, count: bits.length, values, bits: Float32Array.from(bits), ends: Uint32Array.from(ends) };
+  return { ...readPayload(header, payload, onTurn, onCost), spent, bits: Float32Array.from(bits) };
 }
 
 /** How many Gaussians the first part of a file holds; part: above 0 to 1. */

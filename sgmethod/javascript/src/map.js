@@ -38,10 +38,16 @@ function even(n) {
   return found;
 }
 
-/** Sums in single precision of blocks side by side, and of 3 by 3 blocks around the one at i. */
-const along = (plane, i) => fround(fround(plane[i - 1] + plane[i]) + plane[i + 1]);
-const sumAround = (plane, i, stride) =>
-  fround(fround(along(plane, i - stride) + along(plane, i)) + along(plane, i + stride));
+/** The sums in single precision of the 3 by 3 blocks around each. */
+function sumsOf(plane, stride) {
+  const across = new Float32Array(plane.length);
+  for (let i = 1; i < plane.length - 1; i++) across[i] = fround(plane[i - 1] + plane[i]) + plane[i + 1];
+  const sums = new Float32Array(plane.length);
+  for (let i = stride; i < plane.length - stride; i++) {
+    sums[i] = fround(across[i - stride] + across[i]) + across[i + stride];
+  }
+  return sums;
+}
 
 /** The functions that walk through a class and make a map of it, and where they are.
  *
@@ -59,57 +65,97 @@ export function newMap({ width, height, isShort }) {
   let gaussians = 0;
   let energy = 0; // of all of them
   // Of the class:
-  let known = 0; // energy before it
-  let before; // planes, as they were before it
-  let ofClass; // the same in its blocks
-  let F;
-  let [group, M, n, counts, i] = []; // i: of the block, in counts
+  let known; // energy before it
+  let sums; // around the blocks of planes, as they were before it, and their mean
+  let mean;
+  let predictions; // for its own blocks, by what was before it
+  let counts; // of its Gaussians in each block, with four blocks of zeros around
+  let above; // of its Gaussians in the 9 by 4 blocks above each of a row
+  let [group, M, n, i] = []; // i: of the block, in counts
   const at = {}; // block, level, part; columns; halvings from a block to a cell
 
-  /** A plane with these values. */
-  const newPlane = (bits, value) => {
-    const plane = new Float32Array(indexOf(bits, rowsOf(bits) + 3, 0));
-    for (let r = rowsOf(bits); r--; ) for (let c = columnsOf(bits); c--; ) plane[indexOf(bits, r, c)] = value(r, c);
-    return plane;
-  };
+  const newPlane = (bits) => new Float32Array(indexOf(bits, rowsOf(bits) + 3, 0));
   const pooled = (plane, bits) => {
+    const coarse = newPlane(bits + 1);
     const down = strideOf(bits);
-    return newPlane(bits + 1, (r, c) => {
-      const i = indexOf(bits, 2 * r - 2, 2 * c - 2);
-      return r && c && fround(plane[i] + plane[i + down]) + fround(plane[i + 1] + plane[i + down + 1]);
-    });
+    for (let r = 1; r < rowsOf(bits + 1); r++) {
+      for (let c = columnsOf(bits + 1), to = indexOf(bits + 1, r, c); --c; ) {
+        const i = indexOf(bits, 2 * r - 2, 2 * c - 2);
+        coarse[--to] = fround(plane[i] + plane[i + down]) + fround(plane[i + 1] + plane[i + down + 1]);
+      }
+    }
+    return coarse;
   };
-  const divided = (plane, bits) =>
-    newPlane(bits - 1, (r, c) => plane[indexOf(bits, (r >> 1) + 1, (c >> 1) + 1)] / 4);
+  const divided = (plane, bits) => {
+    const finer = newPlane(bits - 1);
+    for (let r = rowsOf(bits - 1); r--; ) {
+      const row = indexOf(bits, (r >> 1) + 1, 1);
+      for (let c = columnsOf(bits - 1), to = indexOf(bits - 1, r, c); c--; ) finer[--to] = plane[row + (c >> 1)] / 4;
+    }
+    return finer;
+  };
 
   /** Prepare for a number of Gaussians of class k. */
   const begin = (k, number) => {
     const g = max(0, (k + 1) >> 1);
     let bits = max(g, 3);
     while (bits < 12 && columnsOf(bits) * rowsOf(bits) > 8 * gaussians + 1024) bits++;
-    WHOLE: {
-      planes ??= [0, 0, 0].map(() => newPlane(bits, () => 0));
-      for (let finer = m ?? bits; finer > bits; finer--) planes = planes.map((plane) => divided(plane, finer));
-      before = ofClass = planes.map((plane) => plane.slice());
-      known = energy;
-      group = groupOf(k);
-    }
-    m = bits;
-    for (M = m, n = number; M < 12 && insideOf(M) > 8 * n + 64; M++) {
-      WHOLE: ofClass = ofClass.map((plane) => pooled(plane, M));
-    }
+    for (M = bits, n = number; M < 12 && insideOf(M) > 8 * n + 64; M++);
     at.halvings = M - g;
     at.columns = columnsOf(M);
     WHOLE: {
-      F = pooled(pooled(ofClass[0], M), M + 1);
+      planes ??= [0, 0, 0].map(() => newPlane(bits));
+      for (let finer = m ?? bits; finer > bits; finer--) planes = planes.map((plane) => divided(plane, finer));
+      known = energy;
+      group = groupOf(k);
       counts = new Uint8ClampedArray((at.columns + 4) * (rowsOf(M) + 4));
+      above = new Int32Array(at.columns);
+      m = bits;
+      if (known) predict();
     }
     at.block = at.part = 0;
     enter();
   };
 
+  /** What the map says of each of the class's blocks. */
+  const predict = () => {
+    sums = planes.map((plane) => sumsOf(plane, strideOf(m)));
+    mean = meanOf(m);
+    let pools = planes;
+    for (let bits = m; bits < M; bits++) pools = pools.map((plane) => pooled(plane, bits));
+    const [E] = pools;
+    const [S, SX, SY] = M > m ? pools.map((plane) => sumsOf(plane, strideOf(M))) : sums;
+    const SF = sumsOf(pooled(pooled(E, M), M + 1), strideOf(M + 2));
+    const meanOfClass = meanOf(M);
+    predictions = new Int32Array(at.columns * rowsOf(M));
+    for (let r = 0, to = 0; r < rowsOf(M); r++) {
+      for (let c = 0, i = indexOf(M, r, 0); c < at.columns; c++, i++) {
+        const l = L(S[i]);
+        const f0 = limited(L(E[i]) - meanOfClass);
+        const f1 = limited(L(S[i], 9) - meanOfClass);
+        const f2 = limited(L(SF[indexOf(M + 2, (r + 6) >> 2, (c + 6) >> 2)], 144) - meanOfClass);
+        const f3 = limited(L(fround(abs(SX[i]) + abs(SY[i]))) - l);
+        predictions[to++] = NET[group] + predicted(14, 90, group, f0, f1, f2, f3);
+      }
+    }
+  };
+
   /** How many Gaussians a block has by those in some near it, as a logarithm. */
   const own = (near, blocks) => lg(floor((256 * near * insideOf(M)) / (blocks * n)) + 77) - 128;
+
+  /** Count the Gaussians in the 9 by 4 blocks above each of a row. */
+  const countAbove = () => {
+    const stride = at.columns + 4;
+    let sum = 0;
+    for (let c = -8; c < at.columns; c++) {
+      for (let at = i + c, d = 0; d < 4; d++) {
+        at -= stride;
+        sum += counts[at + 4];
+        if (c > 0) sum -= counts[at - 5];
+      }
+      if (c >= 0) above[c] = sum;
+    }
+  };
 
   /** Find the level of the current block. */
   const enter = () => {
@@ -122,23 +168,12 @@ export function newMap({ width, height, isShort }) {
       const stride = at.columns + 4;
       i = (r + 4) * stride + c + 4;
       if (!known) break WHOLE;
-      const [E, X, Y] = ofClass;
-      const block = indexOf(M, r, c);
-      const mean = meanOf(M);
-      const S = sumAround(E, block, strideOf(M));
-      const SF = sumAround(F, indexOf(M + 2, (r + 6) >> 2, (c + 6) >> 2), strideOf(M + 2));
-      const turned = fround(abs(sumAround(X, block, strideOf(M))) + abs(sumAround(Y, block, strideOf(M))));
-      const [f0, f1] = [limited(L(E[block]) - mean), limited(L(S, 9) - mean)];
-      const [f2, f3] = [limited(L(SF, 144) - mean), limited(L(turned) - L(S))];
-      parts += NET[group] + predicted(14, 90, group, f0, f1, f2, f3);
-      let q = 0;
-      for (let d = 1; d < 5; d++) {
-        q += counts[i - d];
-        for (let at = i - d * stride - 4, end = at + 9; at < end; at++) q += counts[at];
-      }
+      if (!c) countAbove();
       const up = i - stride;
       const p = 2 * (counts[i - 1] + counts[up]) + counts[up - 1] + counts[up + 1];
-      parts += predicted(90, 147, group, own(min(p, 63), 6), own(min(q, 255), 40), density, 0);
+      const q = above[c] + counts[i - 1] + counts[i - 2] + counts[i - 3] + counts[i - 4];
+      const seen = predicted(90, 147, group, own(min(p, 63), 6), own(min(q, 255), 40), density, 0);
+      parts += predictions[at.block] + seen;
     }
     at.level = min(max(parts >> 4, 0), 20);
   };
@@ -175,12 +210,9 @@ export function newMap({ width, height, isShort }) {
         min(max(first * 2 ** (M - m) + ((part << (M - m)) >> bits) + 2, 0), blocks - 1);
       const x = place(column, spot.across, level >> 1, columnsOf(m));
       const y = place(row, spot.down, (level + 1) >> 1, rowsOf(m));
-      const block = indexOf(m, y, x);
-      const [E, X, Y] = before;
-      const S = sumAround(E, block, strideOf(m));
-      const energy = L(fround(S * fround(1 / 9))) - meanOf(m);
-      spot.lumaRow = MAPPED_LUMA + min(max(floor(energy / 24 + 4), 0), 7);
-      const direction = directionOf(S * S, sumAround(X, block, strideOf(m)), sumAround(Y, block, strideOf(m)));
+      const [S, SX, SY] = sums.map((plane) => plane[indexOf(m, y, x)]);
+      spot.lumaRow = MAPPED_LUMA + min(max(floor((L(fround(S * fround(1 / 9))) - mean) / 24 + 4), 0), 7);
+      const direction = directionOf(S * S, SX, SY);
       spot.signsRow = MAPPED_SIGNS + 4 * (direction - 1);
       if (direction < 2) break WHOLE;
       const fold = foldOf(direction);

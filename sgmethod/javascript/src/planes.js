@@ -11,36 +11,38 @@ const TOP_LEVEL = 12;
 /** The nearest integer; the even one of two. */
 export const rounded = (x) => (x % 1 === 0.5 ? 2 * round(x / 2) : round(x));
 
-/** A Gaussian as a view shows it, after the low-pass filter of smaller views, and the level on which it is drawn. */
-function placed([x, y, l1, l2, l3, ...colour], view) {
-  const [a, b, d] = [view.sx * l1, view.sy * l2, view.sy * l3];
-  const [vx, vy] = [view.sx, view.sy].map((scale) => max(1 - scale * scale, 0) / (12 * KEPT));
+/** Change a Gaussian to what a view shows of it, after the low-pass filter of smaller views, and return the level on which
+ * it is drawn. It is then in samples of that level, narrower by what enlarging will widen, and stronger. Above level 0,
+ * places count from two samples before the picture. */
+function place(g, { sx, sy, dx, dy }) {
+  const change = (gain, ...shape) => {
+    for (let c = 5; c < 8; c++) g[c] *= gain;
+    g.set(shape);
+  };
+  const a = sx * g[2];
+  const d = sy * g[4];
+  const [vx, vy] = [sx, sy].map((scale) => max(1 - scale * scale, 0) / (12 * KEPT));
   const wide = sqrt(a * a + vx);
-  const high = sqrt(d * d + vy + (b / wide) ** 2 * vx);
-  const gain = (a * d) / (wide * high);
-  const at = [x * view.sx + view.dx, y * view.sy + view.dy];
-  return onLevel([...at, wide, a * (b / wide), high, ...colour.map((value) => gain * value)].map(fround));
-}
-
-/** A Gaussian in samples of its level, narrower by what enlarging will widen, and stronger. Above level 0, places count
- * from two samples before the picture. */
-function onLevel(g) {
-  const [x, y, l1, l2, l3, ...colour] = g;
+  const b = (sy * g[3]) / wide;
+  const high = sqrt(d * d + vy + b * b * vx);
+  change((a * d) / (wide * high), g[0] * sx + dx, g[1] * sy + dy, wide, a * b, high);
+  const [x, y, l1, l2, l3] = g;
   const xx = l1 * l1;
   const yy = l2 * l2 + l3 * l3;
   const minor = (2 * (xx * l3) * l3) / (xx + yy + sqrt((xx - yy) * (xx - yy) + 4 * (xx * l2) * l2));
   const ratio = minor / (NARROWEST * NARROWEST);
   let level = 0;
   while (level < TOP_LEVEL && 4 ** (level + 1) <= ratio) level++;
-  if (!level) return [...g, 0];
-  const s = 2 ** level;
-  const v = (1 - 4 ** -level) / 4;
-  const [p1, p2, p3] = [l1 / s, l2 / s, l3 / s];
-  const [qx, xy, qy] = [p1 * p1 - v, p1 * p2, p2 * p2 + p3 * p3 - v];
-  const q1 = sqrt(qx);
-  const q3 = sqrt(qx * qy - xy * xy) / q1;
-  const gain = fround((p1 * p3) / (q1 * q3));
-  return [...[x / s + 2, y / s + 2, q1, xy / q1, q3, ...colour.map((value) => gain * value)].map(fround), level];
+  if (level) {
+    const s = 2 ** level;
+    const v = (1 - 4 ** -level) / 4;
+    const [p1, p2, p3] = [l1 / s, l2 / s, l3 / s];
+    const [qx, xy, qy] = [p1 * p1 - v, p1 * p2, p2 * p2 + p3 * p3 - v];
+    const q1 = sqrt(qx);
+    const q3 = sqrt(qx * qy - xy * xy) / q1;
+    change(fround((p1 * p3) / (q1 * q3)), x / s + 2, y / s + 2, q1, xy / q1, q3);
+  }
+  return level;
 }
 
 /** The samples of a level, three numbers each, from column `left` and row `top` on. */
@@ -53,8 +55,9 @@ function newPlane(left, top, right, bottom) {
 const above = ({ left, top, width, height }) =>
   newPlane((left >> 1) - 1, (top >> 1) - 1, ((left + width - 1) >> 1) + 2, ((top + height - 1) >> 1) + 2);
 
-/** Add a Gaussian to a plane. */
-function add({ left, top, width, height, samples }, [x, y, l1, l2, l3, red, green, blue, level]) {
+/** Add a Gaussian to the plane of a level. */
+function add({ left, top, width, height, samples }, level, g) {
+  const [x, y, l1, l2, l3, red, green, blue] = g;
   const first = level ? 2.5 : 0.5; // where the centre of sample 0 lies
   const slope = l2 / l3;
   const A = 1 + slope * slope;
@@ -100,21 +103,23 @@ function addEnlarged({ left, top, width, height, samples }, coarse, out, stride)
   }
 }
 
-/** Draw Gaussians, of which each is eight numbers, in a view, on a background: 8-bit RGBA, row by row. addTo(plane, level) adds what else there is on a
- * level, up to `highest`; samples are in levels of 8 bits. */
+/** Draw Gaussians, of which each is eight numbers, in a view, on a background: 8-bit RGBA, row by row.
+ * addTo(plane, level) adds what else there is on a level, up to `highest`; samples are in levels of 8 bits. */
 export function drawGaussians(gaussians, background, view, highest = 0, addTo) {
-  const drawn = [];
-  for (let at = 0; at < gaussians.length; at += 8) drawn.push(placed(gaussians.subarray(at, at + 8), view));
-  for (const g of drawn) highest = max(highest, g[8]);
+  const drawn = []; // by level
+  for (let at = 0; at < gaussians.length; at += 8) {
+    const g = gaussians.slice(at, at + 8);
+    (drawn[place(g, view)] ??= []).push(g);
+  }
   const { left, top, width, height } = view;
   const data = new Uint8ClampedArray(4 * width * height).fill(255);
   const planes = [newPlane(left, top, left + width, top + height)];
-  while (planes.length < highest + 2) planes.push(above(planes.at(-1)));
+  while (planes.length < max(highest + 2, drawn.length + 1)) planes.push(above(planes.at(-1)));
   let coarse = planes.pop(); // above all that is drawn: the background
   coarse.samples.forEach((_, i, samples) => (samples[i] = background[i % 3]));
   for (let plane; (plane = planes.pop()); coarse = plane) {
     const level = planes.length;
-    for (const g of drawn) if (g[8] === level) add(plane, g);
+    drawn[level]?.forEach((g) => add(plane, level, g));
     WHOLE: addTo?.(plane, level);
     addEnlarged(plane, coarse, level ? plane.samples : data, level ? 3 : 4);
   }
