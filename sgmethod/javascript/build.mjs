@@ -11,6 +11,7 @@ import { gzipSync } from "node:zlib";
 import { minify } from "terser";
 import { decode } from "./src/decoder.js";
 import { encodePreview } from "./src/encoder/encoder.js";
+import { crc32 } from "./src/header.js";
 import { decodePreview } from "./src/preview.js";
 
 const MAX_BYTES = { preview: 5200, "sg-img": 6700, decoder: 10100, all: 11600, encoder: 12500, element: 500 }; // with gzip, as README.md says
@@ -80,6 +81,29 @@ for (const name of Object.keys(ENTRIES).filter((name) => name !== "encoder" && n
     assert.deepEqual(built.decode(file, VIEW), decode(file, VIEW), `${name}.js decodes files otherwise`);
   }
 }
+
+// Noise is refused or drawn, and soon: without the checks of whole files, a symbol was once searched for ever.
+const { decodePreview: drawn, SgError } = await import("./dist/preview.js");
+const outcomes = { drawn: 0, refused: 0 };
+let random = 1;
+const noise = () => (random = (random * 48271) % 2147483647) >> 8;
+for (let i = 0; i < 6000; i++) {
+  const payload = Array.from({ length: 8 + (noise() % 60) }, () => noise() & 255);
+  payload[3] |= 1; // the first state
+  if (i % 4) payload[4] = (noise() % 32) | ((noise() % 4) << 6); // likely classes
+  if (i % 4) payload[5] = 0;
+  const bytes = Uint8Array.of(0xd3, 0xc2, 0x83, 0, 0xb0, 0x30, 0, 0, ...payload); // 64 x 48 pixels
+  const text = Buffer.from([...bytes, crc32(bytes) & 255]).subarray(1).toString("base64url");
+  try {
+    drawn(text, 16);
+    outcomes.drawn++;
+  } catch (error) {
+    assert(error instanceof SgError, `noise ends in ${error.stack}`);
+    outcomes.refused++;
+  }
+}
+assert(outcomes.refused > 3000, "noise is not refused");
+console.log("noise:", outcomes);
 
 // What tests of sites run in: no canvas, no animations, and in linkedom and older jsdom no style sheets.
 const HTML = `<!doctype html><html><body><sg-img preview="${SAMPLE}"><img src="a.jpg" alt="A cat"></sg-img></body></html>`;

@@ -71,6 +71,20 @@ def payloads(random: np.random.Generator) -> list[tuple[Header, bytes]]:
     return found
 
 
+def far_and_fine(random: np.random.Generator) -> list[tuple[Header, bytes]]:
+    """A few small, strong Gaussians in the largest picture: the places of each need up to 28 bits along x and along y."""
+    found = []
+    for number in range(100):
+        flags = {"grey": bool(number & 1), "upright": False, "isShort": bool(number & 2)}
+        header = {"width": 65_535, "height": 65_535, "quantum": 2.0**-10, **flags}
+        n = int(random.integers(1, 4))
+        size = np.exp(random.uniform(-1, 0.5, n))
+        values = random.uniform(0, 65_535, (n, 2)), np.stack([size, 0 * size, size], 1), random.uniform(1, 3000, (n, 3))
+        gaussians = [array.astype(np.float32) for array in values]
+        found.append((header, native.rd_encode(parameters(header), *gaussians)))
+    return found
+
+
 def decoded(header: Header, payload: bytes) -> bytes | None:
     try:
         return np.concatenate(native.rd_decode(parameters(header), payload), axis=1).astype(np.float32).tobytes()
@@ -88,14 +102,14 @@ def damaged(payload: bytes, random: np.random.Generator) -> bytes:
 
 def test_it_decodes_and_refuses_the_same() -> None:
     random = np.random.default_rng(1)
-    whole = payloads(random)
+    whole = [*payloads(random), *far_and_fine(random)]
     files = whole + [(header, damaged(payload, random)) for header, payload in whole]
     expected = [decoded(*file) for file in files]
-    assert all(values is not None for values in expected[:FILES])
+    assert all(values is not None for values in expected[: len(whole)])
     given = json.dumps([(header, base64.b64encode(payload).decode()) for header, payload in files])
     answers = in_node(DECODE.format(folder=JAVASCRIPT.as_uri()), given)
     assert answers == [None if values is None else base64.b64encode(values).decode() for values in expected]
-    accepted = sum(values is not None for values in expected[FILES:])
+    accepted = sum(values is not None for values in expected[len(whole) :])
     assert FILES / 5 < accepted < FILES  # so that both are tried
 
 

@@ -16,8 +16,9 @@ export function lg(x) {
 /** lg() of a number in single precision, after something tiny is added. */
 const L = (x, times = 1) => lg(fround(x + times * TINY));
 
-/** Index of a class in tables. */
-export const groupOf = (k) => min(k + 4, 13);
+/** Index of a class in tables; of a class that no file may have, too, since previews are read without that check, and a
+ * symbol by a model that is not there would be searched for ever. */
+export const groupOf = (k) => min(max(k + 4, 0), 13);
 
 const limited = (x) => min(max(x, -255), 255);
 

@@ -25,7 +25,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
   let k = 28 - take(6);
   fetch(6);
   const last = k - take(6);
-  WHOLE: refuseUnless(bytesRead() <= payload.length && last >= -4, "its classes are out of range");
+  WHOLE: refuseUnless(last >= -4, "a class is out of range");
   for (; k >= last; k--) {
     const count = number(COLOUR, COUNT);
     fetch(0);
@@ -40,6 +40,8 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
     const side = 2 ** max(0, (k + 1) >> 1);
     const place = (first, part, told, bits, pixels) => {
       const more = bits - told;
+      fetch(max(more, 0)); // the bytes that both at once would be, of which numbers of 53 bits could not hold all
+      WHOLE: onCost?.(max(more, 0), SHAPE, DISTANCE);
       const within = more > 0 ? part * 2 ** more + take(more) : part >> -more;
       const cell = (within + 0.5) / 2 ** bits + first;
       WHOLE: {
@@ -99,9 +101,6 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
       if (i) {
         const px = partBits(k, now.square, h, u, v, r, 1);
         const py = partBits(k, now.square, h, u, v, r, -1);
-        const bits = max(px - now.xBits, 0) + max(py - now.yBits, 0);
-        fetch(bits);
-        WHOLE: onCost?.(bits, SHAPE, DISTANCE);
         values[at] = place(now.left, now.across, now.xBits, px, width);
         values[at + 1] = place(now.top, now.down, now.yBits, py, height);
         setShape(values, at, quantum, k, h, u, v, r, now);
@@ -122,8 +121,8 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
 /** Which of a colour's models is next, by the symbol before. */
 export const level = (symbol) => (symbol > 0) + (symbol > 2) + (symbol > 5);
 
-/** The power of two nearest to a colour, by its square. */
-export const exponentOf = (square) => min(((lg(square) >> 4) + 1) >> 1, 18);
+/** The power of two nearest to a colour, by its square; 0 for none, which no file may have. */
+export const exponentOf = (square) => min(max(((lg(square) >> 4) + 1) >> 1, 0), 18);
 
 /** lg(4^h + 4 r^2), also where that has more than 53 bits. */
 function lgOfSquares(h, r) {

@@ -28,7 +28,7 @@ constexpr uint64_t kMaxGaussians = 1 << 24;
 std::vector<uint8_t> rd_encode(const RdParameters& parameters, const ConstGaussians& gaussians, int n);
 
 // Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
-// Gaussians up to there are returned, at most 8 for each byte and 64. Throws std::overflow_error for more than
+// Gaussians up to there are returned, at most 3 for each byte and 64. Throws std::overflow_error for more than
 // max_gaussians, before memory is taken for them.
 GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
                          uint64_t max_gaussians = kMaxGaussians);

@@ -190,7 +190,7 @@ TEST(codec_refuses_nonsense) {
     for (const bool prefix : {false, true}) {
       try {
         const sg::GaussianArrays g = sg::rd_decode(p, bytes.data(), bytes.size(), prefix);
-        CHECK(g.means.size() <= 2 * (8 * bytes.size() + 64));
+        CHECK(g.means.size() <= 2 * (3 * bytes.size() + 64));
       } catch (const std::runtime_error&) {
       }
     }
