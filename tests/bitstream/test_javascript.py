@@ -72,7 +72,7 @@ def payloads(random: np.random.Generator) -> list[tuple[Header, bytes]]:
 
 
 def far_and_fine(random: np.random.Generator) -> list[tuple[Header, bytes]]:
-    """A few small, strong Gaussians in the largest picture: the places of each need up to 28 bits along x and along y."""
+    """A few small, strong Gaussians in the largest picture: each place needs up to 28 bits along x and y."""
     found = []
     for number in range(100):
         flags = {"grey": bool(number & 1), "upright": False, "isShort": bool(number & 2)}
