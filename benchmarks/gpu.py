@@ -130,7 +130,7 @@ class Bench:
         """Bits on the CPU, drawing on the device; beside decode(), which draws on the CPU."""
         data = sgmethod.encode(sized(self.paths, 0, megapixels), gaussians=n, effort=1, tune="psnr").data
         drawn = sgmethod.torch.draw(data, self.device).permute(1, 2, 0).cpu().numpy().astype(int)
-        row = {"bytes": len(data), "most_levels": int(np.abs(drawn - sgmethod.decode(data)).max())}
+        row = {"bytes": len(data), "max_levels": int(np.abs(drawn - sgmethod.decode(data)).max())}
         on_device = self._seconds(lambda: sgmethod.torch.draw(data, self.device))
         return {
             **row,

@@ -77,9 +77,9 @@ def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:
 def photograph(side: int) -> Pixels:
     """The middle of a test picture, brought to size."""
     pixels = read_image_8_bit(PHOTOGRAPH.read_bytes())
-    least = min(pixels.shape[:2])
-    y, x = (pixels.shape[0] - least) // 2, (pixels.shape[1] - least) // 2
-    shown = cv2.resize(pixels[y : y + least, x : x + least], (side, side), interpolation=cv2.INTER_AREA)
+    short = min(pixels.shape[:2])
+    y, x = (pixels.shape[0] - short) // 2, (pixels.shape[1] - short) // 2
+    shown = cv2.resize(pixels[y : y + short, x : x + short], (side, side), interpolation=cv2.INTER_AREA)
     return np.asarray(shown, np.uint8)
 
 

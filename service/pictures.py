@@ -229,9 +229,9 @@ class Drawing:
 
     def draw(self, bitstream: bytes) -> bytes:
         """Return the picture file. Raises BitstreamError, ViewError, MemoryError."""
-        return encode_picture(self._kept(sgmethod.decode(bitstream, view=self.view)), self.kind, self.quality)
+        return encode_picture(self._cropped(sgmethod.decode(bitstream, view=self.view)), self.kind, self.quality)
 
-    def _kept(self, pixels: Pixels) -> Pixels:
+    def _cropped(self, pixels: Pixels) -> Pixels:
         y, x = ((have - want) // 2 for have, want in zip(pixels.shape, (self.height, self.width), strict=False))
         return np.ascontiguousarray(pixels[y : y + self.height, x : x + self.width])
 

@@ -25,8 +25,8 @@ from sgmethod.threads import MAX_THREADS
 
 MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
-LONGEST_S = 86_400.0  # small enough for the system and both databases
-LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
+MAX_SECONDS = 86_400.0  # small enough for the system and both databases
+MAX_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MIN_DECODE_BYTES = 512 << 20
 MAX_WORKERS = 64  # processes of one machine
 MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
@@ -87,21 +87,21 @@ class Settings(BaseSettings):
     workers: int = Field(default_factory=default_workers, ge=1, le=MAX_WORKERS)
     api_keys_file: Path | None = None
     trusted_proxies: str = ""  # addresses and networks, separated by commas
-    retention_s: float = Field(default=30 * 86_400, ge=0, le=LONGEST_KEPT_S)  # of finished jobs; 0 for ever
+    retention_s: float = Field(default=30 * 86_400, ge=0, le=MAX_KEPT_S)  # of finished jobs; 0 for ever
     quota_bytes: int = Field(default=0, ge=0)  # of all images and bitstreams; 0 for no limit
     database_url: str = Field(default="", pattern=r"^(|sqlite|postgres(ql)?://.*)$", repr=False)  # may hold a password
     storage_url: str = Field(default="", pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$")
 
     # Jobs and encodes.
     queue_length: int = Field(default=1000, ge=1)
-    max_time_limit_s: float = Field(default=300.0, gt=0, le=LONGEST_S)
+    max_time_limit_s: float = Field(default=300.0, gt=0, le=MAX_SECONDS)
     job_memory_bytes: int = Field(default_factory=default_job_memory_bytes, ge=2**28, le=2**62)
-    lease_s: float = Field(default=15.0, ge=1, le=LONGEST_S)
-    stop_grace_s: float = Field(default=10.0, gt=0, le=LONGEST_S)
+    lease_s: float = Field(default=15.0, ge=1, le=MAX_SECONDS)
+    stop_grace_s: float = Field(default=10.0, gt=0, le=MAX_SECONDS)
     require_sandbox: bool = False
 
     # Retention and quotas.
-    source_retention_s: float = Field(default=3600.0, ge=0, le=LONGEST_KEPT_S)
+    source_retention_s: float = Field(default=3600.0, ge=0, le=MAX_KEPT_S)
     quota_bytes_per_key: int = Field(default=0, ge=0)  # 0 for no limit
 
     # Links and webhooks.
@@ -118,7 +118,7 @@ class Settings(BaseSettings):
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1)
     max_pixels: int = Field(default=50_000_000, ge=1)  # of an image, and of a picture or view to draw
     max_decodes: int = Field(default=3, ge=1)
-    decode_time_s: float = Field(default=10.0, gt=0, le=LONGEST_S)  # of a core
+    decode_time_s: float = Field(default=10.0, gt=0, le=MAX_SECONDS)  # of a core
 
     @field_validator("*", mode="before")
     @classmethod
@@ -141,9 +141,9 @@ class Settings(BaseSettings):
     @field_validator("max_pixels")
     @classmethod
     def _images_can_be_read(cls, pixels: int) -> int:
-        most = ImageLimits().max_pixels  # here, since it needs the kernels, which may be missing at import
-        if pixels > most:
-            raise ValueError(f"SG_MAX_PIXELS must be at most {most}: no larger image is read")
+        max_pixels = ImageLimits().max_pixels  # here, since it needs the kernels, which may be missing at import
+        if pixels > max_pixels:
+            raise ValueError(f"SG_MAX_PIXELS must be at most {max_pixels}: no larger image is read")
         return pixels
 
     @field_validator("trusted_proxies")

@@ -97,11 +97,11 @@ class Budget:
 
 
 DEFAULT_BUDGET = Budget("bpp", 0.3)  # the default of pictures whose file is then within ...
-DEFAULT_MOST_BYTES = 50_000  # ... this size: from 1.33 megapixels on, no file is larger
+DEFAULT_MAX_BYTES = 50_000  # ... this size: from 1.33 megapixels on, no file is larger
 
 
 def default_budget(width: int, height: int, least: int) -> Budget:
-    """Return a picture's default budget: DEFAULT_BUDGET, but at most DEFAULT_MOST_BYTES, and at least `least` bytes."""
+    """Return a picture's default budget: DEFAULT_BUDGET, but at most DEFAULT_MAX_BYTES, and at least `least` bytes."""
     asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
-    size = max(min(asked, DEFAULT_MOST_BYTES), least)
+    size = max(min(asked, DEFAULT_MAX_BYTES), least)
     return DEFAULT_BUDGET if size == asked else Budget("bytes", size)

@@ -13,7 +13,7 @@ Result = TypeVar("Result")
 
 
 def quiet(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Decorate a function that callers enter by: NumPy neither raises nor warns inside, as underflow is expected there.
+    """Decorate a public entry point: NumPy neither raises nor warns inside, as underflow is expected there.
 
     NumPy keeps this setting for each thread, so what the threads of a pool do needs it too.
     """

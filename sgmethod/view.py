@@ -31,9 +31,9 @@ def fitted_scale(scale: float, width: int, height: int) -> float:
     """Return the scale at which a part of width x height pixels gets a size. Raises ViewError if it is out of range."""
     if MIN_SCALE <= scale <= MAX_SCALE:
         return scale
-    most = int(MAX_SCALE)
-    (least_w, most_w), (least_h, most_h) = ((-(-side // most), side * most) for side in (width, height))
-    raise ViewError(f"width can be {least_w} to {most_w}, and height {least_h} to {most_h}")
+    factor = int(MAX_SCALE)
+    (min_w, max_w), (min_h, max_h) = ((-(-side // factor), side * factor) for side in (width, height))
+    raise ViewError(f"width can be {min_w} to {max_w}, and height {min_h} to {max_h}")
 
 
 @dataclass(frozen=True, init=False)
@@ -62,7 +62,7 @@ class View:
         if number is None or not MIN_SCALE <= number <= MAX_SCALE:
             raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {scale!r}")
         if part is None or not 0 < part <= 1:
-            raise ViewError(f"prefix must be above 0 and at most 1, got {prefix!r}")
+            raise ViewError(f"prefix must be above 0 and at factor 1, got {prefix!r}")
         own = {"scale": number, "region": _checked_region(region), "prefix": part, "texture": bool(texture)}
         for name, value in own.items():
             object.__setattr__(self, name, value)
@@ -84,7 +84,7 @@ class View:
         _, _, w, h = self.area(width, height)
         size = max(round(w * self.scale), 1), max(round(h * self.scale), 1)
         if max(size) > MAX_SIDE:
-            raise ViewError(f"a view may have at most {MAX_SIDE:,} pixels a side, not {max(size):,}")
+            raise ViewError(f"a view may have at factor {MAX_SIDE:,} pixels a side, not {max(size):,}")
         return size
 
     def within(self, size: tuple[int, int], width: AnyInt | None, height: AnyInt | None) -> View:

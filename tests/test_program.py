@@ -29,7 +29,7 @@ from tests.rd.short import shortened
 from tests.support.data import ROOT
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
-PATIENCE_S = 60
+TIMEOUT_S = 60
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +52,7 @@ def in_child(function: Callable[[], bytes]) -> bytes:
         finally:
             os._exit(0)
     os.close(write)
-    for _ in range(10 * PATIENCE_S):
+    for _ in range(10 * TIMEOUT_S):
         if os.waitpid(child, os.WNOHANG)[0]:
             with os.fdopen(read, "rb") as file:
                 return file.read()
@@ -78,7 +78,7 @@ def test_a_child_forked_during_work_of_other_threads_has_threads_of_its_own(set_
     begun, end = threading.Barrier(3), threading.Event()
     work = threading.Thread(target=in_parallel, args=(lambda _: (begun.wait(), end.wait()), range(2)))
     work.start()
-    begun.wait(PATIENCE_S)
+    begun.wait(TIMEOUT_S)
     try:
         assert in_child(lambda: bytes(in_parallel(lambda n: n * n, range(9)))) == bytes(n * n for n in range(9))
     finally:
@@ -107,7 +107,7 @@ def test_a_child_forked_while_a_picture_is_read_reads_and_warns(monkeypatch: pyt
     monkeypatch.setattr(formats, "open_reader", slowly)
     reading = threading.Thread(target=read_header, args=(file.getvalue(),))
     reading.start()
-    assert begun.wait(PATIENCE_S)
+    assert begun.wait(TIMEOUT_S)
     assert in_child(warned) == expected
     assert expected.endswith(b"1")
     reading.join()
@@ -167,7 +167,7 @@ print("works")
 
 def test_an_encode_that_is_interrupted_spoils_none_after_it() -> None:
     """At each of the first steps of work on several threads; the program ends, too."""
-    ran = subprocess.run([sys.executable, "-c", INTERRUPTED], check=True, capture_output=True, timeout=PATIENCE_S)
+    ran = subprocess.run([sys.executable, "-c", INTERRUPTED], check=True, capture_output=True, timeout=TIMEOUT_S)
     assert (ran.stdout, ran.stderr) == (b"works\n", b"")
 
 
@@ -200,7 +200,7 @@ sum(range(int(sys.argv[2])))
 def test_a_program_ends_while_a_daemon_thread_works(work: str) -> None:
     for patience in (1, 100_000, 1_000_000):
         command = [sys.executable, "-c", ENDS, work, str(patience)]
-        ran = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=PATIENCE_S)
+        ran = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=TIMEOUT_S)
         assert ran.stderr == b""
 
 

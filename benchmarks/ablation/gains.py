@@ -143,18 +143,20 @@ def on_gpu(
     from sgmethod.backend.tiles import Tiles
 
     s, (height, width) = row.settings, pixels[0].shape[:2]
-    most = max(map(len, starts))
+    max_count = max(map(len, starts))
     arrays = zip(*(one.arrays for one in starts), strict=True)
-    filled = [np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in of]) for of in arrays]
+    filled = [np.stack([np.pad(one, ((0, max_count - len(one)), (0, 0))) for one in of]) for of in arrays]
     values = [torch.from_numpy(of).to(device) for of in filled]
     target = torch.from_numpy(np.stack(pixels)).to(device).permute(0, 3, 1, 2).float().div(255).contiguous()
     frame = Frame(width, height, CUTOFF_V1, pyramid=False)
-    shape = len(pixels), most
+    shape = len(pixels), max_count
     moments = [torch.zeros(*shape, 8, device=device), torch.zeros(*shape, 8, device=device)]
     moments.append(torch.ones(*shape, 2, device=device))
     descent = Descent(frame, np.zeros((3, 0, 0), np.int16), None, 1.0, 0.0, width, height, s.optimiser)
     adan = Adan(AdanSettings(), width, height)
-    nowhere = torch.tensor([len(one) for one in starts], device=device)[:, None] <= torch.arange(most, device=device)
+    nowhere = torch.tensor([len(one) for one in starts], device=device)[:, None] <= torch.arange(
+        max_count, device=device
+    )
     for step in range(s.fit_steps):
         if time.monotonic() > ends:
             raise TimeoutError(f"no time is left after {step} steps")

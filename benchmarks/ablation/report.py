@@ -37,11 +37,11 @@ def complete(rows: Sequence[Row]) -> BySetting:
     for row in rows:
         found.setdefault(row["setting"], {}).setdefault((row["image"], row["seed"]), []).append(row)
     seeds = {row["seed"] for row in rows}
-    most = max(len(group) for cases in found.values() for group in cases.values())
+    max_rows = max(len(group) for cases in found.values() for group in cases.values())
     whole = {
         image
         for image in {row["image"] for row in rows}
-        if all(len(cases.get((image, seed), [])) == most for cases in found.values() for seed in seeds)
+        if all(len(cases.get((image, seed), [])) == max_rows for cases in found.values() for seed in seeds)
     }
     return {s: {case: group for case, group in cases.items() if case[0] in whole} for s, cases in found.items()}
 

@@ -139,8 +139,8 @@ def worse(
     with patched():
         encoded = encode(pixels, budget, profile, tune=tune, settings=settings, time_limit_s=limit_s)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
-    least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
-    return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
+    start_db = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
+    return max(start_db - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
 
 
 def beyond(pixels: Pixels, count: int) -> Found:

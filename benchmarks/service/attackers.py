@@ -27,7 +27,7 @@ from tests.support.pictures import SMALL, saved
 
 NICENESS = 19
 HOST = "Host: localhost\r\n"
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 PAUSE_S = 0.05  # after a connection that was refused: this machine has few ports
 UPLOAD_BYTES = 64 << 20
 DRIP_BYTES, DRIP_S = 2100, 1.0  # just above the slowest upload that is allowed
@@ -75,7 +75,7 @@ class Crowd:
     async def _go_on(self, request: Request, source: str) -> None:
         while (left_s := self._until - time.monotonic()) > 0:
             try:
-                async with asyncio.timeout(min(left_s, PATIENCE_S)):
+                async with asyncio.timeout(min(left_s, TIMEOUT_S)):
                     self.answers[await request(self, source)] += 1
             except TimeoutError:
                 self.answers["open at the end"] += 1
@@ -178,7 +178,7 @@ def untaken() -> Request:
         async with crowd.connection(source) as (reader, writer):
             writer.transport.pause_reading()  # type: ignore[attr-defined]
             writer.write(f"GET /decode/{crowd.job}.png?scale=8 HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            await asyncio.sleep(PATIENCE_S / 2)
+            await asyncio.sleep(TIMEOUT_S / 2)
             writer.transport.resume_reading()  # type: ignore[attr-defined]
             return await status_of(reader)
 
@@ -205,8 +205,8 @@ ATTACKS = {
 
 def main() -> None:
     name, address, seconds, job = sys.argv[1:]
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     crowd = Crowd(address, job, float(seconds))
     asyncio.run(crowd.attack(ATTACKS[name]))
     print(json.dumps(dict(crowd.answers.most_common())))

@@ -88,8 +88,8 @@ async def series(client: Client, request: Request, seconds: float) -> dict[str, 
             tasks.create_task(send(due, number))
     if failures:
         print(f"{request.method} {request.path}: {dict(failures)}", file=sys.stderr)
-    p50, p99, most = (round(float(ms), 2) for ms in np.percentile(latencies, (50, 99, 100)))
-    return {"requests": len(latencies), "failed": failures.total(), "p50_ms": p50, "p99_ms": p99, "most_ms": most}
+    p50, p99, slowest = (round(float(ms), 2) for ms in np.percentile(latencies, (50, 99, 100)))
+    return {"requests": len(latencies), "failed": failures.total(), "p50_ms": p50, "p99_ms": p99, "max_ms": slowest}
 
 
 def send_all(url: str, seconds: float, requests: Sequence[Request], source: str | None = None) -> list[dict[str, Any]]:

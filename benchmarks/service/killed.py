@@ -17,7 +17,7 @@ import httpx2
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.worker.sweeping import sweep
-from tests.support.processes import PATIENCE_S, Kind, Process, processes
+from tests.support.processes import TIMEOUT_S, Kind, Process, processes
 from tests.support.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
@@ -36,7 +36,7 @@ class ChaosService(ServiceProcess):
     def ask(self, method: str, path: str, **more: Any) -> httpx2.Response | None:
         """The answer, or None if there was none."""
         try:
-            return httpx2.request(method, self.url + path, timeout=PATIENCE_S, **more)
+            return httpx2.request(method, self.url + path, timeout=TIMEOUT_S, **more)
         except httpx2.TransportError:
             return None
 
@@ -98,7 +98,7 @@ class ChaosService(ServiceProcess):
 
     def processes_left(self) -> set[int]:
         """Processes of ours that are still there a moment after the service has ended."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         while left := self._seen & {number for number, process in processes().items() if "service" in process.command}:
             if time.monotonic() > deadline:
                 break

@@ -74,7 +74,7 @@ def path_of(scope: Scope) -> str:
 
 
 def _without_link(scope: Scope) -> bytes:
-    """Return the query without a link's parameters. A request that has them without need, with a key, is valid too."""
+    """Return the query without a link's parameters. With an API key they are ignored."""
     query: bytes = scope["query_string"]
     if _LINKED_PATH.fullmatch(path_of(scope)) is None:
         return query

@@ -16,7 +16,7 @@ from service.api.context import Context, UseCaller, UseContext
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
 from service.api.pictures import bitstream, picture
-from service.api.problems import FOR_NOW, ProblemError
+from service.api.problems import RETRYABLE, ProblemError
 from service.api.requests import (
     FORM_TYPE,
     IMAGE_FIELD,
@@ -59,7 +59,7 @@ IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _EncodeRequest:
     """A client's request, independent of settings. image: identifies the image."""
 
     owner: str | None
@@ -85,14 +85,15 @@ async def encode(
     """
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
-        asked = _Asked(caller.owner, key, read_options(fields), "" if key is None else await _digest(file, context))
-        job = await _first(asked, context)
+        image = "" if key is None else await _digest(file, context)
+        wanted = _EncodeRequest(caller.owner, key, read_options(fields), image)
+        job = await _first(wanted, context)
         if job is None:
             header = await context.tasks.read_header(caller.client, file)
             async with context.accepting.turn(caller.client):
                 await file.seek(0)
-                job = await context.store(_accept, context, asked, header, await file.read())
-    return await _answer(request, context, job, wait_s, caller.client)
+                job = await context.store(_accept, context, wanted, header, await file.read())
+    return await _answer(request, context, job, wait_s)
 
 
 async def _digest(file: UploadFile, context: Context) -> str:
@@ -100,21 +101,21 @@ async def _digest(file: UploadFile, context: Context) -> str:
     return (await context.store(hashlib.file_digest, file.file, "sha256")).hexdigest()
 
 
-async def _first(asked: _Asked, context: Context) -> Job | None:
+async def _first(wanted: _EncodeRequest, context: Context) -> Job | None:
     """Return the job that the same request has already made. Raises KeyReusedError.
 
     Checked before anything else: what would be refused now may have been accepted then.
     """
-    if asked.key is None:
+    if wanted.key is None:
         return None
-    return await context.read(context.table.first, asked.owner, asked.key, asked.fingerprint)
+    return await context.read(context.table.first, wanted.owner, wanted.key, wanted.fingerprint)
 
 
-def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) -> Job:
+def _accept(context: Context, wanted: _EncodeRequest, header: SourceImage, image: bytes) -> Job:
     """Store the image, then insert the job. Only then may the client get an answer."""
-    request = asked.options.request(header, context.settings.max_time_limit_s)
-    priority = asked.options.priority
-    new = NewJob(new_job_id(), request, header, asked.fingerprint, asked.key, asked.owner, priority)
+    request = wanted.options.request(header, context.settings.max_time_limit_s)
+    priority = wanted.options.priority
+    new = NewJob(new_job_id(), request, header, wanted.fingerprint, wanted.key, wanted.owner, priority)
     free_bytes = context.storage.free_bytes()  # a large upload is a temporary file there, and so counted already
     if free_bytes is not None and free_bytes < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
@@ -131,7 +132,7 @@ def _accept(context: Context, asked: _Asked, header: SourceImage, image: bytes) 
     return job
 
 
-async def _answer(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response:
+async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:
     """Answer with the finished file if the client waits and the job is done in time, else with the accepted job.
 
     An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
@@ -139,11 +140,11 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int, cli
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     file = None
-    if wait_s and not context.waits.is_full(client):
+    if wait_s and not context.waits.is_full(request.state.caller.client):
         try:
-            file = await _file_within(request, context, job, wait_s, client)
+            file = await _file_within(request, context, job, wait_s)
         except ProblemError as problem:
-            if problem.status not in FOR_NOW:
+            if problem.status not in RETRYABLE:
                 problem.headers.update(headers)
                 raise
         except (JobTableError, OSError):
@@ -154,12 +155,12 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int, cli
     return file
 
 
-async def _file_within(request: Request, context: Context, job: Job, wait_s: int, client: str) -> Response | None:
+async def _file_within(request: Request, context: Context, job: Job, wait_s: int) -> Response | None:
     """Return the bitstream, or the picture that Accept asks for; None if the job is not done within wait_s seconds.
 
     Raises ProblemError, JobTableError, OSError.
     """
-    ended = await job_within(request, job, wait_s, context, client)
+    ended = await job_within(request, job, wait_s, context)
     if ended is None:
         return None
     if ended.error is not None and ended.state == "failed":

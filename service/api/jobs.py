@@ -18,7 +18,7 @@ from service.jobs.job import FINAL_STATES, Job, JobState
 from service.keys import Link
 from service.storage.files import source_key
 
-LONGEST_LINK_S = 7 * 86_400
+MAX_LINK_S = 7 * 86_400
 FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
@@ -33,7 +33,7 @@ class PageQuery(Parameters):
 class LinksQuery(Parameters):
     """Lifetime of the links."""
 
-    expires_s: int = Field(default=3600, ge=1, le=LONGEST_LINK_S, description="seconds until the links expire")
+    expires_s: int = Field(default=3600, ge=1, le=MAX_LINK_S, description="seconds until the links expire")
 
 
 async def status(job: KnownJob, context: UseContext, response: Response) -> models.JobView:
@@ -55,9 +55,9 @@ async def jobs(
     return models.JobPage(jobs=[models.summary(job, settings) for job in page[:limit]], next=older)
 
 
-async def job_within(request: Request, job: Job, seconds: int, context: Context, client: str) -> Job | None:
+async def job_within(request: Request, job: Job, seconds: int, context: Context) -> Job | None:
     """Wait for the job to end; None if it takes longer. Raises ProblemError 409 if it is removed meanwhile."""
-    with context.waits.one(client):
+    with context.waits.one(request.state.caller.client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 
 

@@ -24,7 +24,7 @@ RESPONSE_HEADERS = {  # defaults
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
-LONGEST_PATH = 200  # characters of the log; our own paths are shorter
+MAX_LOGGED_PATH = 200  # characters of the log; our own paths are shorter
 _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
@@ -68,7 +68,7 @@ class RequestLog:
         finally:
             client = state["caller"].client if "caller" in state else address_of(scope.get("client"))
             ms = 1000 * (time.monotonic() - started)
-            what = f"{method} {path[:LONGEST_PATH]!a} {status} {ms:.1f} ms {size} bytes"
+            what = f"{method} {path[:MAX_LOGGED_PATH]!a} {status} {ms:.1f} ms {size} bytes"
             log.info("%s", f"{what}, {client} {state.get(REFUSAL, '')}".rstrip())
             request_id.reset(token)
 

@@ -107,14 +107,14 @@ class EncodeOptions(BaseModel):
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
-    def request(self, image: SourceImage, longest_s: float) -> EncodeRequest:
-        """Return the encoder's part of the request. longest_s: the longest and default time limit in seconds.
+    def request(self, image: SourceImage, max_s: float) -> EncodeRequest:
+        """Return the encoder's part of the request. max_s: the longest and default time limit in seconds.
 
         Raises BudgetError or ProblemError 422 if no file of the image could meet it.
         """
-        seconds = longest_s if self.time_limit_s is None else self.time_limit_s
-        if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
-            raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
+        seconds = max_s if self.time_limit_s is None else self.time_limit_s
+        if not (math.isfinite(seconds) and 0 < seconds <= max_s):
+            raise ProblemError(422, f"time_limit_s must be more than 0 and at most {max_s:g}")
         profile = checked_profile(self.profile)
         tune = tuning(self.tune, profile, self.budget)
         settings = settings_of(self.profile, self.effort)
@@ -135,9 +135,9 @@ class EncodeOptions(BaseModel):
             raise ProblemError(422, f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
         if budget.kind == "gaussians":
             budget.max_gaussians(image.width, image.height)  # raises BudgetError
-        allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
-        if allowed is not None and allowed < least:
-            detail = f"a file of profile {self.profile} takes at least {least} bytes, the budget is {allowed}"
+        allowed, min_bytes = budget.max_bytes(image.width, image.height), smallest_file(settings)
+        if allowed is not None and allowed < min_bytes:
+            detail = f"a file of profile {self.profile} takes at least {min_bytes} bytes, the budget is {allowed}"
             raise ProblemError(422, detail)
         return budget
 

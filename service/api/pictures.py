@@ -19,7 +19,7 @@ from service.api.problems import ProblemError
 from service.api.requests import (
     BITSTREAM_TYPE,
     FORM_TYPE,
-    LONGEST_CACHED_S,
+    MAX_CACHED_S,
     NEVER_STORED,
     VARIES,
     Parameters,
@@ -68,9 +68,9 @@ async def picture(
     size = (int(result.stats["width"]), int(result.stats["height"]))
     drawing = Drawing.from_options(query, kind, size, context.settings.max_pixels)
     pixels = math.prod(drawing.view.size(*size))
-    headers = {"ETag": drawing.etag(result.sha256), **_kept(request, job, context)}
+    headers = {"ETag": drawing.etag(result.sha256), **_cache_headers(request, job, context)}
 
-    async def made() -> bytes:
+    async def draw() -> bytes:
         with await context.store(_open_bitstream, context, job, result) as file:
             try:
                 return await context.tasks.draw(request.state.caller.client, file, query, kind, max_pixels=pixels)
@@ -79,7 +79,7 @@ async def picture(
                     raise _damaged(job, error) from error
                 raise
 
-    return await _remembered(request, context, headers, kind, made)
+    return await _cached_response(request, context, headers, kind, draw)
 
 
 async def picture_as_accepted(
@@ -91,7 +91,7 @@ async def picture_as_accepted(
     return answer
 
 
-async def _remembered(
+async def _cached_response(
     request: Request,
     context: Context,
     headers: dict[str, str],
@@ -135,7 +135,7 @@ async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Res
     result = _result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
-        **_kept(request, job, context),
+        **_cache_headers(request, job, context),
         "Content-Disposition": f'attachment; filename="{job.id}.sg"',
     }
     if (answer := not_modified(request, headers)) is not None:
@@ -189,14 +189,17 @@ async def comparison(job: KnownJob, kind: ComparisonFormat, context: UseContext,
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
     check_image_kept(job, context)  # also refuses a cached file
-    headers = {"ETag": f'"{job.id}-comparison.{kind}"', **_kept(request, job, context, _image_until(job, context))}
+    headers = {
+        "ETag": f'"{job.id}-comparison.{kind}"',
+        **_cache_headers(request, job, context, _image_until(job, context)),
+    }
 
-    async def made() -> bytes:
+    async def draw() -> bytes:
         with await context.store(open_image, context, job) as image:
             pixels = job.image.width * job.image.height
             return await context.tasks.compare(request.state.caller.client, image, kind, size, pixels)
 
-    return await _remembered(request, context, headers, kind, made)
+    return await _cached_response(request, context, headers, kind, draw)
 
 
 def open_image(context: Context, job: Job) -> BinaryIO:
@@ -247,16 +250,16 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
     return ProblemError(500, "the bitstream of this job is missing or damaged")
 
 
-def _kept(request: Request, job: Job, context: Context, image_until: float | None = None) -> dict[str, str]:
+def _cache_headers(request: Request, job: Job, context: Context, image_until: float | None = None) -> dict[str, str]:
     """Return the caching headers of a file.
 
     A response to a link is cached no longer than the link is valid, and a file made from the image no longer than until
     image_until.
     """
     ends = [end for end in (request.state.caller.link_expires, image_until) if end is not None]
-    most_s = min([LONGEST_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])
+    max_age_s = min([MAX_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])
     # Private, because the URL contains a secret id, which shared caches should not store.
-    headers = {"Cache-Control": f"private, max-age={most_s}, immutable"}
+    headers = {"Cache-Control": f"private, max-age={max_age_s}, immutable"}
     if (removed := models.expires_at(job, context.settings)) is not None:
         ends.append(removed)
     return {**headers, "Expires": formatdate(min(ends), usegmt=True)} if ends else headers

@@ -38,7 +38,7 @@ PROBLEM: dict[str, Any] = {
     },
     "example": {"type": "/problems#unknown", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
-FOR_NOW = (429, 503)  # refusals that say when to ask again
+RETRYABLE = (429, 503)  # refusals that say when to ask again
 RETRY_AFTER = {"Retry-After": "5"}  # seconds
 FULL_DISK = ("disk is full", "No space left")  # in messages of SQLite, and of the system and PostgreSQL
 # The reason in metrics, logs and the type of a problem, unless the problem names its own.

@@ -20,8 +20,8 @@ from service.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE = "multipart/form-data"
-LONGEST_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
-MEANT = {"*": "*/*", "image/jpg": "image/jpeg"}  # old clients write the left-hand form
+MAX_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
+MEDIA_TYPE_ALIASES = {"*": "*/*", "image/jpg": "image/jpeg"}  # old clients write the left-hand form
 # Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
@@ -63,14 +63,14 @@ def accepted_format(request: Request) -> PictureFormat:
     for entry in accept.split(","):
         name, *parameters = (part.strip().lower() for part in entry.split(";"))
         given = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        weights[MEANT.get(name, name)] = float(given) if _WEIGHT.fullmatch(given) else 1.0
+        weights[MEDIA_TYPE_ALIASES.get(name, name)] = float(given) if _WEIGHT.fullmatch(given) else 1.0
     best: PictureFormat = "png"
-    most = 0.0
+    best_weight = 0.0
     for kind, own_type in MEDIA_TYPES.items():  # PNG comes first
         weight = next((weights[name] for name in (own_type, "image/*", "*/*") if name in weights), 0.0)
-        if weight > most:
-            best, most = kind, weight
-    if most == 0:
+        if weight > best_weight:
+            best, best_weight = kind, weight
+    if best_weight == 0:
         raise ProblemError(406, f"pictures are available as {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
     return best
 

@@ -19,7 +19,7 @@ OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed", "queued": "retried"}
 SECONDS = "encode_seconds"
 # Each pause is about as long as the delivery has waited until then, and so doubles.
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0
+FIRST_PAUSE_S, MAX_PAUSE_S = 10.0, 3600.0
 KEPT_S = 3 * 86_400.0  # retry time of a delivery
 
 ADD = """
@@ -70,7 +70,7 @@ def take_delivery(db: Database, address: str) -> Delivery | None:
     row = db.execute(NEXT, (address,)).fetchone()
     if row is None or not row["is_due"]:
         return None
-    pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), LONGEST_PAUSE_S)
+    pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), MAX_PAUSE_S)
     first = db.execute(PUT_OFF, (pause_s, row["job"], address, row["due_at"])).rowcount == 1
     return Delivery(row["job"], address, row["body"]) if first else None
 

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 BACKLOG = 2048  # connections that the system holds until they are accepted; further clients try again after a second
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
-LONGEST_PAUSE_S = 10.0
+MAX_PAUSE_S = 10.0
 STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its start
 
 
@@ -68,7 +68,7 @@ class Supervised:
     def _start_later(self, why: str) -> None:
         now = time.monotonic()
         steady = now - self._started > STEADY_AFTER_S
-        self._pause_s = FIRST_PAUSE_S if steady else min(2 * self._pause_s, LONGEST_PAUSE_S)
+        self._pause_s = FIRST_PAUSE_S if steady else min(2 * self._pause_s, MAX_PAUSE_S)
         self._restart_at = now + self._pause_s
         log.error("%s %s; next try in %.1f s", self.name, why, self._pause_s)
 

@@ -88,7 +88,7 @@ def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[
     give or take THREADS_STEP; parent: process that it ends with.
     """
     is_other = os.geteuid() != 0 or _become_nobody()
-    most_threads = _threads_of_user() + threads
+    max_threads = _threads_of_user() + threads
     pages = Path("/proc/self/statm").read_text().split()
     size, data = (int(pages[place]) * resource.getpagesize() for place in (0, 5))
     _libc.prctl(SET_NO_NEW_PRIVILEGES, 1, 0, 0, 0)
@@ -98,7 +98,7 @@ def confine(memory_bytes: int, cpu_s: float, threads: int, parent: int) -> list[
             resource.RLIMIT_DATA: data + memory_bytes,
             resource.RLIMIT_AS: size + memory_bytes + LEEWAY_BYTES,  # memory of every kind
             resource.RLIMIT_CPU: math.ceil(cpu_s) + 1,  # for a task that blocks the timer's signal
-            resource.RLIMIT_NPROC: most_threads,  # else one task could use up the user's threads
+            resource.RLIMIT_NPROC: max_threads,  # else one task could use up the user's threads
             **dict.fromkeys(NOTHING, 0),
         }
     )
@@ -167,8 +167,8 @@ def _threads_of_user() -> int:
 def _limit(limits: Mapping[int, int]) -> None:
     for what, limit in limits.items():
         _, hard = resource.getrlimit(what)
-        most = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
-        resource.setrlimit(what, (most, most))
+        allowed = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(what, (allowed, allowed))
 
 
 def _become_nobody() -> bool:

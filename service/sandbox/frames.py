@@ -7,9 +7,9 @@ The answer is a sequence of frames. A frame is the lengths of its two parts (4 b
 JSON, and a file, which most messages do not have. Begun comes first and Ended last. Between them, an encode sends
 TracePoint and Preview; every task sends Result, Refused or Crashed once.
 
-A file may have taken over the task that reads it, so every frame is checked. Each task names the messages that it may
-send, the length of its files and the number of its frames. Anything else raises FrameError in the client, which closes
-the socket.
+A malicious file may control the process that parses it, so every frame is checked. Each task names the messages that
+it may send, the length of its files and the number of its frames. Anything else raises FrameError in the client, which
+closes the socket.
 """
 
 from __future__ import annotations

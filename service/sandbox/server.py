@@ -101,7 +101,7 @@ class Server:
     def _take(self) -> bool:
         """Hand a task to a fork, and drop malformed requests. Returns False once all clients have disconnected."""
         line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
-        if not line and _hung_up(self._requests):
+        if not line and _is_closed(self._requests):
             return False
         try:
             number, file = descriptors
@@ -140,7 +140,7 @@ class Server:
             self._leave(fork, answer)
 
     def _reap(self, fork: TaskProcess) -> None:
-        """Collect a fork that closed control. If it still runs, a file has taken it over."""
+        """Collect a fork that closed control. If it still runs, assume it is compromised."""
         self._selector.unregister(fork.control)
         fork.control.close()
         fork.status = _ended(fork.number)
@@ -182,7 +182,7 @@ def _ended(number: int) -> int:
         time.sleep(POLL_S)
 
 
-def _hung_up(connection: socket.socket) -> bool:
+def _is_closed(connection: socket.socket) -> bool:
     """Whether the other end is closed. Reading nothing does not prove it, since a message may be empty."""
     poll = select.poll()
     poll.register(connection, 0)  # a hang-up is always reported
@@ -195,7 +195,7 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
     try:
         end_with(parent)
         die_first()
-        _leave_all_but(control)
+        _close_other_descriptors(control)
         set_name("waits for a task")
         os.nice(PICTURE_NICENESS)
         warm_fork()
@@ -236,7 +236,7 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
     return 0
 
 
-def _leave_all_but(kept: int) -> None:
+def _close_other_descriptors(kept: int) -> None:
     """Close the descriptors of other tasks."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for descriptor in range(3):

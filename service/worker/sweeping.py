@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
 ORPHAN_AGE_S = 3600.0
-LONGEST_PAUSE_S, SHORTEST_PAUSE_S = 3600.0, 1.0
+MAX_PAUSE_S, MIN_PAUSE_S = 3600.0, 1.0
 OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part of that time
 
 
@@ -55,8 +55,8 @@ def sweep(
 
 def pause_s(*kept_s: float) -> float:
     """Return the seconds between sweeps. kept_s: retention times, 0 for ever or not at all."""
-    wanted_s = min((OVERDUE * seconds for seconds in kept_s if seconds), default=LONGEST_PAUSE_S)
-    return min(max(wanted_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
+    wanted_s = min((OVERDUE * seconds for seconds in kept_s if seconds), default=MAX_PAUSE_S)
+    return min(max(wanted_s, MIN_PAUSE_S), MAX_PAUSE_S)
 
 
 def _remove(table: JobTable, storage: Storage, job_id: str) -> list[str]:

@@ -213,9 +213,9 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
-    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, DEFAULT_MOST_BYTES
+    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, DEFAULT_MAX_BYTES
 
-    default = {"default": DEFAULT_BUDGET.value, "most": f"{DEFAULT_MOST_BYTES:,}"}
+    default = {"default": DEFAULT_BUDGET.value, "most": f"{DEFAULT_MAX_BYTES:,}"}
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
@@ -334,11 +334,11 @@ def _region(text: str) -> tuple[int, int, int, int]:
     raise argparse.ArgumentTypeError(f"a region is four whole numbers X,Y,W,H, not {text!r}")
 
 
-def _whole_number(name: str, least: int, most: int) -> Callable[[str], int]:
+def _whole_number(name: str, minimum: int, maximum: int) -> Callable[[str], int]:
     def read(text: str) -> int:
         with suppress(ValueError):
-            if least <= int(text) <= most:
+            if minimum <= int(text) <= maximum:
                 return int(text)
-        raise argparse.ArgumentTypeError(f"{name} is a whole number from {least} to {most}, not {text!r}")
+        raise argparse.ArgumentTypeError(f"{name} is a whole number from {minimum} to {maximum}, not {text!r}")
 
     return read

@@ -15,7 +15,7 @@ from sgmethod.errors import ServerError
 Json = dict[str, Any]
 Say = Callable[[str], None]
 AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
-PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+PAUSE_S, MAX_PAUSE_S = 1.0, 30.0
 SILENCE_S = 60.0  # more than the longest wait
 WHERE_THE_KEY_IS = "set SG_API_KEY for the command line, or api_key of a Client"
 UNUSABLE = (
@@ -43,16 +43,16 @@ class Patience:
         self._deadline: float | None = None
         self._pause_s = PAUSE_S
 
-    def pause(self, error: ServerError, least_s: float = 0.0) -> None:
+    def pause(self, error: ServerError, min_s: float = 0.0) -> None:
         """Report the error and wait before the next attempt. Raises the error if the deadline would pass."""
-        pause_s = max(self._pause_s, least_s)
+        pause_s = max(self._pause_s, min_s)
         if self._deadline is None:
             self._deadline = time.monotonic() + self._seconds
         if time.monotonic() + pause_s > self._deadline:
             raise error
         self._say(f"{error}; trying again in {pause_s:.0f} s")
         time.sleep(pause_s)
-        self._pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+        self._pause_s = min(2 * pause_s, MAX_PAUSE_S)
 
 
 class Connection:
@@ -131,4 +131,4 @@ def _refusal(answer: httpx2.Response) -> RefusedError:
 
 def _retry_after_s(headers: Mapping[str, str]) -> float:
     text = headers.get("Retry-After", "")
-    return min(float(text), LONGEST_PAUSE_S) if text.isdecimal() else 0.0
+    return min(float(text), MAX_PAUSE_S) if text.isdecimal() else 0.0

@@ -141,8 +141,8 @@ class _Bits:
         return taken
 
     def choice(self, of: tuple[tuple[int, int], ...]) -> int:
-        count, least = of[self.take(2)]
-        return least + self.take(count)
+        count, minimum = of[self.take(2)]
+        return minimum + self.take(count)
 
     def size(self) -> tuple[int, int]:
         """Read height and width."""

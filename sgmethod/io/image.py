@@ -222,12 +222,12 @@ def _from_array(pixels: npt.NDArray[Any]) -> Picture:
     return Picture(pixels[..., :3], white, None if alpha.min() == white else alpha, white)
 
 
-def check_range(least: float, most: float) -> None:
-    """Raise ImageError unless the least and the greatest value of an image lie in [0, 1]."""
-    if not least <= most:  # a minimum is NaN if any value is
+def check_range(minimum: float, maximum: float) -> None:
+    """Raise ImageError unless the minimum and the maximum of an image lie in [0, 1]."""
+    if not minimum <= maximum:  # a minimum is NaN if any value is
         raise ImageError("image values must lie in [0, 1], got NaN")
-    if least < 0 or most > 1:
-        raise ImageError(f"image values must lie in [0, 1], got {least:.8g} to {most:.8g}: rescale or clip them")
+    if minimum < 0 or maximum > 1:
+        raise ImageError(f"image values must lie in [0, 1], got {minimum:.8g} to {maximum:.8g}: rescale or clip them")
 
 
 @contextmanager

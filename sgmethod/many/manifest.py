@@ -62,7 +62,7 @@ class Manifest:
         self._asked = f"{version('sgmethod')} {text_of(options)}"
         self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
         # Each line is one write: if that is killed in the middle, no other line is touched.
-        with self._saying():
+        with self._errors_named():
             self._file = self._path.open("ab", buffering=0)
         try:
             self._read()
@@ -78,7 +78,7 @@ class Manifest:
 
     def _read(self) -> None:
         end = 0
-        with self._saying(), self._path.open("rb") as lines:
+        with self._errors_named(), self._path.open("rb") as lines:
             for number, line in enumerate(lines, 1):
                 written = line.rstrip(b"\0")  # left by a power cut if the line has not reached the disk
                 if not written.startswith(BEGINNING[: len(written)]):
@@ -118,12 +118,12 @@ class Manifest:
         """Append a line. Raises SgError."""
         values = {field.name: getattr(row, field.name) for field in fields(Row)}
         line = json.dumps(values, allow_nan=False).encode() + b"\n"
-        with self._saying():
+        with self._errors_named():
             if self._file.write(line) != len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     @contextmanager
-    def _saying(self) -> Iterator[None]:
+    def _errors_named(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:

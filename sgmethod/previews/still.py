@@ -24,10 +24,10 @@ def webp_uri(pixels: Pixels, characters: int) -> str:
     """
     picture = Image.fromarray(pixels)
     judged = _reduced(picture, JUDGED_SIDE)
-    most_bytes = max(characters - len(PREFIX), 0) // 4 * 3
+    max_bytes = max(characters - len(PREFIX), 0) // 4 * 3
     best, best_db = b"", 0.0
     for side in SIDES:
-        webp = _best_quality(_reduced(picture, side), most_bytes)
+        webp = _best_quality(_reduced(picture, side), max_bytes)
         if webp:
             drawn = Image.open(io.BytesIO(webp)).convert("RGB").resize(judged.size, Image.Resampling.BICUBIC)
             db = psnr(np.asarray(drawn), np.asarray(judged))
@@ -41,14 +41,14 @@ def _reduced(picture: Image.Image, side: int) -> Image.Image:
     return picture.resize((width, height), Image.Resampling.LANCZOS)
 
 
-def _best_quality(picture: Image.Image, most_bytes: int) -> bytes:
+def _best_quality(picture: Image.Image, max_bytes: int) -> bytes:
     """Bisect for the highest quality at which a WebP fits; b"" if none does."""
     best, low, high = b"", 0, 100
     while low <= high:
         quality = (low + high) // 2
         file = io.BytesIO()
         picture.save(file, "WEBP", quality=quality, method=6)
-        if len(file.getvalue()) <= most_bytes:
+        if len(file.getvalue()) <= max_bytes:
             best, low = file.getvalue(), quality + 1
         else:
             high = quality - 1

@@ -13,7 +13,7 @@ import pytest
 from tests.support.data import ROOT
 
 SHIMS = Path(__file__).parent / "shims"
-PATIENCE_S = 300  # of a process that may hang
+TIMEOUT_S = 300  # of a process that may hang
 Preload = Callable[[str], Path]
 
 
@@ -36,7 +36,7 @@ def preload(tmp_path_factory: pytest.TempPathFactory) -> Preload:
 def run(*arguments: str, **environment: str) -> str:
     """What a Python process prints, which must end well."""
     command, whole = [sys.executable, *arguments], {**os.environ, **environment}
-    done = subprocess.run(command, cwd=ROOT, env=whole, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    done = subprocess.run(command, cwd=ROOT, env=whole, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     assert done.returncode == 0, f"status {done.returncode}: {done.stderr[-2000:]}"
     return done.stdout
 

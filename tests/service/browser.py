@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import Service
 
 CHROMIUM, CHROMEDRIVER, FIREFOX = (shutil.which(name) for name in ("chromium", "chromedriver", "firefox-esr"))
@@ -199,7 +199,7 @@ class Chromium(Page):
             options.add_argument(option)
         options.binary_location = str(CHROMIUM)
         options.accept_insecure_certs = True  # those of tests
-        options.timeouts = {"script": int(1000 * PATIENCE_S)}
+        options.timeouts = {"script": int(1000 * TIMEOUT_S)}
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver, self.stale = Chrome(options, ChromeService(CHROMEDRIVER)), StaleElementReferenceException
 
@@ -236,7 +236,7 @@ class Firefox(Page):
             self.driver = Marionette(port=0, bin=FIREFOX, headless=True, gecko_log=str(self._log), prefs=prefs)
         self.stale = StaleElementException
         self.driver.start_session()
-        self.driver.timeout.script = PATIENCE_S
+        self.driver.timeout.script = TIMEOUT_S
 
     def open(self, url: str) -> None:
         self.driver.navigate(url)

@@ -10,7 +10,7 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 
 KEY, BUCKET = "test", "pictures"
 
@@ -41,7 +41,7 @@ class S3Server:
 
     def _answers(self) -> bool:
         try:
-            urllib.request.urlopen(self._url, timeout=PATIENCE_S).close()
+            urllib.request.urlopen(self._url, timeout=TIMEOUT_S).close()
         except urllib.error.HTTPError:  # the answer to a request without a signature
             return True
         except OSError:  # it has not begun to answer

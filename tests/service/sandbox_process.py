@@ -17,7 +17,7 @@ from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
 from service.sandbox.frames import Encode, Message, Preview, TracePoint
 from tests.support.data import ROOT
-from tests.support.processes import PATIENCE_S
+from tests.support.processes import TIMEOUT_S
 
 # In place of an encode, a program in the file runs where the encoder would run: as confined, with `answer` at hand.
 TAKEN_OVER = """
@@ -58,7 +58,7 @@ def sandbox(
         finally:
             requests.close()
             try:
-                process.wait(PATIENCE_S)
+                process.wait(TIMEOUT_S)
             finally:
                 process.kill()
                 process.wait()

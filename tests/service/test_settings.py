@@ -17,7 +17,7 @@ from service.settings import Settings, add_secrets
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 from tests.support.data import ROOT
-from tests.support.processes import PATIENCE_S, Outcome, failing, run, wait_until
+from tests.support.processes import TIMEOUT_S, Outcome, failing, run, wait_until
 from tests.support.service import RunCommand
 
 COMPUTED = {
@@ -190,7 +190,7 @@ def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
 @pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
 def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
     """SIGTERM as soon as it prints something: exit status 0 all the same."""
-    settings = {"port": 0, "data_dir": tmp_path / "data", "workers": 1, "stop_grace_s": PATIENCE_S}
+    settings = {"port": 0, "data_dir": tmp_path / "data", "workers": 1, "stop_grace_s": TIMEOUT_S}
     environment = {**os.environ, **{f"SG_{name}".upper(): str(value) for name, value in settings.items()}}
     words, pipes = [sys.executable, "-m", "service", command], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with subprocess.Popen(words, cwd=ROOT, env=environment, text=True, **pipes) as process:

@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx2
 
 from tests.support.data import ROOT
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 REQUIRED = "SGMETHOD_TEST_NGINX"  # set to "required", a missing nginx fails the tests
@@ -93,4 +93,4 @@ class Nginx:
     def stop(self) -> None:
         """Stop it."""
         self._process.terminate()
-        self._process.wait(PATIENCE_S)
+        self._process.wait(TIMEOUT_S)

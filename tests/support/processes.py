@@ -18,7 +18,7 @@ from tests.support.data import ROOT
 T = TypeVar("T")
 Kind = Literal["web", "worker", "sandbox", "encoder"]
 
-PATIENCE_S = 120.0  # far more than anything takes, on a busy machine too
+TIMEOUT_S = 120.0  # far more than anything takes, on a busy machine too
 NAME_LENGTH = 15  # of a process, as the system shows it
 POLL_S = 0.05  # seldom enough to take little of a core
 # Of command lines; the sandbox's forks have the sandbox's. An encoder has its job's id for a name.
@@ -30,9 +30,9 @@ KINDS: dict[Kind, str] = {
 }
 
 
-def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
+def wait_until(what: Callable[[], T], timeout_s: float = TIMEOUT_S) -> T:
     """The first true value of what(); raises AssertionError if there is none in time."""
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         value = what()
         if value:

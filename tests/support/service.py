@@ -27,7 +27,7 @@ from service.storage.files import bitstream_key
 from tests.support.data import ROOT
 from tests.support.job_table import IMAGE, LONG_S, submitted
 from tests.support.pictures import SLOW, SMALL
-from tests.support.processes import PATIENCE_S, Kind, Outcome, Process, processes, wait_until
+from tests.support.processes import TIMEOUT_S, Kind, Outcome, Process, processes, wait_until
 
 SMALL_QUEUE = 5
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
@@ -42,7 +42,7 @@ class ServiceProcess:
     writes to standard error is appended to a log beside its data folder.
     """
 
-    timeout_s = PATIENCE_S  # of the client's requests
+    timeout_s = TIMEOUT_S  # of the client's requests
 
     def __init__(
         self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
@@ -93,7 +93,7 @@ class ServiceProcess:
         """Stop it as an operator does; the exit status."""
         self.client.close()
         self.process.terminate()
-        return self.process.wait(PATIENCE_S)
+        return self.process.wait(TIMEOUT_S)
 
     def kill_all(self) -> None:
         """End every process at once, without a chance to say anything."""
@@ -102,7 +102,7 @@ class ServiceProcess:
         for number in victims:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(number, signal.SIGKILL)
-        self.process.wait(PATIENCE_S)
+        self.process.wait(TIMEOUT_S)
         wait_until(lambda: not victims.keys() & processes().keys())
 
     def files(self) -> list[str]:
@@ -231,7 +231,7 @@ class Service(ServiceProcess):
     def connect(self) -> socket.socket:
         """A connection over which a test says what it likes."""
         url = httpx2.URL(self.url)
-        return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
+        return socket.create_connection((url.host, url.port or 80), timeout=TIMEOUT_S)
 
     def raw(self, request: bytes) -> bytes:
         """All that is answered to these bytes until the server closes the connection, even with a reset."""

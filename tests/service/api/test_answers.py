@@ -17,7 +17,7 @@ from service.keys import digest
 from service.pictures import MEDIA_TYPES
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
 
 
@@ -166,7 +166,7 @@ def test_unfinished_uploads_leave_room_on_the_disk(start_service: StartService, 
         clients = [stack.enter_context(web.connect()) for _ in sizes]
         for client, announced in zip(clients, sizes, strict=True):
             client.sendall(head + announced + b"\r\n\r\n")
-        ((refused,), _, _) = select.select(clients, [], [], PATIENCE_S)
+        ((refused,), _, _) = select.select(clients, [], [], TIMEOUT_S)
         answer = b""
         while not answer.endswith(b"}"):  # its head may come by itself
             answer += refused.recv(65536)

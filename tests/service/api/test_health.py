@@ -20,7 +20,7 @@ from service.api.problems import ProblemError
 from service.api.turns import Together
 from tests.support.data import PICTURE
 from tests.support.job_table import grow_older
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
@@ -97,7 +97,7 @@ def test_nothing_waits_behind_requests_that_wait_for_a_lock(start_service: Start
         threads = Path("/proc", str(web.process.pid), "task")
         wait_until(lambda: len(list(threads.iterdir())) > WORK_THREADS)  # all that there are for this
         for path in ("/livez", "/readyz", "/", "/static/main.js", "/jobs", f"/jobs/{jobs[-1]}", "/metrics"):
-            assert httpx2.get(web.url + path, timeout=PATIENCE_S).status_code == 200
+            assert httpx2.get(web.url + path, timeout=TIMEOUT_S).status_code == 200
             assert not any(deletion.done() for deletion in deletions)
         lock.execute("ROLLBACK")
         assert {deletion.result().status_code for deletion in deletions} == {204}

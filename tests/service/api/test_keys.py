@@ -10,12 +10,12 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from service.api.requests import LONGEST_CACHED_S
+from service.api.requests import MAX_CACHED_S
 from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
-from tests.support.processes import PATIENCE_S, run
+from tests.support.processes import TIMEOUT_S, run
 from tests.support.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 
 SECRET = "0123456789abcdef" * 2
@@ -33,13 +33,13 @@ def guarded(start_for_module: StartService, new_table: Callable[[], str]) -> Ser
 
 @pytest.fixture
 def ann(guarded: Service) -> Iterator[httpx2.Client]:
-    with httpx2.Client(base_url=guarded.url, headers=bearer(ANN), timeout=PATIENCE_S) as client:
+    with httpx2.Client(base_url=guarded.url, headers=bearer(ANN), timeout=TIMEOUT_S) as client:
         yield client
 
 
 @pytest.fixture
 def bob(guarded: Service) -> Iterator[httpx2.Client]:
-    with httpx2.Client(base_url=guarded.url, headers=bearer(BOB), timeout=PATIENCE_S) as client:
+    with httpx2.Client(base_url=guarded.url, headers=bearer(BOB), timeout=TIMEOUT_S) as client:
         yield client
 
 
@@ -175,7 +175,7 @@ def test_links_expire(guarded: Service, ann: httpx2.Client) -> None:
     assert_problem(guarded.client.get(f"/decode/{done}.png?{late}"), 401, "expired")
     answer = guarded.client.get(f"/decode/{done}.png?{soon}")
     assert 0 < max_age(answer) <= 50  # no cache keeps it for longer than the link holds
-    assert max_age(ann.get(f"/decode/{done}.png")) == LONGEST_CACHED_S
+    assert max_age(ann.get(f"/decode/{done}.png")) == MAX_CACHED_S
     foreign = Link("decode", done, int(time.time()) + 50).query("another secret")
     assert_problem(guarded.client.get(f"/decode/{done}.png?{foreign}"), 401, "not valid")
     assert ann.post(f"/jobs/{done}/links?expires_s=604800").status_code == 200

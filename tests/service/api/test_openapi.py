@@ -19,7 +19,7 @@ from service.api.app import _document
 from service.api.routes import HOST
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
-from tests.support.processes import PATIENCE_S, run
+from tests.support.processes import TIMEOUT_S, run
 from tests.support.service import FAKE_CODEC, Service, StartService, keys_of
 
 pytestmark = pytest.mark.thorough
@@ -80,7 +80,7 @@ def curl(command: str, folder: Path) -> httpx2.Response:
         files=files or None,
         data={name: value for name, value in fields.items() if name not in files},
         content=(folder / given.body[1:]).read_bytes() if given.body else None,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     if given.output:
         (folder / given.output).write_bytes(answer.content)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from service.api.requests import LONGEST_CACHED_S
+from service.api.requests import MAX_CACHED_S
 from service.pictures import as_large, comparison_file
 from sgmethod.view import View
 from tests.support import pictures
@@ -104,7 +104,7 @@ def test_other_codecs_make_files_as_large(keeping: Service) -> None:
         assert keeping.client.head(f"/jobs/{job}/comparison.{kind}").headers["content-length"] == str(
             len(answer.content)
         )
-    assert max_age(keeping.client.get(f"/decode/{job}.png")) == LONGEST_CACHED_S
+    assert max_age(keeping.client.get(f"/decode/{job}.png")) == MAX_CACHED_S
     with keeping.table() as table:
         change(table, "UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", job)
     assert_problem(keeping.client.get(f"/jobs/{job}/comparison.avif"), 410, "has been deleted")  # from memory too

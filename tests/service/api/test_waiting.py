@@ -14,7 +14,7 @@ import sgmethod
 from service.api.requests import MAX_WAIT_S
 from service.settings import Settings
 from tests.support.pictures import SMALL
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import Service, StartService, assert_problem
 
 BODY = {"Content-Type": "image/png"}
@@ -111,8 +111,8 @@ def test_places_to_wait(start_service: StartService) -> None:
 @pytest.mark.thorough
 def test_waits_do_not_hold_up_the_end(start_service: StartService) -> None:
     """Who waits for a file gets the job's state."""
-    web = start_service("web", stop_grace_s=2 * PATIENCE_S)
-    asked = {"files": {"image": SMALL}, "timeout": 2 * PATIENCE_S}
+    web = start_service("web", stop_grace_s=2 * TIMEOUT_S)
+    asked = {"files": {"image": SMALL}, "timeout": 2 * TIMEOUT_S}
     with ThreadPoolExecutor(1) as pool:
         asking = pool.submit(httpx2.post, f"{web.url}/encode?wait=300", **asked)
         job_id = wait_until(lambda: web.client.get("/jobs").json()["jobs"])[0]["id"]

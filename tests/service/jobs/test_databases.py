@@ -23,7 +23,7 @@ from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from tests.support.job_table import IMAGE, claimed, new, settings, submitted
 from tests.support.postgres_server import PostgresServer
-from tests.support.processes import PATIENCE_S, failing
+from tests.support.processes import TIMEOUT_S, failing
 
 PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
 
@@ -61,9 +61,9 @@ def assert_delivers(jobs: PostgresJobTable) -> None:
     for _ in range(3):
         submitted(jobs)
     for _ in range(3):
-        assert taken.acquire(timeout=PATIENCE_S)
+        assert taken.acquire(timeout=TIMEOUT_S)
     stop.request()
-    thread.join(PATIENCE_S)
+    thread.join(TIMEOUT_S)
     assert not thread.is_alive()
     assert jobs.counts().jobs["running"] == 3
 

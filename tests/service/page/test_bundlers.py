@@ -29,7 +29,7 @@ from tests.service.browser import Page
 from tests.service.page.bundled import install, packed
 from tests.service.page.test_recipes import blocks, code_of
 from tests.support.data import PHOTOGRAPHS, ROOT
-from tests.support.processes import PATIENCE_S, Outcome, run, wait_until
+from tests.support.processes import TIMEOUT_S, Outcome, run, wait_until
 
 pytestmark = pytest.mark.thorough
 
@@ -252,7 +252,7 @@ class Held(SimpleHTTPRequestHandler):
         super().end_headers()
 
     def do_GET(self) -> None:
-        if not self.path.endswith(".png") or self.may.wait(PATIENCE_S):
+        if not self.path.endswith(".png") or self.may.wait(TIMEOUT_S):
             super().do_GET()
 
     def log_message(self, format: str, *_: Any) -> None:

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.thorough
 
 PARROT = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 PACKAGES = ROOT / "build" / "npm"
-MOST_BYTES = 150_000  # of the first load
+MAX_BYTES = 150_000  # of the first load
 CHARACTERS = "return [...document.querySelectorAll('figcaption span')].map((one) => one.textContent)"
 STAGE = """
     const { width, height } = document.getElementById("canvas");
@@ -97,7 +97,7 @@ def test_a_photograph_becomes_previews_and_a_file(each_browser: Page, demo: Site
     wait_until(lambda: "Python package" in each_browser.text("#file-words"))
     first = set(demo.asked)
     sizes = [(demo.folder / (name.lstrip("/") or "index.html")).stat().st_size for name in first - {"/favicon.ico"}]
-    assert sum(sizes) <= MOST_BYTES
+    assert sum(sizes) <= MAX_BYTES
     demo.asked.clear()
 
     text = given(each_browser, PARROT, "parrot.png")

@@ -24,7 +24,7 @@ from sgmethod.metrics import psnr
 from tests.service.browser import Chromium
 from tests.service.page.test_previews import show
 from tests.support.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import Service
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
@@ -81,7 +81,7 @@ class Held(SimpleHTTPRequestHandler):
     may = threading.Event()
 
     def do_GET(self) -> None:
-        if self.path != "/photo.png" or self.may.wait(PATIENCE_S):
+        if self.path != "/photo.png" or self.may.wait(TIMEOUT_S):
             super().do_GET()
 
     def log_message(self, format: str, *_: Any) -> None:

@@ -15,7 +15,7 @@ from service import logs
 from service.api import app
 from service.keys import KeyRing, digest
 from service.process.loops import PeriodicThread, StopSignal
-from tests.support.processes import PATIENCE_S, failing, wait_until
+from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 
 def test_rounds_go_on() -> None:
@@ -27,12 +27,12 @@ def test_rounds_go_on() -> None:
         wait_until(lambda: done.is_set() or not thread.is_alive())
     finally:
         until.request()
-        thread.join(PATIENCE_S)
+        thread.join(TIMEOUT_S)
     assert done.is_set()
 
 
 def test_a_line_of_the_log_is_one_line() -> None:
-    """Whatever a task that its file has taken over says of itself; a traceback keeps its lines."""
+    """Whatever a compromised task says of itself; a traceback keeps its lines."""
     record = logging.LogRecord("worker", logging.WARNING, "", 0, "job: %s", ("a\nERROR worker: b\x1b[2Jé",), None)
     assert logs._Lines("%(message)s").format(record) == r"job: a\nERROR worker: b\x1b[2Jé"
     record.exc_info = (ValueError, ValueError("no"), None)
@@ -51,7 +51,7 @@ def test_keys_are_read_until_they_can_be(
 
     async def follow() -> None:
         reloading = asyncio.create_task(app._reload_keys(parts))
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(TIMEOUT_S):
             while not ring and not reloading.done():
                 await asyncio.sleep(0.01)
         reloading.cancel()
@@ -81,7 +81,7 @@ def test_a_file_of_keys_that_is_being_written_locks_no_client_out(
     async def follow() -> None:
         parts: Any = SimpleNamespace(settings=SimpleNamespace(api_keys_file=Path(), read_keys=read_keys), keys=ring)
         reloading = asyncio.create_task(app._reload_keys(parts))
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(TIMEOUT_S):
             while ring._names != third and not reloading.done():
                 await asyncio.sleep(0.01)
         reloading.cancel()

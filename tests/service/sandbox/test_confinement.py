@@ -1,4 +1,4 @@
-"""What a task can still do that a picture has taken over."""
+"""What a compromised task can still do."""
 
 from __future__ import annotations
 

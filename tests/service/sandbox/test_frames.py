@@ -1,4 +1,4 @@
-"""What a task may say: everything else is the end of it, and costs its client nothing."""
+"""What a task may say. An undeclared message ends the task; the client is not charged."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ import pytest
 from tests.support.data import PICTURE
 from tests.support.nginx import Nginx
 from tests.support.pictures import SMALL
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import Service, StartService
 
 pytestmark = pytest.mark.thorough
@@ -41,13 +41,13 @@ def behind(start_for_module: StartService, start_proxy: Any) -> tuple[Service, N
 def other(behind: tuple[Service, Nginx]) -> Iterator[httpx2.Client]:
     """Somebody else, at another address."""
     transport = httpx2.HTTPTransport(local_address="127.0.0.2", verify=ssl.create_default_context())
-    with httpx2.Client(base_url=behind[1].url, transport=transport, timeout=PATIENCE_S) as client:
+    with httpx2.Client(base_url=behind[1].url, transport=transport, timeout=TIMEOUT_S) as client:
         yield client
 
 
 def connected(proxy: Nginx) -> ssl.SSLSocket:
     """A connection over which a test says what it likes."""
-    raw = socket.create_connection(("127.0.0.1", proxy.port), timeout=PATIENCE_S)
+    raw = socket.create_connection(("127.0.0.1", proxy.port), timeout=TIMEOUT_S)
     return ssl.create_default_context().wrap_socket(raw, server_hostname="127.0.0.1")
 
 
@@ -139,7 +139,7 @@ def test_connections_of_one_address_are_limited(behind: tuple[Service, Nginx], o
 
 def test_requests_of_one_address_are_limited(behind: tuple[Service, Nginx], other: httpx2.Client) -> None:
     """A problem document says so, as the service's own do."""
-    with httpx2.Client(base_url=behind[1].url, timeout=PATIENCE_S) as client, ThreadPoolExecutor(4) as pool:
+    with httpx2.Client(base_url=behind[1].url, timeout=TIMEOUT_S) as client, ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(lambda _: client.get("/livez"), range(4 * REQUESTS)))
         assert {answer.status_code for answer in answers} == {200, 429}
         assert sum(answer.is_success for answer in answers) >= REQUESTS / 2  # earlier tests have had some of them

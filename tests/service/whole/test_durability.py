@@ -24,7 +24,7 @@ from service.sandbox.client import KILLED
 from tests.support.data import PICTURE
 from tests.support.pictures import SLOW, SMALL
 from tests.support.processes import (
-    PATIENCE_S,
+    TIMEOUT_S,
     Kind,
     encoder_of,
     end_early,
@@ -113,7 +113,7 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     (web,) = solo.ours("web")
     os.kill(web, signal.SIGKILL)
     solo.client.close()
-    solo.client = httpx2.Client(base_url=solo.url, timeout=PATIENCE_S)
+    solo.client = httpx2.Client(base_url=solo.url, timeout=TIMEOUT_S)
     assert solo.wait(job_id)["attempt"] == 1
     assert solo.ours("web") != [web]
     assert_settled(solo, job_id)
@@ -243,7 +243,7 @@ def test_rule_5_poison(solo: Service) -> None:
 @pytest.mark.thorough
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
-    service = start_service(stop_grace_s=PATIENCE_S, extra=FAKE_CODEC)
+    service = start_service(stop_grace_s=TIMEOUT_S, extra=FAKE_CODEC)
     job_id = service.accepted_slow()
     encoder = running_encoder(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}

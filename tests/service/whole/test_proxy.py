@@ -23,7 +23,7 @@ from tests.service.s3_server import S3Server
 from tests.support.nginx import Nginx
 from tests.support.pictures import SMALL, noisy_png
 from tests.support.postgres_server import PostgresServer
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import FAKE_CODEC, Service, StartService
 
 pytestmark = pytest.mark.thorough
@@ -58,7 +58,7 @@ def behind(proxied: tuple[Service, str]) -> Iterator[str]:
 def posted(root: str, query: str = "", image: bytes = SMALL) -> httpx2.Response:
     """The answer to an encode that does not take long."""
     files, fields = {"image": image}, {"time_limit_s": "0.1"}
-    answer = httpx2.post(f"{root}/encode{query}", files=files, data=fields, timeout=PATIENCE_S)
+    answer = httpx2.post(f"{root}/encode{query}", files=files, data=fields, timeout=TIMEOUT_S)
     assert answer.is_success, answer.text
     return answer
 
@@ -77,7 +77,7 @@ def test_addresses_in_answers_lead_back(behind: str) -> None:
         assert httpx2.get(host + job[name]).headers["content-type"] == kind
         link = httpx2.post(f"{host}{job['status_url']}/links").json()[name]
         assert httpx2.get(host + link).headers["content-type"] == kind
-    page = httpx2.get(f"{behind}/jobs?limit=2").json()
+    page = httpx2.get(f"{behind}/jobs?limit=1").json()
     assert len(httpx2.get(host + page["next"]).json()["jobs"]) == 1
     servers = httpx2.get(f"{behind}/openapi.json").json().get("servers", [{"url": ""}])
     assert servers == [{"url": prefix}]
@@ -127,7 +127,7 @@ def test_everything_restarts(
     rows: list[Row] = []
 
     def encode() -> None:
-        with client.Client(root, patience_s=PATIENCE_S) as ours:
+        with client.Client(root, patience_s=TIMEOUT_S) as ours:
             items = [(str(number), SMALL) for number in range(PICTURES)]
             encode_many(ours, items, tmp_path / "out", jobs=4, on_row=lambda row, _: rows.append(row), time_limit_s=0.5)
 
@@ -142,7 +142,7 @@ def test_everything_restarts(
         before = len(rows)
         wait_until(lambda before=before: len(rows) >= before + 2)
         trouble()
-    bulk.join(PATIENCE_S)
+    bulk.join(TIMEOUT_S)
     assert not bulk.is_alive()
     assert [row.error for row in rows if row.error] == []
     names = sorted(f"{number}.sg" for number in range(PICTURES))

@@ -23,7 +23,7 @@ from tests.support.data import PICTURE, ROOT
 from tests.support.pictures import noisy_png, saved
 from tests.support.postgres_server import PostgresServer
 from tests.support.processes import (
-    PATIENCE_S,
+    TIMEOUT_S,
     encoder_of,
     end_early,
     processes,
@@ -156,7 +156,7 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
 
 def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
     database_url = postgres.new_database()
-    service = start_service(database_url=database_url, stop_grace_s=PATIENCE_S / 2)  # in which none comes back
+    service = start_service(database_url=database_url, stop_grace_s=TIMEOUT_S / 2)  # in which none comes back
     assert service.client.get("/readyz").status_code == 200
     with psycopg.connect(database_url, autocommit=True) as db:
         wait_until(lambda: db.execute(f"SELECT 1 FROM {ENGINE_TABLES}.procrastinate_workers").fetchone())
@@ -221,10 +221,10 @@ def test_nothing_waits_behind_a_storage_that_hangs(start_service: StartService, 
     own_s3.freeze()
     with ThreadPoolExecutor(3 * WORK_THREADS) as pool:
         paths = [done["bitstream_url"]] * 2 * WORK_THREADS + ["/readyz"] * 2 * PROBE_THREADS
-        waiting = [pool.submit(httpx2.get, service.url + path, timeout=PATIENCE_S) for path in paths]
+        waiting = [pool.submit(httpx2.get, service.url + path, timeout=TIMEOUT_S) for path in paths]
         wait_until(lambda: any(each.done() for each in waiting))  # the probes lose patience first
         for path in ("/livez", "/", "/static/main.js", "/jobs", done["status_url"]):
-            assert httpx2.get(service.url + path, timeout=PATIENCE_S).status_code == 200
+            assert httpx2.get(service.url + path, timeout=TIMEOUT_S).status_code == 200
         assert not all(each.done() for each in waiting)  # of which half wait for the others
         assert service.figures()["sgmethod_job_table_up"] == 1
         assert {each.result().status_code for each in waiting} == {503}
@@ -261,7 +261,7 @@ def test_workers_that_share_only_a_database_and_a_bucket(
     assert not (tmp_path / "b").exists()
     for worker in workers:
         worker.terminate()
-        assert worker.wait(PATIENCE_S) == (-signal.SIGKILL if worker.pid == victim else 0)
+        assert worker.wait(TIMEOUT_S) == (-signal.SIGKILL if worker.pid == victim else 0)
 
 
 def test_supervisor_killed_alone(start_service: StartService) -> None:
@@ -278,7 +278,7 @@ def test_interrupt_stops_too(start_service: StartService) -> None:
     service = start_service()
     service.client.close()
     service.process.send_signal(signal.SIGINT)
-    assert service.process.wait(PATIENCE_S) == 0
+    assert service.process.wait(TIMEOUT_S) == 0
 
 
 def test_memory_limit(start_service: StartService) -> None:

@@ -22,7 +22,7 @@ from service.process.loops import PeriodicThread, StopSignal
 from service.worker import webhooks
 from service.worker.webhooks import headers, send_next
 from tests.support.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
-from tests.support.processes import PATIENCE_S, wait_until
+from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import FAKE_CODEC, StartService
 
 KEY = bytes(range(24))
@@ -57,7 +57,7 @@ class Receiver:
         assert request.headers["webhook-signature"] == f"v1,{base64.b64encode(signed).decode()}"
         self.tries.append(name)
         if self.behaves == "hangs":
-            self.released.wait(PATIENCE_S)
+            self.released.wait(TIMEOUT_S)
             return
         if self.behaves == "well":
             self.taken.append(json.loads(body))
@@ -94,7 +94,7 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
 ) -> None:
     """Nothing is lost, nothing delivered is sent again, and another address does not wait."""
     monkeypatch.setattr(outcomes, "FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr(outcomes, "LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr(outcomes, "MAX_PAUSE_S", 0.2)
     monkeypatch.setattr(webhooks, "ANSWER_S", 0.3)
     other = Receiver()
     table, stop = open_job_table(LONG_S, webhook_urls=f"{receiver.url},{other.url}"), StopSignal()
@@ -116,7 +116,7 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
     assert sorted(each["data"]["id"] for each in receiver.taken) == sorted(jobs)
     stop.request()
     for thread in threads:
-        thread.join(PATIENCE_S)
+        thread.join(TIMEOUT_S)
     other.server.shutdown()
     other.server.server_close()
 

@@ -22,7 +22,7 @@ from service.worker import attempt as attempt_module
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
 from tests.support.job_table import LONG_S, claimed, job_of, settings, submitted
-from tests.support.processes import PATIENCE_S, failing, wait_until
+from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 
 class Unsteady(SqliteJobTable):
@@ -152,7 +152,7 @@ def test_a_storage_that_is_slow_holds_up_no_encode(
 
     def slow(key: str, data: bytes) -> None:
         if data.startswith(b"preview"):
-            assert goes_on.wait(PATIENCE_S)
+            assert goes_on.wait(TIMEOUT_S)
         put(key, data)
         stored.append(data)
 
@@ -261,7 +261,7 @@ def test_a_missing_source(table: Unsteady, storage: Storage, worker: Worker, cla
 
 
 def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop: StopSignal, claim: Job) -> None:
-    """As one that its image has taken over. It is that job's failure, and the worker goes on."""
+    """As a compromised one does. It is that job's failure, and the worker goes on."""
     assert table.release(claim)
     requests, sandbox = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
@@ -277,7 +277,7 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
     with requests, sandbox:
         worker = Worker(Settings(), table, storage, Sandbox(requests), stop)
         assert [worker.run_one() for _ in range(5)] == [True] * 4 + [False]
-        encoder.join(PATIENCE_S)
+        encoder.join(TIMEOUT_S)
     job = job_of(table, claim.id)
     assert job.error is not None
     assert (job.state, job.error.code) == ("failed", "crashed")
