@@ -7,7 +7,6 @@ decode     pictures a second, from Gaussians in memory to pictures in memory, an
 steps      a step of batches of fits, its price of bits included
 fits       sgmethod.torch.fit of 10,000, 30,000 and 70,000 Gaussians: seconds, PSNR and memory
 batches    the same of pictures of 256 x 256 by 1,000 Gaussians, 1, 16 and 256 at a time
-encode     encode(device=) beside the CPU
 
 A second call continues where the first one stopped; rows for which no time is left are skipped. --quick runs the first
 three at the smallest sizes on the CPU, in Triton's interpreter. That tests the command, but measures nothing.
@@ -39,7 +38,6 @@ from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.protocol import CUTOFF, Descent, Frame, Moments
 from sgmethod.fitting.level import Histogram, target_of
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.metrics import psnr
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import NEWTON_ADAM
 
@@ -57,11 +55,10 @@ class Sizes:
     batches: tuple[int, ...] = (1, 16, 256)
     side: int = 256  # of a batch's pictures
     each: int = 1000  # Gaussians of one of them
-    encoded: tuple[float, ...] = (0.4, 12.0)
     repeats: int = 50
 
 
-QUICK = Sizes(((0.001, 10),), (), (1, 2), 16, 5, (), 1)
+QUICK = Sizes(((0.001, 10),), (), (1, 2), 16, 5, 1)
 
 
 class Bench:
@@ -94,10 +91,6 @@ class Bench:
         for batch in s.batches if s.fitted else ():
             key = {"what": "batches", "pictures": batch, "side": s.side, "gaussians": s.each}
             yield key, partial(self.fit, partial(self._pictures, batch), s.each)
-        for megapixels in s.encoded:
-            for device in (str(self.device), "cpu"):
-                key = {"what": "encode", "megapixels": megapixels, "on": device}
-                yield key, partial(self.encode, megapixels, device)
 
     def errors(self, megapixels: float, n: int, pyramid: bool) -> Row:
         """The kernels against lists of pairs in double precision."""
@@ -176,14 +169,6 @@ class Bench:
             "mebibytes": memory,
             "stopped": time.monotonic() > self.ends,
         }
-
-    def encode(self, megapixels: float, device: str) -> Row:
-        """Encode a whole file."""
-        pixels = sized(self.paths, 0, megapixels)
-        began = time.perf_counter()
-        data = sgmethod.encode(pixels, bpp=0.4, tune="psnr", effort=2, device=device, time_limit_s=60).data
-        seconds = time.perf_counter() - began
-        return {"seconds": seconds, "bytes": len(data), "psnr": psnr(sgmethod.decode(data), pixels)}
 
     def _size(self, megapixels: float) -> tuple[int, int]:
         height, width = sized(self.paths, 0, megapixels).shape[:2]

@@ -37,8 +37,8 @@ The packages and modules, in the order of the pipeline; each imports only from t
 
 javascript/ holds the decoder for browsers, `<sg-img>`, and the npm package of both.
 
-Decoding needs only NumPy, Pillow and the compiled kernels; profile paper, sgmethod.torch and encodes on
-another device import PyTorch. Importing this package lets Pillow open and save .sg files.
+Decoding needs only NumPy, Pillow and the compiled kernels; profile paper and sgmethod.torch import
+PyTorch. Importing this package lets Pillow open and save .sg files.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
-from sgmethod.backend.devices import backend_on
-from sgmethod.backend.protocol import Backend
+from sgmethod.backend.kernels import Kernels
 from sgmethod.bitstream import container
 from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, QualityName, default_budget
@@ -139,7 +138,6 @@ def encode(
     on_progress: Progress | None = None,
     stop: Stop | None = None,
     on_preview: Preview | None = None,
-    device: object = None,
     measure: bool = False,
 ) -> Encoded:
     """Encode a picture within a budget.
@@ -169,25 +167,22 @@ def encode(
     stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
     3 s.
     on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
-    device: a PyTorch device for the fit, such as "cuda"; None and "cpu" mean the compiled kernels.
     measure: also measure MS-SSIM and SSIMULACRA 2, which takes a large part of the time of a small encode.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
-    BudgetError for a budget that no file can meet, SgError for a device that is missing, OSError for a path that cannot
-    be read, and MemoryError.
+    BudgetError for a budget that no file can meet, OSError for a path that cannot be read, and MemoryError.
     """
     clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = _only_budget(budget, kinds | {"gaussians": gaussians})
     asked = _Asked.checked(only, profile, tune, effort, settings, seed)
-    backend = backend_on(device)
     pixels = read_input(image, keep_alpha=isinstance(asked.settings, RdSettings))
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)
     deadline_settings = asked.settings.deadline if isinstance(asked.settings, RdSettings) else None
     deadline = Deadline.from_limit(clock, limit_s, pixels.shape[0] * pixels.shape[1], deadline_settings)
     recorder = Recorder(clock, on_progress, on_preview)
-    data, steps = _run(pixels, asked, deadline, recorder, backend)
+    data, steps = _run(pixels, asked, deadline, recorder)
     stats = _measured(pixels, data, steps, recorder, asked, measure)
     return Encoded(data, replace(stats, source_bytes=source_bytes), recorder.points)
 
@@ -238,11 +233,9 @@ def _file_bytes(image: Input) -> int | None:
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
 
 
-def _run(
-    pixels: Pixels, asked: _Asked, deadline: Deadline, recorder: Recorder, backend: Backend
-) -> tuple[builtins.bytes, int]:
+def _run(pixels: Pixels, asked: _Asked, deadline: Deadline, recorder: Recorder) -> tuple[builtins.bytes, int]:
     """Encode pixels [H, W, 3], or [H, W, 4] with profile rd; return the file and its number of steps."""
-    budget, settings, seed = asked.budget, asked.settings, asked.seed
+    budget, settings, seed, backend = asked.budget, asked.settings, asked.seed, Kernels()
     if isinstance(settings, PaperSettings):
         from sgmethod.paper import encode as paper  # imports torch
 

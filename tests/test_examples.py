@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -92,3 +96,35 @@ def test_bulk_client(tmp_path: Path) -> None:
     finally:
         service.stop()
     assert sorted(path.stem for path in (tmp_path / "out").glob("*.sg")) == NAMES
+
+
+def test_data_set_on_ray(tmp_path: Path) -> None:
+    """On two nodes, of which one is killed midway: nothing is lost, and nothing is recorded twice."""
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    photos.mkdir()
+    for number in range(24):
+        shutil.copy(PHOTOGRAPHS / f"{NAMES[number % len(NAMES)]}.png", photos / f"{number:02}.png")
+    program = (ROOT / "examples" / "data_set_on_ray.py").read_text().replace("SHARD = 100", "SHARD = 4")
+    (tmp_path / "on_ray.py").write_text(program)
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    lost = cluster.add_node(num_cpus=1)
+    environment = {**os.environ, "RAY_ADDRESS": cluster.address}
+    command = [sys.executable, "on_ray.py", "photos", "out"]
+    try:
+        running = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True)
+        until = time.monotonic() + 120
+        while len(list(out.glob("*/*.sg"))) < 6 and time.monotonic() < until:
+            time.sleep(0.02)
+        cluster.remove_node(lost, allow_graceful=False)
+        first, _ = running.communicate(timeout=120)
+        again = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    finally:
+        cluster.shutdown()
+    assert "0 failed, 0 shards left" in first.splitlines()[-1]
+    assert again.stdout.splitlines()[-1].startswith("0 encoded, 24 there already, 0 failed")
+    lines = [line for file in sorted(out.glob("*/manifest.jsonl")) for line in file.read_text().splitlines()]
+    assert sorted(json.loads(line)["name"] for line in lines) == [f"{number:02}.sg" for number in range(24)]
+    assert sorted(path.name for path in out.glob("*/*.sg")) == [f"{number:02}.sg" for number in range(24)]

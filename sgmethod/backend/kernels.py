@@ -21,7 +21,6 @@ from sgmethod.backend.protocol import (
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
-from sgmethod.threads import in_parallel
 
 
 class Kernels:
@@ -34,7 +33,7 @@ class Kernels:
         missing = np.empty((3, -(-height // 2), -(-width // 2)) if half else target.shape, np.float32)
         raster = _raster(gaussians, frame, height, first_row)
         fill = raster.missing_halved if half else raster.missing
-        fill(gaussians.colors, _contiguous(target), missing)
+        fill(gaussians.colors, np.ascontiguousarray(target), missing)
         return missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
@@ -146,14 +145,6 @@ def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_r
         means, factors = means / np.float32(frame.spacing), factors / np.float32(frame.spacing)
     size = frame.width, frame.height if rows is None else rows
     return native.Rasterization(means, factors, *size, cutoff=frame.cutoff, pyramid=frame.pyramid, y=first_row)
-
-
-def _contiguous(target: Target) -> Target:
-    if target.flags.c_contiguous:
-        return target
-    whole = np.empty(target.shape, target.dtype)
-    in_parallel(lambda k: np.copyto(whole[k], target[k]), range(len(target)))
-    return whole
 
 
 def _by_whole_pixels(gradient: Gaussians, frame: Frame) -> Gaussians:

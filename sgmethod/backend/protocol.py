@@ -29,6 +29,7 @@ TEXTURE_STRENGTHS = native.TEXTURE_STRENGTHS
 SEEN_COLOR, SEEN_LUMA = native.SEEN_COLOR, native.SEEN_LUMA
 NO_LIMIT = 1 << 40  # bytes
 thread_count, release_memory = native.thread_count, native.release_memory
+seen_difference = native.seen_difference
 
 Loss = Callable[[Gaussians], tuple[float, Gaussians]]
 

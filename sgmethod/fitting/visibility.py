@@ -12,8 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import VISIBLE, Visibility
-from sgmethod.native import native
+from sgmethod.backend.protocol import VISIBLE, Visibility, seen_difference
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import VisibilitySettings
@@ -63,7 +62,7 @@ def amplitudes(visibility: Visibility, planes: FloatArray, first: int, end: int)
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:
     """Weighted sum of squared errors of a decoded picture [H, W, 3], in squared levels of 255."""
-    return native.seen_difference(decoded, source, visibility.values, visibility.by_eye) / VISIBLE
+    return seen_difference(decoded, source, visibility.values, visibility.by_eye) / VISIBLE
 
 
 class SeenShare:

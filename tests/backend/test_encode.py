@@ -67,4 +67,4 @@ def test_devices() -> None:
     assert type(backend_on("cpu:0")) is Tensors
     for name in ("gpu", "cuda:99", "mps" if torch.cuda.is_available() else "cuda", "meta", "", 7):
         with pytest.raises(sgmethod.SgError, match=r"^there is no device '.*' here: [^\n]+$"):
-            sgmethod.encode(np.zeros((8, 8), np.uint8), device=name)
+            backend_on(name)
