@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from benchmarks.pictures import pictures_in
 from tests.bitstream import plain_decoder_v2 as plain
 from tests.support.data import ROOT
 
@@ -66,7 +65,7 @@ MADE_BY = "\n// Made by `python -m tests.bitstream.train`, which names the photo
 def prepared(tuning: Path, folder: Path) -> list[Path]:
     """Write the pictures to a folder, unless they are there."""
     folder.mkdir(parents=True, exist_ok=True)
-    for path in pictures_in(tuning):
+    for path in sorted(tuning.glob("*.png")):
         with Image.open(path) as opened:
             picture = opened.convert("RGB")
         picture.save(folder / path.name)
@@ -77,7 +76,7 @@ def prepared(tuning: Path, folder: Path) -> list[Path]:
         scaled = Image.fromarray(getattr(skimage.data, name)())
         scaled.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
         scaled.save(folder / f"skimage-{name}.png")
-    return pictures_in(folder)
+    return sorted(folder.glob("*.png"))
 
 
 def encoded(picture: Path, folder: Path) -> list[Path]:
