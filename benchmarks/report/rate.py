@@ -55,6 +55,7 @@ PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
 ANCHOR = "GaussianImage"
 # Published codecs, and their names in marks. Cool-Chic is compared picture by picture.
 QUOTED = {"vtm": "VTM", "elic": "ELIC", "cheng": "Cheng 2020, attention", "hm": "HM", "av1": "AV1 (libaom)"}
+QUOTED |= {"lottery-codec": "LotteryCodec"}
 
 RANGES = ("over pictures", "over bits per pixel")  # titles of differences()
 
