@@ -123,7 +123,6 @@ def test_a_photograph_becomes_previews_and_a_file(each_browser: Page, demo: Site
     each_browser.click("#save")
     file = base64.b64decode(wait_until(lambda: each_browser.run("return window.saved")))
     assert 2000 < len(file) <= 4000
-    print("SEENF", psnr(sgmethod.decode(file), read_image_8_bit(PARROT)))
     assert psnr(sgmethod.decode(file), read_image_8_bit(PARROT)) > 30  # seen: 34.6
     assert set(demo.asked) <= {"/worker.js"}
     resources = each_browser.run("return performance.getEntriesByType('resource').map((one) => one.name)")
