@@ -22,12 +22,13 @@ from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from tests.service.browser import Chromium, Page
 from tests.service.page.steps import assert_open_to_all
-from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT
+from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT, STATIC
 from tests.support.processes import run, wait_until
 
 pytestmark = pytest.mark.thorough
 
 PARROT = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
+COFFEE = STATIC / "samples" / "coffee.sg"
 PACKAGES = ROOT / "build" / "npm"
 MAX_BYTES = 150_000  # of the first load
 CHARACTERS = "return [...document.querySelectorAll('figcaption span')].map((one) => one.textContent)"
@@ -167,7 +168,7 @@ def test_sizes_snippets_and_zoom_by_keyboard(each_browser: Page, demo: Site) -> 
             == 1
         )
     each_browser.run("document.querySelector('[data-sample=coffee]').click()")
-    wait_until(lambda: "8,999 bytes" in each_browser.text("#file-words"))
+    wait_until(lambda: f"{COFFEE.stat().st_size:,} bytes" in each_browser.text("#file-words"))
     seen = [each_browser.run(STAGE)]
     for key in ("+", "+", "ArrowDown", "-", "0"):  # or "-" would already show the whole
         each_browser.press("stage", key)
