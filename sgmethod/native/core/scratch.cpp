@@ -4,7 +4,6 @@
 #include <mutex>
 #include <new>
 #include <utility>
-#include <vector>
 
 #include "core/platform.h"
 
@@ -21,7 +20,7 @@ constexpr size_t kMaxFloats = 1 << 25;  // kept in all, 128 MB: a huge picture m
 struct Kept {
   Kept() { blocks.reserve(kMaxKept + 1); }  // so that returning a block never throws
   std::mutex lock;
-  std::vector<Scratch::Block> blocks;  // free ones, least recently used first
+  std::vector<std::vector<float>> blocks;  // free ones, least recently used first
 };
 
 // Never destroyed, because other threads may draw while the process ends.
@@ -30,9 +29,9 @@ Kept* const kept = new Kept;
 // Another thread may have held the lock when a child was forked.
 [[maybe_unused]] const int watched = in_children([] { new (kept) Kept; });
 
-size_t floats_of(const std::vector<Scratch::Block>& blocks) {
+size_t floats_of(const std::vector<std::vector<float>>& blocks) {
   size_t sum = 0;
-  for (const auto& block : blocks) sum += block.size;
+  for (const auto& block : blocks) sum += block.size();
   return sum;
 }
 
@@ -42,22 +41,22 @@ Scratch::Scratch(size_t floats) {
   {
     auto& blocks = kept->blocks;
     const std::lock_guard<std::mutex> hold(kept->lock);
-    const auto enough = [&](const auto& block) { return block.size >= floats && block.size / 2 <= floats; };
+    const auto enough = [&](const auto& block) { return block.size() >= floats && block.size() / 2 <= floats; };
     const auto found = std::find_if(blocks.begin(), blocks.end(), enough);
     if (found != blocks.end()) {
-      block_ = std::move(*found);
+      floats_ = std::move(*found);
       blocks.erase(found);
       return;
     }
   }
-  block_ = {std::unique_ptr<float[]>(new float[floats]), floats};
+  floats_.resize(floats);
 }
 
 Scratch::~Scratch() {
-  if (block_.size == 0) return;
+  if (floats_.empty()) return;
   auto& blocks = kept->blocks;
   const std::lock_guard<std::mutex> hold(kept->lock);
-  blocks.push_back(std::move(block_));
+  blocks.push_back(std::move(floats_));
   while (blocks.size() > kMaxKept || floats_of(blocks) > kMaxFloats) blocks.erase(blocks.begin());
 }
 

@@ -3,25 +3,21 @@
 #pragma once
 
 #include <cstddef>
-#include <memory>
+#include <vector>
 
 namespace sg {
 
-// Uninitialised floats, whose pages the threads that write them first ask the system for. Throws std::bad_alloc.
+// Uninitialised floats. Throws std::bad_alloc.
 class Scratch {
  public:
-  struct Block {
-    std::unique_ptr<float[]> floats;
-    size_t size = 0;
-  };
   explicit Scratch(size_t floats);
   ~Scratch();
   Scratch(const Scratch&) = delete;
   Scratch& operator=(const Scratch&) = delete;
-  float* get() { return block_.floats.get(); }
+  float* get() { return floats_.data(); }
 
  private:
-  Block block_;
+  std::vector<float> floats_;
 };
 
 // Returns memory kept for later calls, and the C library's free memory, to the system.
