@@ -24,15 +24,29 @@ for tune in ("psnr", "visual"):
 """
 
 
+FIT = """
+import sys
+from sgmethod.budget import Budget
+from tests.rd.test_effort import fitted
+for array in fitted(Budget("bytes", 600), "visual")[1].gaussians.arrays:
+    sys.stdout.buffer.write(array.tobytes())
+"""
+
+
+def files_with(variables: dict[str, str], script: str = ENCODE) -> bytes:
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_CORETYPE"}
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, env=environment | variables, check=True, capture_output=True).stdout
+
+
 def test_files_do_not_depend_on_kernels_of_openblas() -> None:
     """Those for AVX-512 round otherwise than the others, so a processor with it shows most."""
-
-    def files_with(kernels: dict[str, str]) -> bytes:
-        environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_CORETYPE"}
-        command = [sys.executable, "-c", ENCODE]
-        return subprocess.run(command, env=environment | kernels, check=True, capture_output=True).stdout
-
     assert files_with({}) == files_with({"OPENBLAS_CORETYPE": "Prescott"})
+
+
+def test_fits_do_not_depend_on_what_memory_held() -> None:
+    """The GNU C library fills memory with a byte before it hands it out. Once, a fit became NaN."""
+    assert files_with({}, FIT) == files_with({"MALLOC_PERTURB_": "1"}, FIT)
 
 
 def page() -> Pixels:

@@ -52,7 +52,7 @@ def test_the_examples() -> None:
 @pytest.mark.usefixtures("files")
 def test_the_page_of_data_sets() -> None:
     number, names = ran("datasets.md")
-    assert number == 3
+    assert number == 4
     assert names["right"] > 0.9
 
 
