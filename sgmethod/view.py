@@ -62,7 +62,7 @@ class View:
         if number is None or not MIN_SCALE <= number <= MAX_SCALE:
             raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {scale!r}")
         if part is None or not 0 < part <= 1:
-            raise ViewError(f"prefix must be above 0 and at factor 1, got {prefix!r}")
+            raise ViewError(f"prefix must be above 0 and at most 1, got {prefix!r}")
         own = {"scale": number, "region": _checked_region(region), "prefix": part, "texture": bool(texture)}
         for name, value in own.items():
             object.__setattr__(self, name, value)
@@ -84,7 +84,7 @@ class View:
         _, _, w, h = self.area(width, height)
         size = max(round(w * self.scale), 1), max(round(h * self.scale), 1)
         if max(size) > MAX_SIDE:
-            raise ViewError(f"a view may have at factor {MAX_SIDE:,} pixels a side, not {max(size):,}")
+            raise ViewError(f"a view may have at most {MAX_SIDE:,} pixels a side, not {max(size):,}")
         return size
 
     def within(self, size: tuple[int, int], width: AnyInt | None, height: AnyInt | None) -> View:
