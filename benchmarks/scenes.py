@@ -47,7 +47,7 @@ BY_SETTINGS: dict[str, RdSettings] = {
     "fewer steps for sparse Gaussians": replace(RD, schedule=replace(RD.schedule, sparse=-2.0, dense=-1.0)),
     "no growth at a price that found nothing": replace(RD, densify=replace(RD.densify, saturated=0.0)),
     "Gaussians dropped that are not worth their bits": replace(
-        RD, prune=replace(RD.prune, bits_of_nothing=0.0, bits_of_dropped=0.0)
+        RD, prune=replace(RD.prune, worthless_bits=0.0, bits_of_dropped=0.0)
     ),
 }
 # Savings that are no settings: what tells that the scene allows them.

@@ -175,7 +175,7 @@ def encode(
     clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = _only_budget(budget, kinds | {"gaussians": gaussians})
-    asked = _Asked.checked(only, profile, tune, effort, settings, seed)
+    asked = _EncodeArguments.checked(only, profile, tune, effort, settings, seed)
     pixels = read_input(image, keep_alpha=isinstance(asked.settings, RdSettings))
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)
@@ -188,7 +188,7 @@ def encode(
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _EncodeArguments:
     """The checked arguments of an encode. effort: None if the caller gave settings."""
 
     budget: Budget
@@ -207,7 +207,7 @@ class _Asked:
         effort: AnyInt,
         settings: RdSettings | PaperSettings | None,
         seed: AnyInt,
-    ) -> _Asked:
+    ) -> _EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
         seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
         profile = checked_profile(profile) if settings is None else profile_of(settings)
@@ -217,7 +217,7 @@ class _Asked:
         effort = checked_effort(effort)
         return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed)
 
-    def with_default_for(self, pixels: Pixels) -> _Asked:
+    def with_default_for(self, pixels: Pixels) -> _EncodeArguments:
         """Replace the default budget by what it is for a picture [H, W, C]."""
         if self.budget is not DEFAULT_BUDGET:
             return self
@@ -233,7 +233,7 @@ def _file_bytes(image: Input) -> int | None:
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
 
 
-def _run(pixels: Pixels, asked: _Asked, deadline: Deadline, recorder: Recorder) -> tuple[builtins.bytes, int]:
+def _run(pixels: Pixels, asked: _EncodeArguments, deadline: Deadline, recorder: Recorder) -> tuple[builtins.bytes, int]:
     """Encode pixels [H, W, 3], or [H, W, 4] with profile rd; return the file and its number of steps."""
     budget, settings, seed, backend = asked.budget, asked.settings, asked.seed, Kernels()
     if isinstance(settings, PaperSettings):
@@ -266,7 +266,7 @@ def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, Any]) -> Budget:
 
 
 def _measured(
-    pixels: Pixels, data: builtins.bytes, steps: int, recorder: Recorder, asked: _Asked, measure: bool
+    pixels: Pixels, data: builtins.bytes, steps: int, recorder: Recorder, asked: _EncodeArguments, measure: bool
 ) -> Stats:
     """Decode a file and measure it against pixels. measure: MS-SSIM and SSIMULACRA 2 too."""
     file, budget = SgFile(data), asked.budget

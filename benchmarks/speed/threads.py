@@ -43,7 +43,7 @@ STAGES = {
     "error": ["sgmethod.backend.kernels.Kernels.error", "sgmethod.fitting.objective.Objective.error"],
     "rounding": ["sgmethod.backend.kernels.Kernels.rounded"],
     "coding": ["sgmethod.bitstream.v2.StreamV2.from_gaussians"],
-    "pruning": ["sgmethod.rd.encode.prune", "sgmethod.rd.encode.settle"],
+    "pruning": ["sgmethod.rd.encode.prune", "sgmethod.rd.encode.prune_to_limit"],
     "moving target": ["sgmethod.fitting.moving_target.ExaggeratedTarget.moved"],
     "texture": ["sgmethod.fitting.texture.grain", "sgmethod.fitting.texture.estimate"],
     "objective": ["sgmethod.fitting.objective.Objective.from_pixels", "sgmethod.fitting.objective.Histogram"],

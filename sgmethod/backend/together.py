@@ -20,7 +20,7 @@ POLLED_S = 0.05
 
 
 @dataclass
-class _Asked:
+class _PendingSteps:
     """Steps that a thread waits for."""
 
     gaussians: Gaussians
@@ -46,7 +46,7 @@ class Together(Tensors):
     def __init__(self, device: torch.device, threads: int, abandoned: Event) -> None:
         super().__init__(device, tiled=True)
         self._threads, self._abandoned = threads, abandoned
-        self._asked: list[_Asked] = []
+        self._asked: list[_PendingSteps] = []
         self._condition = Condition()
 
     def __enter__(self) -> Together:
@@ -59,7 +59,7 @@ class Together(Tensors):
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         """As Backend does. Raises SgError once the fits are abandoned, and errors of the whole batch."""
-        asked = _Asked(gaussians, moments, descent, tuple(rates))
+        asked = _PendingSteps(gaussians, moments, descent, tuple(rates))
         with self._condition:
             self._asked.append(asked)
             self._take_if_all_ask()

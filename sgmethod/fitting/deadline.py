@@ -85,13 +85,13 @@ class Deadline:
 
     def tries(self, most: int) -> Iterator[int]:
         """Yield 0, 1, ... while there is time for another try as long as the longest so far; 0 in any case."""
-        longest_s = 0.0
+        max_s = 0.0
         for number in range(most):
-            if number > 0 and longest_s >= self.left_s():
+            if number > 0 and max_s >= self.left_s():
                 break
             began_s = self.clock.seconds()
             yield number
-            longest_s = max(longest_s, self.clock.seconds() - began_s)
+            max_s = max(max_s, self.clock.seconds() - began_s)
 
     def is_short(self) -> bool:
         """Whether little time is left for the fit, compared with the time so far."""
@@ -118,16 +118,16 @@ class Deadline:
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
         """Yield a pace for each run of these lengths: the first in any case, others as far as there is time."""
         prepared_s = self.clock.seconds()
-        least_until_s = prepared_s + self.settings.least_part * (prepared_s - self.began_s)
+        min_until_s = prepared_s + self.settings.min_part * (prepared_s - self.began_s)
         step_s = 0.0
         for number, length in enumerate(lengths):
             if number > 0:
                 in_time = int(min(self.left_to_fit_s() / step_s, length))
-                if in_time < self.settings.least_round * length:
+                if in_time < self.settings.min_round * length:
                     break
                 length = in_time
             began_s = self.clock.seconds()
-            yield Pace(self.clock, length, partial(self._run_until_s, least_until_s if number == 0 else 0.0))
+            yield Pace(self.clock, length, partial(self._run_until_s, min_until_s if number == 0 else 0.0))
             step_s = (self.clock.seconds() - began_s) / length
 
     def pace(self, steps: int) -> Pace:
@@ -146,7 +146,7 @@ class Deadline:
         """Second at which `share` of the time is over. A stop shortens the rest of the schedule, like a limit."""
         stopped_s = self.clock.stopped_s()
         s = self.settings
-        winding_down_s = min(s.winding_down * stopped_s, s.most_winding_down_s)
+        winding_down_s = min(s.winding_down * stopped_s, s.max_winding_down_s)
         return min(share * self.end_s, stopped_s + share * winding_down_s)
 
 

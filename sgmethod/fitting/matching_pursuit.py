@@ -51,14 +51,14 @@ class Places(NamedTuple):
 
 
 def candidates(
-    residual: Rows, size: tuple[int, int], most: int, least_gain: float, hidden_by: int
+    residual: Rows, size: tuple[int, int], most: int, min_gain: float, hidden_by: int
 ) -> tuple[FloatArray, FloatArray]:
     """Find round Gaussians that reduce a residual of size (height, width), best first.
 
-    Returns means [N, 2] and factors [N, 3] of at most `most` Gaussians, each with a gain above least_gain. hidden_by:
+    Returns means [N, 2] and factors [N, 3] of at most `most` Gaussians, each with a gain above min_gain. hidden_by:
     coarser sizes that can hide a place, at least 1.
     """
-    found = _places(residual, size, least_gain, hidden_by)
+    found = _places(residual, size, min_gain, hidden_by)
     gain, x, y, blur = (np.concatenate(values) for values in zip(*found, strict=True))
     order = np.argsort(-gain, kind="stable")[: max(most, 0)]
     scale = blur[order] * np.float32(SCALE_OF_BLUR)
@@ -67,7 +67,7 @@ def candidates(
     return means, np.stack([scale, 0 * scale, scale], 1)
 
 
-def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by: int) -> list[Places]:
+def _places(residual: Rows, size: tuple[int, int], min_gain: float, hidden_by: int) -> list[Places]:
     height, width = size
     # Wider blurs would count the mirrored outside as gain, and hide all other places.
     blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
@@ -94,12 +94,12 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by:
         level = _Level(list(residual(top, bottom)), 1, narrow)
         most = level.gain if hiding is None else _larger(level.gain, hiding, top)
         here = slice(first - top, end - top)
-        _most_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
-        found.append(level.places(most, least_gain, here, top))
+        _max_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
+        found.append(level.places(most, min_gain, here, top))
     for level in reversed(levels):  # finest first
         np.maximum(seen, level.most(hidden_by), out=seen)
-        found.append(level.places(seen, least_gain))
-        seen = _most_of_four(seen)
+        found.append(level.places(seen, min_gain))
+        seen = _max_of_four(seen)
     return found
 
 
@@ -254,7 +254,7 @@ def _reach(blur: float, shrink: int) -> int:
     return max(1, int(blur / shrink))
 
 
-def _most_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
+def _max_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
     """Reduce a plane to half the size, by the largest of each four samples."""
     height, width = plane.shape
     fewer = np.empty((-(-height // 2), -(-width // 2)), np.float32) if out is None else out

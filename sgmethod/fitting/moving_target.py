@@ -177,7 +177,7 @@ class ExaggeratedTarget(FitTarget):
                 top, bottom = max(first - margin, 0), min(end + margin, len(source))
                 part = source[top:bottom]
                 unlike = _unlikeness(part, part - less[top:bottom], s)[first - top : end - top]
-                new = np.minimum(unlike, s.most_detail[octave]) - 1
+                new = np.minimum(unlike, s.max_detail[octave]) - 1
                 old = self.more[octave][first:end] if self.more else new
                 moved[first:end] = old + np.float32(s.detail_rate) * (new - old)
 
@@ -214,7 +214,7 @@ class OvershootingTarget(FitTarget):
         level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255)
         level = level.astype(np.uint8)
         black, white = (level == 0).astype(np.float32), (level == 255).astype(np.float32)
-        margin = s.margin + s.of_slope * np.minimum(_slope(level), s.most_slope)
+        margin = s.margin + s.of_slope * np.minimum(_slope(level), s.max_slope)
         low, high = white * margin - black * s.overshoot, white * s.overshoot - black * margin
         return cls(target, target, s.overshoot_every, range=np.stack([low, high]))
 
@@ -233,7 +233,7 @@ class OvershootingTarget(FitTarget):
 def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> tuple[FloatArray, ...]:
     """Split a plane into octaves of detail, finest first."""
     found = []
-    for _ in settings.most_detail:
+    for _ in settings.max_detail:
         coarse = halved(plane)
         found.append(plane - _enlarged(coarse, plane.shape))
         plane = coarse

@@ -43,7 +43,7 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
     """Texture codes [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None if all are 0.
 
     In each block, the noise gives the energy that the decoded picture lacks in an octave; in each cell, its spread
-    approaches settings.most_levels. Blocks of drawings or lettering count as free of noise.
+    approaches settings.max_levels. Blocks of drawings or lettering count as free of noise.
     """
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
@@ -57,7 +57,7 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
         missing[:, here] *= _noisy(wanted)
 
     in_parallel(measure, range(rows))
-    most = settings.most_levels
+    most = settings.max_levels
     spreads = in_parallel(lambda one: most * np.tanh(_strengths(np.sqrt(one), settings) / most), missing)
     codes = _codes(np.stack([spread / shown for spread, shown in zip(spreads, SHOWN, strict=True)]))
     return codes if codes.any() else None

@@ -77,7 +77,7 @@ class Aim(RateControl, ABC):
         above = self.reached(coded) - self.aim_db
         if above < 0:
             return NO_LIMIT
-        return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
+        return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.max_spared)))
 
     def is_enough(self, coded: Coded) -> bool:
         """Never: a better file than asked is made smaller."""
@@ -98,7 +98,7 @@ class Aim(RateControl, ABC):
         decoded = on_backgrounds(draw_whole(stream))
         return max(self.aim_db - self.reached_on_backgrounds(decoded, on_backgrounds(source)), 0.0)
 
-    def raised(self, by_db: float) -> Aim:
+    def with_higher_target(self, by_db: float) -> Aim:
         return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
@@ -109,7 +109,7 @@ class Aim(RateControl, ABC):
             return self.aim_db
         finest, finer = sorted(tried, key=lambda one: one.stream.quantum)[:2]
         octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
-        if reached(finest) - reached(finer) >= s.least_gain * s.db_per_doubling * octaves:
+        if reached(finest) - reached(finer) >= s.min_gain * s.db_per_doubling * octaves:
             return self.aim_db
         return best - self.below_best_db
 
@@ -160,7 +160,7 @@ class PsnrAim(Aim):
 
     def allows_alpha(self, error: float) -> bool:
         """Whether alpha alone makes no more than its share of the error that the PSNR allows."""
-        return error <= self.settings.alpha.most_error * 10 ** (-self.aim_db / 10)
+        return error <= self.settings.alpha.max_error * 10 ** (-self.aim_db / 10)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> PsnrAim:
         allowed = 10 ** (-self.aim_db / 10)

@@ -47,7 +47,9 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
         found.append((missing, stream))
         if missing == 0:
             break
-        rate = rate.raised(missing)  # the colours' own error is not all of it: both layers are rounded and clamped
+        rate = rate.with_higher_target(
+            missing
+        )  # the colours' own error is not all of it: both layers are rounded and clamped
     return min(found, key=lambda one: one[0])[1], steps
 
 

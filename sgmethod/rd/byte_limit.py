@@ -37,9 +37,11 @@ class ByteLimit(RateControl):
     def _gaussians_by_size(self) -> int:
         return int(8 * self.max_bytes / self.settings.rate.bits_per_gaussian)
 
-    def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
+    def allowed_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """Several times the expected number: some take few bits."""
-        return min(super().most_gaussians(settings, times, at), int(settings.densify.most * self.expected_gaussians()))
+        return min(
+            super().allowed_gaussians(settings, times, at), int(settings.densify.most * self.expected_gaussians())
+        )
 
     def payload_limit(self, empty: StreamV2) -> int:
         return max(self.max_bytes - empty.file_bytes, 0)
@@ -68,7 +70,7 @@ class ByteBudget(ByteLimit):
 
     def for_bytes(self, max_bytes: int) -> ByteBudget:
         """Return the same for another number of bytes, at most as many as a file can use."""
-        max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.most_bytes * self.pixels)
+        max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.max_bytes * self.pixels)
         bits, s = 8 * max_bytes, self.settings
         # A picture with more pixels than its Gaussians need counts as reduced to these. Quanta grow with its side.
         pixels = min(self.pixels, s.pyramid.pixels_per_gaussian * bits / s.rate.bits_per_gaussian)
@@ -82,7 +84,7 @@ class ByteBudget(ByteLimit):
     def for_alpha(self) -> ByteLimit:
         """Alpha takes what it is worth, up to a limit."""
         spare = self.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
-        most = StreamV2.MIN_BYTES + int(self.settings.alpha.most_bytes * spare)
+        most = StreamV2.MIN_BYTES + int(self.settings.alpha.max_bytes * spare)
         return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha, self.is_short, max_bytes=most)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
@@ -134,9 +136,9 @@ class ByteBudget(ByteLimit):
         """Return a finer one while bytes are left: refining saves a percent or, after a short fit, a fifth."""
         s, last = self.settings.rate, tried[-1]
         used = last.size / max(limit, 1)
-        if len(tried) > size_tries or used >= s.least_used or used == 0:
+        if len(tried) > size_tries or used >= s.min_used or used == 0:
             return None
         return last.stream.quantum * float(used**s.quantum_per_size)
 
     def is_cut_short(self, size: int, limit: int) -> bool:
-        return size > self.settings.rate.far_from_size * limit
+        return size > self.settings.rate.overshoot_ratio * limit

@@ -17,14 +17,14 @@ from sgmethod.settings.rd import Times
 def prune(plan: Plan, state: State, stage: Stage) -> State:
     """Drop Gaussians whose energy is not worth their bits, and the faintest of those beyond the budget's limit."""
     s, rate = plan.settings.prune, plan.request.rate
-    bits = s.bits_of_dropped if stage.at >= stage.times.growth_at[-1] else s.bits_of_nothing
-    return strongest(plan, state, bits, rate.most_gaussians(plan.settings, stage.times, stage.at))
+    bits = s.bits_of_dropped if stage.at >= stage.times.growth_at[-1] else s.worthless_bits
+    return strongest(plan, state, bits, rate.allowed_gaussians(plan.settings, stage.times, stage.at))
 
 
-def settle(plan: Plan, state: State, times: Times) -> State:
+def prune_to_limit(plan: Plan, state: State, times: Times) -> State:
     """Drop Gaussians beyond the budget's limit at the end of a run: a time limit may have skipped pruning."""
-    most = plan.request.rate.most_gaussians(plan.settings, times, 1.0)
-    return strongest(plan, state, plan.settings.prune.bits_of_nothing, most)
+    most = plan.request.rate.allowed_gaussians(plan.settings, times, 1.0)
+    return strongest(plan, state, plan.settings.prune.worthless_bits, most)
 
 
 def strongest(plan: Plan, state: State, bits: float, most: int) -> State:
@@ -54,10 +54,10 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
         return state  # nothing was worth this price, and the error has not grown since
     n, rate = len(state.gaussians), plan.request.rate
     at_once = max(int(s.growth * n), rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
-    most = min(at_once, rate.most_gaussians(plan.settings, stage.times, stage.at) - n)
+    most = min(at_once, rate.allowed_gaussians(plan.settings, stage.times, stage.at) - n)
     level = plan.level_for(state, stage, n + most)
-    least_gain = price * s.bits_of_new / level.frame.spacing**2
-    new = _found(plan, state, level, most, least_gain)
+    min_gain = price * s.bits_of_new / level.frame.spacing**2
+    new = _found(plan, state, level, most, min_gain)
     saturated = price if len(new) < min(most, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
@@ -70,14 +70,14 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     return grown.rows(_by_place(gaussians, plan.request.size[0]))
 
 
-def _found(plan: Plan, state: State, level: Level, most: int, least_gain: float) -> Gaussians:
+def _found(plan: Plan, state: State, level: Level, most: int, min_gain: float) -> Gaussians:
     """Find round Gaussians that gain most on the residual of a level.
 
     Their colours are solved together: neighbours overlap, and would overshoot.
     """
     hidden_by = plan.request.objective.hidden_by(plan.settings.effort)
     size = level.frame.height, level.frame.width
-    means, factors = candidates(level.residual(state.gaussians), size, most, least_gain, hidden_by)
+    means, factors = candidates(level.residual(state.gaussians), size, most, min_gain, hidden_by)
     if len(means) == 0:
         return Gaussians.empty(0)
     return level.solve_colors(

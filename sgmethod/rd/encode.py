@@ -5,7 +5,7 @@ prune      drop Gaussians whose energy is not worth their bits                  
 steer      move the quantum, which sets all quantiser steps, to the budget       steer.py
 densify    add Gaussians where they gain more than their bits are worth          densify.py
 fit        move all of them together, under the price of their bits              fit.py
-settle     drop Gaussians beyond the number that the budget allows               densify.py
+limit      drop Gaussians beyond the number that the budget allows               densify.py
 search     quantise and refine with several quanta, keep the best file           search.py
 
 The schedule is a first run and then rounds: as many as the effort has and time allows, and one or two more while a
@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.rd.densify import densify, prune, settle
+from sgmethod.rd.densify import densify, prune, prune_to_limit
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, stages
@@ -26,7 +26,7 @@ from sgmethod.rd.rate_control import Coded
 from sgmethod.rd.request import Request
 from sgmethod.rd.search import search
 from sgmethod.rd.sparse import on_islands
-from sgmethod.rd.steer import once_more, steer
+from sgmethod.rd.steer import retarget_after_miss, steer
 from sgmethod.scene import Gaussians
 
 
@@ -49,7 +49,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
                     break
                 state = densify(plan, state, stage)
             state = fit(plan, state, stage)
-        state = settle(plan, state, plan.times(number))
+        state = prune_to_limit(plan, state, plan.times(number))
         if number == rounds[-1] + rate.further_rounds:  # the last that may follow: a search needs memory of its own
             state = replace(state, target=state.target.at_rest())
         if state.is_enough or number in rounds or number > rounds[-1]:
@@ -59,7 +59,7 @@ def encode(request: Request) -> tuple[StreamV2, int]:
         if number >= rounds[-1]:
             if not rate.is_missed(files.values()):
                 break
-            state = once_more(plan, state, files.values())
+            state = retarget_after_miss(plan, state, files.values())
     if number not in files:
         files[number] = search(plan, state, number)
     return rate.best(files.values()).stream, state.steps

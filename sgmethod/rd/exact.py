@@ -19,7 +19,7 @@ from sgmethod.fitting.level import target_of
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.numerics import quiet
-from sgmethod.rd.densify import densify, prune, settle
+from sgmethod.rd.densify import densify, prune, prune_to_limit
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, stages, within_pixels
@@ -103,7 +103,7 @@ class ExactFit:
 
 def _complete(plan: Plan, state: State, n: int) -> State:
     """Return the state with exactly n Gaussians. Those still missing are placed at random where most error is left."""
-    state = settle(plan, state, plan.settings.effort.times)
+    state = prune_to_limit(plan, state, plan.settings.effort.times)
     more, level, lot = n - len(state.gaussians), plan.finest, np.random.default_rng(plan.request.seed)
     if more == 0:
         return state

@@ -142,7 +142,7 @@ def _in_time(
     finest = next(affordable, most)
     deadline = searching(finest)
     in_time = deadline.steps_in_time(took_s)
-    settings = hurried(settings, most.pixels, in_time / rate.steps(settings) * settings.effort.steps)
+    settings = fit_to_steps(settings, most.pixels, in_time / rate.steps(settings) * settings.effort.steps)
     step_s = took_s * in_time * s.gradients_per_step / rate.steps(settings)
     for level in pyramid.from_level(most).levels[1:]:
         if took_s <= step_s:
@@ -172,7 +172,7 @@ def sized(settings: RdSettings, pixels: int) -> RdSettings:
     return replace(settings, effort=replace(effort, steps=steps, times=times))
 
 
-def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
+def fit_to_steps(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     """Reduce settings, already sized(), to a number of steps.
 
     The effort stays if it fits, else it becomes the highest lower effort that fits, with as many steps as there may be
@@ -181,7 +181,7 @@ def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     most = min(round(settings.deadline.spare_steps * steps), settings.effort.steps) if steps < math.inf else 0
     lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
     choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
-    few = replace(choices[-1].densify, most=settings.deadline.most_hurried)
+    few = replace(choices[-1].densify, most=settings.deadline.max_when_short)
     found = next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
     return replace(found, effort=replace(found.effort, steps=max(found.effort.steps, most)))
 

@@ -75,7 +75,7 @@ class Fitted(Measured, Protocol):
 
 @dataclass(frozen=True)
 class Coded:
-    """A coded picture, measured without its texture, which is there to be seen and not to be measured."""
+    """A coded picture. `error` leaves the texture out, which is there to be seen; `ssimulacra2_db` includes it."""
 
     stream: StreamV2
     objective: Objective
@@ -123,9 +123,9 @@ class RateControl:
     def expected_gaussians(self) -> int:
         """First guess of the number of Gaussians."""
         s = self.settings.rate
-        return max(min(int(s.gaussians_per_pixel * self.pixels / self.quantum), self.pixels // s.fewest_pixels), 1)
+        return max(min(int(s.gaussians_per_pixel * self.pixels / self.quantum), self.pixels // s.min_pixels), 1)
 
-    def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
+    def allowed_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """Limit on the number of Gaussians, for settings that a time limit may have cut."""
         return min(self.pixels, MAX_GAUSSIANS)
 
@@ -202,8 +202,8 @@ class RateControl:
         """How far a file with alpha is below the quality asked for. source: [H, W, 4]."""
         return 0.0
 
-    def raised(self, by_db: float) -> RateControl:
-        """Return the same with a quality that is higher by this and a little more."""
+    def with_higher_target(self, by_db: float) -> RateControl:
+        """Return the same with a higher quality to reach, if it has one; by_db: by how much at least."""
         return self
 
     # --- asked once files are made
@@ -242,16 +242,16 @@ class GaussianCount(RateControl):
         return self.max_gaussians
 
     def for_alpha(self) -> RateControl:
-        most = max(int(self.settings.alpha.most_gaussians * self.max_gaussians), 1)
+        most = max(int(self.settings.alpha.max_gaussians * self.max_gaussians), 1)
         return replace(self, quantum=self._quantum_of_alpha, max_gaussians=most)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
         used = len(alpha.gaussians()) if alpha.payload else 0
         return replace(self, max_gaussians=max(self.max_gaussians - used, 1))
 
-    def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
+    def allowed_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """The limit, and a surplus early."""
-        return min(super().most_gaussians(settings, times, at), int(self.max_gaussians * excess(times, at)))
+        return min(super().allowed_gaussians(settings, times, at), int(self.max_gaussians * excess(times, at)))
 
     def merit(self, coded: Coded) -> tuple[float, float]:
         return -coded.error, -coded.size

@@ -59,7 +59,7 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
     return replace(state, size=now.file_bytes, quantum=coded)
 
 
-def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:
+def retarget_after_miss(plan: Plan, state: State, files: Iterable[Coded]) -> State:
     """Prepare a further round after files that missed the budget.
 
     SSIMULACRA 2 counts grain, and a file that aims at it has no texture instead: growth is shown what was hidden, at a

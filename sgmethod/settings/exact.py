@@ -15,7 +15,7 @@ class ExactSettings:
 
     share_of_steps: float = 0.6  # default steps, as a part of an effort's: nothing has to be rounded
     steps_of_growth: int = 40  # between two; in 4,000 steps, 60 growths make 0.2 dB more than ten and a longer rest
-    fewest_growths: int = 5
+    min_growths: int = 5
     growth_until: float = 0.6
     trims: int = 8
     trim_until: float = 0.8
@@ -32,7 +32,7 @@ EXACT = ExactSettings()
 
 def exact_schedule(steps: int) -> RdSettings:
     """Adapt the settings of profile rd to a fit of this many steps."""
-    growths = max(round(EXACT.growth_until * steps / EXACT.steps_of_growth), EXACT.fewest_growths)
+    growths = max(round(EXACT.growth_until * steps / EXACT.steps_of_growth), EXACT.min_growths)
     times = replace(
         RD.effort.times,
         growth_at=tuple(np.linspace(0.01, EXACT.growth_until, growths).tolist()),

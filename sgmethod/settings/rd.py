@@ -158,7 +158,7 @@ class DensifySettings:
 class PruneSettings:
     """Pruning: a Gaussian is dropped if its own energy is worth fewer bits than this."""
 
-    bits_of_nothing: float = 4.3  # during growth: a Gaussian worth less rounds to nothing in the file
+    worthless_bits: float = 4.3  # during growth: a Gaussian worth less rounds to nothing in the file
     bits_of_dropped: float = 21.0  # from the last growth on
     missed_db: float = 0.1  # no Gaussians are dropped if that would take the PSNR this far below the requested one
 
@@ -169,8 +169,8 @@ class RateSettings:
 
     bits_per_gaussian: float = 30.0  # first guess
     gaussians_per_pixel: float = 0.0023  # first guess, times the quantum
-    fewest_pixels: int = 20  # per Gaussian in a first guess; growth may go beyond
-    most_bytes: int = 12  # that a pixel can use, with one Gaussian for each pixel
+    min_pixels: int = 20  # per Gaussian in a first guess; growth may go beyond
+    max_bytes: int = 12  # that a pixel can use, with one Gaussian for each pixel
     gaussians_quantum: float = 3.2 * 2 ** (-85 / 16)  # for a budget of Gaussians: about 1.2 bpp on photographs
     coarsest_of_aim: float = 0.4  # first quantum
     quality_quantum: tuple[float, float] = (70.0, 0.16)  # a quality, and a typical quantum of photographs there
@@ -183,12 +183,12 @@ class RateSettings:
     quality_refined_db: float = 0.35  # least gain of refining
     quality_tries: int = 5  # instead of aim_tries
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles
-    least_used: float = 0.985  # of the allowed bytes; if refining uses less, a finer quantum is tried
+    min_used: float = 0.985  # of the allowed bytes; if refining uses less, a finer quantum is tried
     quantum_per_size: float = 1.4  # the quantum is about proportional to this power of the size's inverse
-    far_from_size: float = 1.1  # of the allowed bytes; a larger fit was cut short: fewer Gaussians are tried too
+    overshoot_ratio: float = 1.1  # of the allowed bytes; a larger fit was cut short: fewer Gaussians are tried too
     aim_tries: int = 7
     slack_db: float = 0.05  # a PSNR this far above the requested one is close enough
-    least_gain: float = 0.1  # part of the expected gain of a finer quantum; if it gains less, it is finer than needed
+    min_gain: float = 0.1  # part of the expected gain of a finer quantum; if it gains less, it is finer than needed
     missed_db: float = 0.1  # if a PSNR is out of reach, one this far below the best seen is enough
 
 
@@ -204,7 +204,7 @@ class RefineSettings:
     relaxed_weight: float = 0.6  # price of a bit in these steps, in multiples of its theoretical price
     relaxed_gain: float = 0.005  # expected saving, as a part of the file's size, for a budget in dB
     size_per_db: float = 0.3  # further saving, as a part of the size, per dB above the requested PSNR
-    most_spared: float = 0.05  # largest saving, as a part of the size
+    max_spared: float = 0.05  # largest saving, as a part of the size
     # Where a file is exact already, smaller ones are tried: with these shares of the Gaussians, after some steps of
     # this rate, on at most so many pixels in all; and with a quantum that is coarser by these factors. Seen for any
     # budget that suffices: a dot on a plain picture takes 47 to 56 bytes instead of 56 to 105, a step of one level 29
@@ -238,7 +238,7 @@ class MovingTargetSettings:
     shrink: int = 4  # coarse errors are means over squares of this side
     rate: float = 0.15  # part of the way to the current error per move; from 0.5 on, target and fit oscillate
     furthest: float = 0.1  # 1 being white
-    most_detail: tuple[float, ...] = (3.0, 1.4)  # in multiples of the source's, by octave, finest first
+    max_detail: tuple[float, ...] = (3.0, 1.4)  # in multiples of the source's, by octave, finest first
     detail_window: float = 1.4  # sigma, in samples of the octave; small, so that peaks do not hide their surroundings
     detail_power: float = 1.15  # of the inverse of structural similarity
     detail_rate: float = 0.3  # part of the way per move
@@ -247,7 +247,7 @@ class MovingTargetSettings:
     overshoot_every: int = 2  # steps
     margin: float = 0.02  # overshoot asked for at least
     of_slope: float = 0.3  # additional overshoot, in multiples of the steepest change between neighbouring pixels
-    most_slope: float = 0.67
+    max_slope: float = 0.67
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ class TextureSettings:
     quantile: float = 0.4  # of a cell's blocks, ordered by energy: the strength of its grain
     floor: float = 0.3  # levels of 8 bits: the spread between two rounded pictures
     excess: float = 8.0  # weight of texture that is too strong in a block, in multiples of that of too weak
-    most_levels: float = 3.0  # of 8 bits, which the noise's spread approaches: louder, pebbles and leaves become noise
+    max_levels: float = 3.0  # of 8 bits, which the noise's spread approaches: louder, pebbles and leaves become noise
     share: float = 0.05  # most of a budget of bytes
 
 
@@ -277,12 +277,12 @@ class ObjectiveSettings:
 class AlphaSettings:
     """Shares of a budget for alpha."""
 
-    most_bytes: float = 0.6  # of a budget of bytes
-    most_gaussians: float = 0.25  # of a budget of Gaussians
+    max_bytes: float = 0.6  # of a budget of bytes
+    max_gaussians: float = 0.25  # of a budget of Gaussians
     # Quantum of alpha, in multiples of that of colours: an error of alpha counts in one channel instead of three, and
     # its fit also pays for errors beyond black and white, which decoding clamps.
     coarser: float = 6.0
-    most_error: float = 0.3  # of the error that a PSNR allows
+    max_error: float = 0.3  # of the error that a PSNR allows
     tries: int = 4  # for a budget in dB
     time: float = 0.3  # of a time limit
 
@@ -296,7 +296,7 @@ class DeadlineSettings:
     reserve_s_per_megapixel: float = 0.002
     shared_s_per_megapixel: float = 0.015
     winding_down: float = 0.25  # a stopped encode ends within this part of the time so far ...
-    most_winding_down_s: float = 3.0  # ... and within this
+    max_winding_down_s: float = 3.0  # ... and within this
     # The search over the file's integers has this part of the limit, or more if these take longer: drawings of the
     # whole picture, its texture, and drawings of the finest level, in gradients with few Gaussians; and trial codings.
     search_share: float = 0.1
@@ -306,10 +306,10 @@ class DeadlineSettings:
     spare_steps: float = 2.0  # steps planned, in multiples of those expected: the limit is what ends them
     # Least time left for a level to be the finest, in gradients on it, and more if its target moves and loses grain.
     finest_gradients: tuple[float, float] = (25.0, 70.0)
-    least_round: float = 0.3  # of a round's steps, for which it is begun
-    most_hurried: float = 1.3  # DensifySettings.most if time is too short for the lowest effort
+    min_round: float = 0.3  # of a round's steps, for which it is begun
+    max_when_short: float = 1.3  # DensifySettings.most if time is too short for the lowest effort
     short: float = 4.0  # in multiples of the time for the pyramid; with less left, growth searches few pixels
-    least_part: float = 1 / 3  # least time for the first run, as a part of the time for preparing, even beyond a limit
+    min_part: float = 1 / 3  # least time for the first run, as a part of the time for preparing, even beyond a limit
 
 
 @dataclass(frozen=True)

@@ -88,16 +88,16 @@ class SgDataset(Dataset[dict[str, Any]]):
 
     >>> SgDataset(["photo.sg"], size=(32, 32))[0]["pixels"].shape
     torch.Size([3, 32, 32])
-    >>> SgDataset(["photo.sg"], most_gaussians=500)[0]["mask"].shape
+    >>> SgDataset(["photo.sg"], max_gaussians=500)[0]["mask"].shape
     torch.Size([500])
 
     files: .sg files, in the order in which they are given; or a folder of fit_many(), or one of its shards.
     size: each item has "pixels" [3, height, width], uint8, without alpha: the middle of the picture, scaled
     to cover that width and height. Only for .sg files.
-    most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True for a Gaussian; "size"
+    max_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True for a Gaussian; "size"
     (width, height) and "background" [3]; and "cls" or "json", if it was fitted with a label. The first Gaussians, which
     are the largest, are taken, and zeros, which draw nothing, fill the rest.
-    Raises SgError unless exactly one of size and most_gaussians is given, for a single .sg file instead of a list, and
+    Raises SgError unless exactly one of size and max_gaussians is given, for a single .sg file instead of a list, and
     for a folder without shards; OSError for a file that cannot be read.
     """
 
@@ -106,17 +106,15 @@ class SgDataset(Dataset[dict[str, Any]]):
         files: Sequence[File] | str | os.PathLike[str],
         *,
         size: Iterable[AnyInt] | None = None,
-        most_gaussians: AnyInt | None = None,
+        max_gaussians: AnyInt | None = None,
     ) -> None:
-        if (size is None) == (most_gaussians is None):
-            raise SgError("SgDataset needs either size or most_gaussians")
+        if (size is None) == (max_gaussians is None):
+            raise SgError("SgDataset needs either size or max_gaussians")
         if isinstance(files, bytes) or (isinstance(files, str | os.PathLike) and size is not None):
             raise SgError("SgDataset needs a list of files, not one file; what is fitted has Gaussians, and no pixels")
         self._files: Sequence[File | Sample] = samples_of(files) if isinstance(files, str | os.PathLike) else files
         self._size = None if size is None else checked_size(size)
-        self._most = (
-            0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MAX_GAUSSIANS)
-        )
+        self._most = 0 if max_gaussians is None else checked_integer(max_gaussians, "max_gaussians", 1, MAX_GAUSSIANS)
 
     def __len__(self) -> int:
         return len(self._files)

@@ -18,11 +18,11 @@ def noise(height: int, width: int) -> FloatArray:
 
 
 def found_in(
-    residual: FloatArray, most: int, least_gain: float, hidden_by: int = ALL_COARSER
+    residual: FloatArray, most: int, min_gain: float, hidden_by: int = ALL_COARSER
 ) -> tuple[FloatArray, FloatArray]:
     """What is found in a residual [H, W, 3]."""
     planes = np.ascontiguousarray(residual.transpose(2, 0, 1))
-    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, least_gain, hidden_by)
+    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, min_gain, hidden_by)
 
 
 def planted(

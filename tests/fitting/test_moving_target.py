@@ -49,7 +49,7 @@ def test_detail_is_not_exaggerated_beyond_its_limit() -> None:
     flat = np.full_like(original, round(original.mean(dtype=np.float64)))
     now = followed(original, flat)
     # Of the coarse error, at most all is asked for once more.
-    most = max(RD.objective.moving.most_detail) + 1
+    most = max(RD.objective.moving.max_detail) + 1
     assert original.std() < now.std() < most * original.std()
 
 

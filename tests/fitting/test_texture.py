@@ -33,7 +33,7 @@ from tests.support.pictures import photo
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
 TEXTURE = RD.objective.texture
-UNLIMITED = replace(TEXTURE, most_levels=1000.0)
+UNLIMITED = replace(TEXTURE, max_levels=1000.0)
 STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
 
 
@@ -133,7 +133,7 @@ def test_noise_is_given_back_by_its_strength() -> None:
     level, loud = (estimate(levels_of(128 + noise(n)), levels_of(128 + noise(0)), TEXTURE) for n in (1, 40))
     assert level is not None and loud is not None
     assert 0.7 < STRENGTHS[int(np.median(level[0]))] * SHOWN[0] < 1.2
-    assert STRENGTHS[int(loud.max())] * min(SHOWN) < 1.3 * TEXTURE.most_levels  # else it is all that is seen
+    assert STRENGTHS[int(loud.max())] * min(SHOWN) < 1.3 * TEXTURE.max_levels  # else it is all that is seen
     faint = estimated(STRAIGHT + noise(0.8))  # sky without it has bands
     assert faint is not None
     assert 0.3 < STRENGTHS[int(np.median(faint[0]))] < 0.8

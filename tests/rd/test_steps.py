@@ -12,7 +12,7 @@ from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
 from sgmethod.fitting.moving_target import ExaggeratedTarget
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.rd.densify import densify, settle
+from sgmethod.rd.densify import densify, prune_to_limit
 from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
@@ -90,4 +90,4 @@ def test_a_surplus_that_no_pruning_has_taken_back_is_dropped_at_the_end_of_a_run
     for at in RD.effort.times.growth_at[:4]:
         state = densify(plan, state, stage_of(plan, 100, at))
     assert len(state.gaussians) > 20
-    assert 15 <= len(settle(plan, state, plan.times(0)).gaussians) <= 20
+    assert 15 <= len(prune_to_limit(plan, state, plan.times(0)).gaussians) <= 20

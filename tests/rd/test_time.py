@@ -16,7 +16,7 @@ from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.rd.densify import densify
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import Plan, State, hurried, sized
+from sgmethod.rd.plan import Plan, State, fit_to_steps, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 from tests.rd.short import SlowClock, requested, short, stage_of
@@ -95,7 +95,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     (short_of_time, state), (unhurried, _) = (plan_for(seconds) for seconds in (0.0, math.inf))
     assert unhurried.settings == RD
     assert short_of_time.settings.effort == EFFORTS[1]
-    assert short_of_time.settings.densify.most == RD.deadline.most_hurried
+    assert short_of_time.settings.densify.most == RD.deadline.max_when_short
     assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
     stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
     assert short_of_time.level_for(state, stage, 1000).frame == short_of_time.finest.frame
@@ -140,15 +140,15 @@ def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> 
         """As many steps as the estimate may be short of."""
         return replace(chosen, effort=replace(chosen.effort, steps=steps))
 
-    assert [hurried(five, pixels, steps) for steps in (math.inf, all_steps)] == [five, five]
-    assert hurried(five, pixels, all_steps - 1) == filled(three, all_steps)
-    assert hurried(five, pixels, three.effort.steps - 1) == filled(two, all_steps)
+    assert [fit_to_steps(five, pixels, steps) for steps in (math.inf, all_steps)] == [five, five]
+    assert fit_to_steps(five, pixels, all_steps - 1) == filled(three, all_steps)
+    assert fit_to_steps(five, pixels, three.effort.steps - 1) == filled(two, all_steps)
     fewer = two.effort.steps - 1
-    assert hurried(five, pixels, fewer) == filled(one, min(round(RD.deadline.spare_steps * fewer), all_steps))
-    assert hurried(two, pixels, three.effort.steps) == two
-    with_few = replace(one, densify=replace(one.densify, most=RD.deadline.most_hurried))
+    assert fit_to_steps(five, pixels, fewer) == filled(one, min(round(RD.deadline.spare_steps * fewer), all_steps))
+    assert fit_to_steps(two, pixels, three.effort.steps) == two
+    with_few = replace(one, densify=replace(one.densify, most=RD.deadline.max_when_short))
     fewest = one.effort.steps // 4
-    assert [hurried(fit, pixels, fewest) for fit in (five, one)] == [with_few, with_few]
+    assert [fit_to_steps(fit, pixels, fewest) for fit in (five, one)] == [with_few, with_few]
 
 
 def test_a_time_limit_leaves_the_search_its_part() -> None:
@@ -178,7 +178,7 @@ def test_a_round_is_as_long_as_there_is_time_for() -> None:
             clock.now += 0.06
     assert lengths[0] == 100
     assert len(lengths) == 2  # the third would have less than the least part of its steps
-    assert RD.deadline.least_round * 80 <= lengths[1] < 80
+    assert RD.deadline.min_round * 80 <= lengths[1] < 80
 
 
 def test_large_pictures_are_spared_steps() -> None:

@@ -49,11 +49,11 @@ def test_a_data_set_of_pixels() -> None:
 def test_a_data_set_of_gaussians() -> None:
     file = sgmethod.open("picture.sg")
     n = file.info.gaussians
-    (batch,) = DataLoader(SgDataset(["picture.sg"] * 2, most_gaussians=n + 9), batch_size=2)
+    (batch,) = DataLoader(SgDataset(["picture.sg"] * 2, max_gaussians=n + 9), batch_size=2)
     assert batch["mask"].sum(1).tolist() == [n, n]
     images = render(batch["means"], batch["factors"], batch["colors"], file.size, batch["background"], pyramid=True)
     assert np.abs(255 * images[1].clamp(0, 1).permute(1, 2, 0).numpy() - file.pixels()).max() < 0.51
-    few = SgDataset([file_bytes := Path("picture.sg").read_bytes()], most_gaussians=5)[0]
+    few = SgDataset([file_bytes := Path("picture.sg").read_bytes()], max_gaussians=5)[0]
     assert few["mask"].all()
     assert np.array_equal(few["means"].numpy(), sgmethod.open(file_bytes).gaussians().means[:5])
 
@@ -64,11 +64,11 @@ def test_a_data_set_of_gaussians() -> None:
         (lambda: decode("picture.sg", dtype=torch.int32), SgError, "uint8 or of a floating-point type"),
         (lambda: decode("picture.sg", "cuda:99"), SgError, "there is no device 'cuda:99' here"),
         (lambda: decode("picture.sg", layout="NCHW"), SgError, "CHW or HWC, not 'NCHW'"),
-        (lambda: SgDataset(["picture.sg"]), SgError, "needs either size or most_gaussians"),
+        (lambda: SgDataset(["picture.sg"]), SgError, "needs either size or max_gaussians"),
         (lambda: SgDataset("picture.sg", size=(8, 8)), SgError, "a list of files, not one file"),
         (lambda: SgDataset(["picture.sg"], size=(8, -8)), ViewError, "a side must be a whole number from 1"),
         (lambda: SgDataset(["picture.sg"], size=8), ViewError, "a size is width and height in pixels, not 8"),
-        (lambda: SgDataset(["picture.sg"], most_gaussians=-1), SgError, "most_gaussians must be a whole number from 1"),
+        (lambda: SgDataset(["picture.sg"], max_gaussians=-1), SgError, "max_gaussians must be a whole number from 1"),
         (lambda: SgDataset(["picture.sg"], size=(1, 9000))[0], ViewError, "a picture of 48 x 40 cannot cover"),
     ],
 )

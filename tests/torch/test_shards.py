@@ -81,7 +81,7 @@ def test_shards_hold_what_fit_finds() -> None:
 
 def test_items_collate_with_masks() -> None:
     many()
-    data = SgDataset("out", most_gaussians=20)
+    data = SgDataset("out", max_gaussians=20)
     assert len(data) == 5
     (batch,) = DataLoader(data, batch_size=5)
     assert batch["cls"].tolist() == [0, 1, 2, 3, 4]
@@ -89,7 +89,7 @@ def test_items_collate_with_masks() -> None:
     assert batch["size"].tolist() == [[24, 16]] * 4 + [[30, 16]]
     image = render(batch["means"], batch["factors"], batch["colors"], (24, 16), batch["background"])[2]
     assert (255 * image - torch.from_numpy(crop(2)).permute(2, 0, 1)).square().mean() < 30**2
-    largest = SgDataset("out/000001.tar", most_gaussians=3)
+    largest = SgDataset("out/000001.tar", max_gaussians=3)
     assert len(largest) == 2
     assert torch.equal(largest[1]["means"], batch["means"][3, :3])
     assert largest[1]["mask"].all()
@@ -97,7 +97,7 @@ def test_items_collate_with_masks() -> None:
 
 def test_several_processes_read() -> None:
     many()
-    loader = DataLoader(SgDataset("out", most_gaussians=12), num_workers=2, multiprocessing_context="spawn")
+    loader = DataLoader(SgDataset("out", max_gaussians=12), num_workers=2, multiprocessing_context="spawn")
     assert [batch["cls"].item() for batch in loader] == [0, 1, 2, 3, 4]
 
 
@@ -105,7 +105,7 @@ def test_pictures_and_labels_of_any_kind() -> None:
     Image.fromarray(crop(1)).save("one.png")
     items = [(crop(0), {"text": "a wall"}), "one.png", (Image.fromarray(crop(2)), torch.tensor(7))]
     assert many(items) == (2, 0, 0)
-    data = SgDataset("out", most_gaussians=12)
+    data = SgDataset("out", max_gaussians=12)
     assert [data[index].get("json") for index in range(3)] == [{"text": "a wall"}, None, None]
     assert [data[index].get("cls") for index in range(3)] == [None, None, 7]
 
@@ -127,10 +127,10 @@ def test_a_shard_that_fails_is_tried_again() -> None:
     items = [crop(0), crop(1), "none.png", crop(3)]
     assert many(items) == (1, 0, 1)
     assert "none.png" in rows()[1]["error"]
-    assert len(SgDataset("out", most_gaussians=1)) == 3
+    assert len(SgDataset("out", max_gaussians=1)) == 3
     Image.fromarray(crop(2)).save("none.png")
     assert many(items, resume=True) == (1, 1, 0)
-    assert len(SgDataset("out", most_gaussians=1)) == 4
+    assert len(SgDataset("out", max_gaussians=1)) == 4
 
 
 def test_one_picture_is_left_out_of_its_shard() -> None:
@@ -143,7 +143,7 @@ def test_one_picture_is_left_out_of_its_shard() -> None:
     assert row["figures"]["pictures"] == 2
     with tarfile.open("out/000000.tar") as archive:
         assert archive.getnames() == ["000000001.npz", "000000001.cls", "000000003.npz", "000000003.cls"]
-    data = SgDataset("out", most_gaussians=12)
+    data = SgDataset("out", max_gaussians=12)
     assert [data[index]["cls"] for index in range(len(data))] == [1, 3]
 
 
@@ -167,7 +167,7 @@ def test_a_shard_that_was_packed_again(folder: str) -> None:
                 entry = tarfile.TarInfo(folder + start + name)
                 entry.size = len(content)
                 archive.addfile(entry, io.BytesIO(content))
-    data, again = (SgDataset(f"{path}.tar", most_gaussians=12) for path in ("out/000000", "again"))
+    data, again = (SgDataset(f"{path}.tar", max_gaussians=12) for path in ("out/000000", "again"))
     assert [again[index]["cls"] for index in range(len(again))] == [0, 1]
     assert torch.equal(again[1]["means"], data[1]["means"])
 
@@ -181,7 +181,7 @@ def test_other_files_are_no_shards() -> None:
             entry.size = 5
             archive.addfile(entry, io.BytesIO(b"hello"))
     with pytest.raises(GaussiansError, match="has no Gaussians of fit_many"):
-        SgDataset("other.tar", most_gaussians=5)[0]
+        SgDataset("other.tar", max_gaussians=5)[0]
     with pytest.raises(SgError, match="has a label that is not JSON"):
         samples_of("other.tar")[0].label()
 
@@ -199,9 +199,9 @@ def test_a_shard_with_a_size_that_is_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: SgDataset(__file__, most_gaussians=5), SgError, "is not a shard"),
-        (lambda: SgDataset(".", most_gaussians=5), SgError, "has no fitted pictures"),
-        (lambda: SgDataset("none.tar", most_gaussians=5), FileNotFoundError, "none.tar"),
+        (lambda: SgDataset(__file__, max_gaussians=5), SgError, "is not a shard"),
+        (lambda: SgDataset(".", max_gaussians=5), SgError, "has no fitted pictures"),
+        (lambda: SgDataset("none.tar", max_gaussians=5), FileNotFoundError, "none.tar"),
         (lambda: SgDataset(".", size=(8, 8)), SgError, "a list of files, not one file"),
         (lambda: many(shard=0), SgError, "pictures in a shard must be a whole number from 1"),
         (lambda: many(steps=0), BudgetError, "steps must be a whole number from 1"),

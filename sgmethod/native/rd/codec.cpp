@@ -353,15 +353,15 @@ GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size
   return std::move(out.values);
 }
 
-Arriving::Arriving(const RdParameters& p, size_t room) : p_(p), room_(room), decoded_(new Decoded) {
+StreamingDecoder::StreamingDecoder(const RdParameters& p, size_t room) : p_(p), room_(room), decoded_(new Decoded) {
   reserve(decoded_->values, room);  // which never moves, since others read it
 }
-Arriving::~Arriving() = default;
+StreamingDecoder::~StreamingDecoder() = default;
 
-void Arriving::decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived) {
+void StreamingDecoder::decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived) {
   if (size > 0) decode_into(p_)(p_, data, size, prefix, room_, *decoded_, arrived);
 }
 
-ConstGaussians Arriving::values() const { return decoded_->values.rows(); }
+ConstGaussians StreamingDecoder::values() const { return decoded_->values.rows(); }
 
 }  // namespace sg

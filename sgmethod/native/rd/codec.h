@@ -36,14 +36,14 @@ GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, si
 struct Decoded;
 
 // The Gaussians of a payload while it is being decoded.
-class Arriving {
+class StreamingDecoder {
  public:
   // room: capacity in Gaussians.
-  Arriving(const RdParameters& parameters, size_t room);
-  ~Arriving();
+  StreamingDecoder(const RdParameters& parameters, size_t room);
+  ~StreamingDecoder();
 
   // Decodes as rd_decode() does. arrived(n) is called again and again when the first n are there. Throws
-  // std::overflow_error where the room may not do.
+  // std::overflow_error if the capacity may not suffice.
   void decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived);
   // Those that are there, which other threads may read.
   ConstGaussians values() const;

@@ -282,7 +282,7 @@ class Decoder {
   const uint8_t *begin_, *next_;
   std::array<uint32_t, kStates> states_;
   uint64_t raw_ = 0;
-  int bits_ = 0;  // in raw_ that are not spoken for
+  int bits_ = 0;  // unread bits in raw_
 };
 
 }  // namespace sg

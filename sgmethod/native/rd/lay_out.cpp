@@ -23,7 +23,7 @@ LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool pr
   const Canvas canvas{0, 0, p.width, p.height, kCutoffV2, true, std::move(texture)};
   const size_t room = 8 * size / kMinBits + 1;
   if (room > kMaxRoom) return laid_out(rd_decode(p, data, size, prefix), canvas);
-  Arriving arriving(p, room);
+  StreamingDecoder arriving(p, room);
   bool crowded = false;
   StreamedGaussians streamed{static_cast<int>(room), {}, {}};
   streamed.bring = [&](const std::function<void(int)>& there) {

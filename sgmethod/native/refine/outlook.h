@@ -36,7 +36,7 @@ class Outlook {
   // factor: in pixels; narrowed1, narrowed3: l1 and l3 divided by what they are on the Gaussian's level.
   void finish(const Symbols& s, const float* factor, double narrowed1, double narrowed3, double energy);
 
-  // Change of the error by one step up (sign = 1) or down (-1), and no more than is likely.
+  // Change of the error by one step up (sign = 1) or down (-1): a lower estimate.
   double least_change(int step, int sign) const { return kCertain * bend_[step] - sign * slope_[step]; }
 
  private:
