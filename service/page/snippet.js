@@ -3,7 +3,7 @@
 import { ask } from "./api.js";
 import { withoutSuffix } from "./words.js";
 
-const SOURCES = ["models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
+const SOURCES = ["header", "tables", "coder", "models", "map", "payload", "file", "planes", "drawing", "decoder"];
 
 /** HTML that shows a picture from its .sg file, without other files. The label is the picture's name. */
 export async function snippetOf(item) {

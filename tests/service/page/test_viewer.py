@@ -18,7 +18,7 @@ from tests.support.service import Service
 
 pytestmark = pytest.mark.thorough
 
-FIRST_LOOK_BYTES = 150_000
+FIRST_LOOK_BYTES = 170_000
 TEXTURED = golden(2)["v2-texture"]
 
 

@@ -205,7 +205,6 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
         lambda: service.client.get(done["decode_url"]),
         service.post,
         lambda: service.post(large),
-        lambda: service.client.post(f"{done['status_url']}/encode"),
     ):
         answer = ask()
         assert_problem(answer, 503, "right now")
