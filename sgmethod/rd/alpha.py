@@ -47,9 +47,8 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
         found.append((missing, stream))
         if missing == 0:
             break
-        rate = rate.with_higher_target(
-            missing
-        )  # the colours' own error is not all of it: both layers are rounded and clamped
+        # The colours' own error is not all of it: both layers are rounded and clamped.
+        rate = rate.with_higher_target(missing)
     return min(found, key=lambda one: one[0])[1], steps
 
 

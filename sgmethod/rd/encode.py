@@ -1,12 +1,12 @@
 """Profile rd in the order in which it runs. Each step is a function from the plan and the state to the next state.
 
-place      few Gaussians, where the picture has structure                        place.py
-prune      drop Gaussians whose energy is not worth their bits                   densify.py
-steer      move the quantum, which sets all quantiser steps, to the budget       steer.py
-densify    add Gaussians where they gain more than their bits are worth          densify.py
-fit        move all of them together, under the price of their bits              fit.py
-limit      drop Gaussians beyond the number that the budget allows               densify.py
-search     quantise and refine with several quanta, keep the best file           search.py
+place           few Gaussians, where the picture has structure                    place.py
+prune           drop Gaussians whose energy is not worth their bits               densify.py
+steer           move the quantum, which sets all quantiser steps, to the budget   steer.py
+densify         add Gaussians where they gain more than their bits are worth      densify.py
+fit             move all of them together, under the price of their bits          fit.py
+prune_to_limit  drop Gaussians beyond the number that the budget allows           densify.py
+search          quantise and refine with several quanta, keep the best file       search.py
 
 The schedule is a first run and then rounds: as many as the effort has and time allows, and one or two more while a
 quality or a PSNR is missed. Within a run, prune to fit repeat in stages. A round adds and fits more Gaussians than can

@@ -28,6 +28,7 @@ from PIL import Image
 
 import sgmethod
 from tests.bitstream import plain_decoder_v2 as plain
+from tests.bitstream.remake import STARTS
 from tests.support.data import ROOT
 
 SKIMAGE = ("astronaut", "coffee", "chelsea", "rocket", "retina", "hubble_deep_field")
@@ -38,22 +39,6 @@ PRIOR = 8.0  # symbols of a table's mean row in each of its rows
 BEGINNING = 16.0  # symbols that a model's start is worth: the n-th counts 16 / (16 + n)
 MAP_UNITS, OWN_UNITS, GROUPS = 4, 3, 14
 EPOCHS, BATCH, RATE = 20, 4096, 8e-3
-TABLES = {  # names in C++, and the numbers of rows
-    "count": ("Count", 1),
-    "distance": ("Distance", 1),
-    "luma": ("LumaByEnergy", 9),
-    "luma_by_group": ("LumaByClass", 14),
-    "a": ("A", 4),
-    "a_by_group": ("AByClass", 16),
-    "b": ("B", 4),
-    "b_by_luma": ("BByLuma", 16),
-    "colour_signs": ("ColorSigns", 8),
-    "v": ("V", 80),
-    "v_by_group": ("VByClass", 56),
-    "r": ("R", 48),
-    "r_by_direction": ("RByDirection", 320),
-    "shape_signs": ("ShapeSigns", 104),
-}
 Counts = dict[str, NDArray[np.float64]]  # by table: how often each symbol came in each row
 STARTS_ARE = (
     "// Where the models of a stream begin: cumulative probabilities below symbols 1 to 15, in 1/256 (docs/format.md)."
@@ -98,8 +83,8 @@ class _Watched(plain.Models):
 
     def __init__(self) -> None:
         super().__init__()
-        for name in TABLES:
-            models = getattr(self, name)
+        for name in STARTS:
+            models = getattr(self, name.replace(" ", "_"))
             rows = models if isinstance(models, list) else [models]
             self.found |= {id(model): (name, row) for row, model in enumerate(rows)}
         self.kept.append(self)
@@ -109,7 +94,7 @@ class _Watched(plain.Models):
 
 def seen_in(file: Path) -> tuple[Counts, NDArray[np.float32]]:
     """Symbols by table and row, and a row for each block: group, four features, three features, Gaussians, density."""
-    counts = {name: np.zeros((rows, 16)) for name, (_, rows) in TABLES.items()}
+    counts = {name: np.zeros((len(plain.tables()[name]), 16)) for name in STARTS}
     blocks: list[plain.Blocks] = []
     _Watched.found, _Watched.kept = {}, []
 
@@ -238,7 +223,7 @@ def c_table(kind: str, name: str, values: NDArray[np.int64] | list[int]) -> str:
 def headers(counts: Counts, seen: NDArray[np.float32]) -> dict[str, str]:
     """The two headers by name."""
     edges, rows = started(counts)
-    starts = "".join(c_table("uint8_t", f"Start{TABLES[name][0]}", of_table) for name, of_table in rows.items())
+    starts = "".join(c_table("uint8_t", f"Start{STARTS[name]}", of_table) for name, of_table in rows.items())
     numbers = trained(seen)
     pascal = {name: "".join(part.capitalize() for part in name.split("_")) for name in numbers}
     net = "".join(c_table("int16_t", pascal[name], value) for name, value in numbers.items())
@@ -265,7 +250,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs) as pool:
         files = sorted(file for some in pool.map(partial(encoded, folder=files_folder), pictures) for file in some)
         found = list(pool.map(seen_in, files))
-    counts = {name: np.sum([one[name] for one, _ in found], axis=0) for name in TABLES}
+    counts = {name: np.sum([one[name] for one, _ in found], axis=0) for name in STARTS}
     seen = np.concatenate([rows for _, rows in found])
     print(f"{len(files)} files, {counts['distance'].sum():,.0f} Gaussians, {len(seen):,} blocks", flush=True)
     folder = ROOT / "sgmethod" / "native" / "rd" if options.write else options.work

@@ -9,7 +9,6 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <type_traits>
 
 #include "core/errors.h"
 #include "core/isa.h"
@@ -26,6 +25,9 @@ SizeClass class_of(const RdParameters& p, int number) {
   const int bits = cell_bits(number);
   return {number, cells_along(p.width, bits), cells_along(p.height, bits)};
 }
+
+// Whether a class goes into the map: nothing of a short file does, and the last class tells nobody anything.
+bool is_mapped(const RdParameters& p, int number, int last) { return number > last && !p.is_short; }
 
 // What a Gaussian adds to the map for each unit of its shape's aspect.
 double strength_of(const Symbols& s) {
@@ -243,7 +245,8 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
     if (done + room > limit) refuse<std::overflow_error>("more Gaussians than the limit");
-    const size_t found = count == 0 ? 0 : read_class(d, c, std::min<uint32_t>(count, kMaxGaussians), room, c > last && !d.p.is_short);
+    if (count == 0) continue;
+    const size_t found = read_class(d, c, std::min<uint32_t>(count, kMaxGaussians), room, is_mapped(d.p, c, last));
     done += found;
     if (found < count) return false;
   }
@@ -333,7 +336,7 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
     if (n == 0) continue;
     structure.begin(c, n);
     encode_class(coder, models, p, structure, at, end);
-    if (c > last && !p.is_short) add_class(structure, p, at, static_cast<int>(n));
+    if (is_mapped(p, c, last)) add_class(structure, p, at, static_cast<int>(n));
     at = end;
   }
   return coder.finish(p.is_short ? 1 : kLanes);

@@ -70,8 +70,8 @@ inline constexpr Adaptation kAdaptation;
 // less kProbabilityOne, so that the last is 0 and vectors compare them with signs.
 class Model {
  public:
-  // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
   Model() = default;
+  // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
   explicit Model(const uint8_t* start) {
     ends()[-1] = -kOne;
     for (int i = 0; i + 1 < kSymbols; ++i) {

@@ -56,6 +56,14 @@ void predict_row(const Row& r) {
   predict_body(r);
 }
 
+// Sixteen bits, two places apart.
+uint32_t spread_bits(uint32_t v) {
+  v = (v | v << 8) & 0x00FF00FF;
+  v = (v | v << 4) & 0x0F0F0F0F;
+  v = (v | v << 2) & 0x33333333;
+  return (v | v << 1) & 0x55555555;
+}
+
 // Index of the class in tables.
 int group_of(int size_class) { return std::clamp(size_class + 4, 0, kClassGroups - 1); }
 

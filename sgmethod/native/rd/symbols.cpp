@@ -77,13 +77,6 @@ Geometry::Geometry(const Symbols& s, const Steps& steps) {
   parts = parts_of(s, steps);
 }
 
-uint32_t spread_bits(uint32_t v) {
-  v = (v | v << 8) & 0x00FF00FF;
-  v = (v | v << 4) & 0x0F0F0F0F;
-  v = (v | v << 2) & 0x33333333;
-  return (v | v << 1) & 0x55555555;
-}
-
 uint32_t cells_along(int side, int bits) {
   return static_cast<uint32_t>(std::min(((side - 1) >> bits) + 1 + 2 * kBorderCells, 1 << 16));
 }

@@ -103,8 +103,6 @@ inline Parts parts_of(const Symbols& s, const Steps& steps) {
 
 // Cells along a side of the picture: those that touch it and two beyond each edge.
 uint32_t cells_along(int side, int bits);
-// Sixteen bits, two places apart.
-uint32_t spread_bits(uint32_t v);
 
 // What fits keep to, so that no range is ever left: within kMaxSlant, kMaxAmplitude and kMaxScale (constants.h),
 // with room for the steps that refining takes.
