@@ -22,11 +22,13 @@ The packages and modules, in the order of the pipeline; each imports only from t
     view        drawing any part at any size
     decoder     bytes -> Gaussians -> pixels
     metrics/    PSNR, MS-SSIM, SSIMULACRA 2; whether another format does better
+    encode_arguments  an encode's arguments, checked
     start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
     paper/      profile paper
     rd/         profile rd
-    codec       encode(): runs a profile's pipeline and measures the decoded result
+    encoded     the result of an encode, with the figures of the decoded file
+    codec       encode(): runs a profile's pipeline
     previews/   a picture -> a text of a few hundred characters, for web pages
     many/       any number of pictures, in several processes, with a manifest
     exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
@@ -52,8 +54,9 @@ if TYPE_CHECKING:
     from sgmethod.bitstream.stream import Info as Info
     from sgmethod.bitstream.text import from_text as from_text, to_text as to_text
     from sgmethod.budget import Budget as Budget
-    from sgmethod.codec import Encoded as Encoded, Stats as Stats, encode as encode
+    from sgmethod.codec import encode as encode
     from sgmethod.decoder import SgFile as SgFile, decode as decode, info as info, open as open
+    from sgmethod.encoded import Encoded as Encoded, Stats as Stats
     from sgmethod.errors import (
         BitstreamError as BitstreamError,
         BudgetError as BudgetError,
@@ -89,8 +92,9 @@ _HOMES = {
     "bitstream.stream": ("Info",),
     "bitstream.text": ("from_text", "to_text"),
     "budget": ("Budget",),
-    "codec": ("Encoded", "Stats", "encode"),
+    "codec": ("encode",),
     "decoder": ("SgFile", "decode", "info", "open"),
+    "encoded": ("Encoded", "Stats"),
     "errors": (
         *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "MissingPackageError"),
         *("NativeModuleError", "ServerError", "SgError", "ViewError"),

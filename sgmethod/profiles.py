@@ -21,6 +21,7 @@ __all__ = [
     "PROFILE_NAMES",
     "TUNES",
     "Profile",
+    "Settings",
     "Tune",
     "checked_effort",
     "checked_profile",
@@ -30,7 +31,8 @@ __all__ = [
 ]
 
 Profile = Literal["rd", "paper"]
-PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "paper": PAPER}
+Settings = RdSettings | PaperSettings
+PROFILES: dict[str, Settings] = {"rd": RD, "paper": PAPER}
 PROFILE_NAMES: tuple[Profile, ...] = get_args(Profile)
 DEFAULT_PROFILE: Profile = "rd"
 DEFAULT_TUNE: Tune = "visual"  # if profile and budget allow both
@@ -66,7 +68,7 @@ def checked_effort(effort: object) -> int:
     return int(effort)
 
 
-def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
+def settings_of(profile: str, effort: int) -> Settings:
     """Return a profile's settings. Raises BudgetError for a non-default effort of profiles other than rd."""
     settings = PROFILES[profile]
     if isinstance(settings, RdSettings):
@@ -76,6 +78,6 @@ def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
     return settings
 
 
-def profile_of(settings: PaperSettings | RdSettings) -> Profile:
+def profile_of(settings: Settings) -> Profile:
     """Return the profile that settings belong to."""
     return "rd" if isinstance(settings, RdSettings) else "paper"

@@ -14,8 +14,8 @@ import numpy as np
 class TracePoint:
     """One point of an encode's trace.
 
-    seconds: since the encode began; step, steps: optimiser steps done and scheduled (convergence or a time limit may
-    end the schedule early); psnr: dB over all channels of the picture as it would decode now (unquantised in phase
+    seconds: since the encode began; step, steps: optimiser steps done and scheduled (an exact picture or a time limit
+    may end the schedule early); psnr: dB over all channels of the picture as it would decode now (unquantised in phase
     "fit"); bytes: estimated file size, 0 while unknown; phase: "joint", then "search" (profile rd), "fit", then "tune"
     (the other), finally "done". A search for the best integers counts its own steps; share: estimated part of the
     encode's time that is over, 0 to 1.

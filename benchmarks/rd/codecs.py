@@ -69,5 +69,5 @@ class Sg:
         settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
         objective = Objective.from_pixels(pixels, self.tune, settings.objective)
         rate, deadline = RateControl(settings, size, quantum), Deadline.from_limit(clock, None, size, settings.deadline)
-        request = Request(objective, rate, deadline, Kernels(), settings, Recorder(clock))
+        request = Request(objective, rate, deadline, Kernels(), Recorder(clock))
         return container.serialise(rd.encode(request)[0])

@@ -48,7 +48,7 @@ STAGES = {
     "texture": ["sgmethod.fitting.texture.grain", "sgmethod.fitting.texture.estimate"],
     "objective": ["sgmethod.fitting.objective.Objective.from_pixels", "sgmethod.fitting.objective.Histogram"],
     "start": ["sgmethod.rd.encode.on_islands", "sgmethod.rd.encode.place"],
-    "measuring": ["sgmethod.codec._measured"],
+    "measuring": ["sgmethod.codec.measured"],
 }
 REST, WHOLE = "rest", "whole"
 THREADS, MANY = (1, 2, 4, 8, 16), (8, 16)  # measured where there are as many cores; predicted

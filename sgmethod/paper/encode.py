@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.container import smallest_file
 from sgmethod.bitstream.v1 import StreamV1
-from sgmethod.budget import Budget
 from sgmethod.decoder import draw
+from sgmethod.encode_arguments import EncodeArguments
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.recorder import Recorder
@@ -24,6 +24,7 @@ from sgmethod.metrics import psnr
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
+from sgmethod.scene import Pixels
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.start.placement import place
 
@@ -37,8 +38,7 @@ PSNR_PER_DOUBLING_DB = 1.7  # first guess in a search for a PSNR: gain from twic
 class Request:
     """A request to encode pixels, uint8 [H, W, 3]."""
 
-    pixels: NDArray[np.uint8]
-    budget: Budget
+    pixels: Pixels
     profile: str
     settings: PaperSettings
     deadline: Deadline
@@ -52,9 +52,15 @@ class Request:
         return self.pixels.shape[1], self.pixels.shape[0]
 
 
-def encode(request: Request) -> tuple[bytes, int]:
-    """Encode; return the file and the number of steps. Raises BudgetError for a budget that no file can meet."""
-    budget = request.budget
+def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, recorder: Recorder) -> tuple[bytes, int]:
+    """Encode pixels [H, W, 3]; return the file and the number of steps.
+
+    Raises BudgetError for a budget that no file can meet.
+    """
+    budget, settings = asked.budget, asked.settings
+    assert isinstance(settings, PaperSettings)
+    deadline = Deadline.from_limit(recorder.clock, time_limit_s, pixels.shape[0] * pixels.shape[1])
+    request = Request(pixels, asked.profile, settings, deadline, recorder, Kernels(), asked.seed)
     with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
             stream, steps = reach_psnr(request, budget.value)
@@ -109,7 +115,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     start = place(image, n, s.start, np.random.default_rng(request.seed))
     fitted, fit_steps = fit(level, start, s, recorder, request.deadline.after(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)
-    schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate, s.patience)
+    schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate)
     steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)
     return tuner.stream(request.profile), steps
 

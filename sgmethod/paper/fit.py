@@ -57,7 +57,7 @@ def fit(
         level.backend.step(gaussians, gradient, moments, s.optimiser, rate, 1)
         return mse, len(start), 0
 
-    schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate, s.patience)
+    schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate)
     steps = schedule.run(deadline, recorder, step)
     if not all(np.isfinite(values).all() for values in gaussians.arrays):
         raise GaussiansError("the fit diverged to values that are not finite; its learning rates are too high")

@@ -9,6 +9,7 @@ Where a file must not exceed a budget of bytes, all soft bitwidths are lowered b
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,7 @@ class Tuner:
             groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
         self.optimiser = torch.optim.Adam(groups, betas=(s.optimiser.beta1, s.optimiser.beta2), eps=1e-15)
         self.moments = Moments.none(self.n)
+        self.best, self._kept = math.inf, self._state()
         self.fit_budget()
 
     def _widen(self) -> None:
@@ -135,6 +137,7 @@ class Tuner:
         quantised, index = self.quantised()
         with torch.no_grad():
             mse, found = self.loss(quantised.numpy())
+            self._keep_if_best(mse)
             grad = Parameters.sharing(found)
         grads = torch.autograd.grad([quantised.means, quantised.factors], leaves, [grad.means, grad.factors])
         with torch.no_grad():
@@ -143,6 +146,27 @@ class Tuner:
             self._move((grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
             self.book.follow(self.p.colors, index)
         return mse, self.n, self.file_bytes()
+
+    def _state(self) -> list[Tensor]:
+        """All that a file is made of."""
+        return [self.p.means, self.p.factors, self.p.colors, *self.ranges, self.soft_bits, self.book.entries]
+
+    def _keep_if_best(self, mse: float) -> None:
+        """Keep the state if none before it was better: error and price of bits or, with a budget, error within it."""
+        if self.max_bytes is None:
+            mse += self.settings.lambda_b * self.bits().mean().item()
+        elif self.file_bytes() > self.max_bytes:
+            return
+        if mse < self.best:
+            self.best, self._kept, self._kept_shift = mse, [one.clone() for one in self._state()], self.shift
+
+    def _restore_best(self) -> None:
+        """Return to the best state, as GaussianImage does."""
+        with torch.no_grad():
+            self._keep_if_best(self.loss(self.quantised()[0].numpy())[0])
+            for one, kept in zip(self._state(), self._kept, strict=True):
+                one.copy_(kept)
+        self.shift = self._kept_shift
 
     def _move(
         self, grads: tuple[Tensor, Tensor, Tensor], others: list[Tensor], coded_colors: Tensor, rate: float
@@ -162,8 +186,9 @@ class Tuner:
         self._widen()
 
     def stream(self, profile: str) -> StreamV1:
-        """Code the Gaussians as syntax elements, grouped by bitwidth and ordered from top to bottom in each group."""
+        """Code the best Gaussians as syntax elements, grouped by bitwidth, from top to bottom in each group."""
         self.fit_budget()
+        self._restore_best()
         first, last, low, high = self.ranges
         positions = lattice.codes(self.p.means, first, last, self.position_bits).numpy().astype(np.uint16)
         factors = lattice.codes(self.p.factors, low, high, self.bits()).numpy().astype(np.uint16)

@@ -216,7 +216,7 @@ class QualityAim(Aim):
         """Never: SSIMULACRA 2 counts texture as an error."""
         return False
 
-    def finer(self, quantum: float, files: Iterable[Coded]) -> float:
-        """Return the quantum for a further round, given the files that missed the quality."""
+    def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float:
+        """Return a quantum that is finer by as much as is missing."""
         s, reached = self.settings.rate, max(map(self.reached, files))
         return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.quality_limit))

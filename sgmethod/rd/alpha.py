@@ -57,8 +57,8 @@ def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, f
     s, steps = request.settings, 0
     rate, deadline = request.rate.for_alpha(), request.deadline.at(s.alpha.time)
     objective, recorder = Objective.from_alpha(alpha, s.objective), Recorder(request.recorder.clock)
-    settings = replace(s, effort=replace(s.effort, rounds=(0,)))
-    plane = replace(request, objective=objective, settings=settings, recorder=recorder, with_shear=True)
+    rate = replace(rate, settings=replace(s, effort=replace(s.effort, rounds=(0,))))
+    plane = replace(request, objective=objective, recorder=recorder, with_shear=True)
     for _ in deadline.tries(s.alpha.tries):
         layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.at(1.0)))
         steps += taken

@@ -37,11 +37,10 @@ class ByteLimit(RateControl):
     def _gaussians_by_size(self) -> int:
         return int(8 * self.max_bytes / self.settings.rate.bits_per_gaussian)
 
-    def allowed_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
+    def allowed_gaussians(self, times: Times, at: float) -> int:
         """Several times the expected number: some take few bits."""
-        return min(
-            super().allowed_gaussians(settings, times, at), int(settings.densify.most * self.expected_gaussians())
-        )
+        most = int(self.settings.densify.most * self.expected_gaussians())
+        return min(super().allowed_gaussians(times, at), most)
 
     def payload_limit(self, empty: StreamV2) -> int:
         return max(self.max_bytes - empty.file_bytes, 0)

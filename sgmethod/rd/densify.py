@@ -18,12 +18,12 @@ def prune(plan: Plan, state: State, stage: Stage) -> State:
     """Drop Gaussians whose energy is not worth their bits, and the faintest of those beyond the budget's limit."""
     s, rate = plan.settings.prune, plan.request.rate
     bits = s.bits_of_dropped if stage.at >= stage.times.growth_at[-1] else s.worthless_bits
-    return strongest(plan, state, bits, rate.allowed_gaussians(plan.settings, stage.times, stage.at))
+    return strongest(plan, state, bits, rate.allowed_gaussians(stage.times, stage.at))
 
 
 def prune_to_limit(plan: Plan, state: State, times: Times) -> State:
     """Drop Gaussians beyond the budget's limit at the end of a run: a time limit may have skipped pruning."""
-    most = plan.request.rate.allowed_gaussians(plan.settings, times, 1.0)
+    most = plan.request.rate.allowed_gaussians(times, 1.0)
     return strongest(plan, state, plan.settings.prune.worthless_bits, most)
 
 
@@ -54,7 +54,7 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
         return state  # nothing was worth this price, and the error has not grown since
     n, rate = len(state.gaussians), plan.request.rate
     at_once = max(int(s.growth * n), rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
-    most = min(at_once, rate.allowed_gaussians(plan.settings, stage.times, stage.at) - n)
+    most = min(at_once, rate.allowed_gaussians(stage.times, stage.at) - n)
     level = plan.level_for(state, stage, n + most)
     min_gain = price * s.bits_of_new / level.frame.spacing**2
     new = _found(plan, state, level, most, min_gain)

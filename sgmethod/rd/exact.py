@@ -69,7 +69,7 @@ class ExactFit:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
         request = self._request(pixels, backend, clock, on_step)
         pyramid, n = request.pyramid(), self.gaussians
-        plan = Plan(request, within_pixels(request.settings, pyramid), pyramid)
+        plan = Plan(request.with_settings(within_pixels(request.settings, pyramid)), pyramid)
         state, times = plan.begin(place(request, pyramid)), plan.settings.effort.times
         for stage in stages(request.deadline.pace(plan.settings.effort.steps), times):
             if stage.is_due:
@@ -95,10 +95,11 @@ class ExactFit:
         """Return the request of an encode to as many Gaussians, with the schedule and the price of bits of this fit."""
         height, width = pixels.shape[:2]
         rate = replace(GaussianCount.from_count(self.gaussians, height * width, RD), quantum=self.quantum)
-        steps = self.steps or round(EXACT.share_of_steps * rate.steps(RD))
-        settings, recorder = exact_schedule(steps), _Shares(clock, total=steps, on_step=on_step)
-        objective = Objective.from_pixels(pixels, "psnr", settings.objective)
-        return Request(objective, rate, Deadline.from_limit(clock), backend, settings, recorder, self.seed)
+        steps = self.steps or round(EXACT.share_of_steps * rate.steps())
+        rate = replace(rate, settings=exact_schedule(steps))
+        recorder = _Shares(clock, total=steps, on_step=on_step)
+        objective = Objective.from_pixels(pixels, "psnr", rate.settings.objective)
+        return Request(objective, rate, Deadline.from_limit(clock), backend, recorder, self.seed)
 
 
 def _complete(plan: Plan, state: State, n: int) -> State:

@@ -17,7 +17,7 @@ def place(request: Request, pyramid: Pyramid) -> Gaussians:
     """
     s, rate = request.settings.place, request.rate
     share = max(int(rate.expected_gaussians() * s.share), s.fewest)
-    n = min(share, rate.allowed_gaussians(request.settings, request.settings.effort.times, 1.0))
+    n = min(share, rate.allowed_gaussians(request.settings.effort.times, 1.0))
     few = request.settings.pyramid.pixels_while_few
     level = pyramid.coarsest(few * (n // 4 if request.deadline.is_short() else n))
     image = level.image().transpose(1, 2, 0) + np.array(request.background, np.float32) / 255

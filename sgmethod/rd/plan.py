@@ -25,10 +25,9 @@ MANY_VALUES = 1 << 23  # samples of a level; work on a smaller one leaves little
 
 @dataclass(frozen=True)
 class Plan:
-    """A request with the settings and picture sizes that fit into its time."""
+    """A request whose settings fit into its time, and the picture sizes that do."""
 
     request: Request
-    settings: RdSettings
     pyramid: Pyramid
 
     @classmethod
@@ -42,7 +41,12 @@ class Plan:
         settings = sized(request.settings, most.pixels)
         if request.deadline.has_limit():
             request, settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
-        return cls(request, within_pixels(settings, pyramid), pyramid)
+        return cls(request.with_settings(within_pixels(settings, pyramid)), pyramid)
+
+    @property
+    def settings(self) -> RdSettings:
+        """The request's."""
+        return self.request.settings
 
     @property
     def finest(self) -> Level:
@@ -60,7 +64,7 @@ class Plan:
     @property
     def lengths(self) -> list[int]:
         """Steps of the first run and of each round, including rounds for a quality that is missed."""
-        first = self.request.rate.steps(self.settings)
+        first = self.request.rate.steps()
         a_round = max(round(self.settings.schedule.round_steps * first), 1)
         further = self.request.rate.further_rounds
         return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
@@ -142,8 +146,9 @@ def _in_time(
     finest = next(affordable, most)
     deadline = searching(finest)
     in_time = deadline.steps_in_time(took_s)
-    settings = fit_to_steps(settings, most.pixels, in_time / rate.steps(settings) * settings.effort.steps)
-    step_s = took_s * in_time * s.gradients_per_step / rate.steps(settings)
+    all_steps = replace(rate, settings=settings).steps()
+    settings = fit_to_steps(settings, most.pixels, in_time / all_steps * settings.effort.steps)
+    step_s = took_s * in_time * s.gradients_per_step / replace(rate, settings=settings).steps()
     for level in pyramid.from_level(most).levels[1:]:
         if took_s <= step_s:
             break

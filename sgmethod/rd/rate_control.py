@@ -125,16 +125,16 @@ class RateControl:
         s = self.settings.rate
         return max(min(int(s.gaussians_per_pixel * self.pixels / self.quantum), self.pixels // s.min_pixels), 1)
 
-    def allowed_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
-        """Limit on the number of Gaussians, for settings that a time limit may have cut."""
+    def allowed_gaussians(self, times: Times, at: float) -> int:
+        """Limit on the number of Gaussians."""
         return min(self.pixels, MAX_GAUSSIANS)
 
-    def steps(self, settings: RdSettings) -> int:
-        """Steps of the first run, for settings that a time limit may have cut."""
-        s = settings.schedule
+    def steps(self) -> int:
+        """Steps of the first run."""
+        s = self.settings.schedule
         density = self.expected_gaussians() / self.pixels
         share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
-        return round(settings.effort.steps * (1 + share * (s.dense_steps - 1)))
+        return round(self.settings.effort.steps * (1 + share * (s.dense_steps - 1)))
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Return the quantum from `at` on, given the one before.
@@ -212,6 +212,10 @@ class RateControl:
         """Whether none of the files has the quality that was asked for."""
         return False
 
+    def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float | None:
+        """Return the quantum for a further round with the whole picture as its target; None to go on as before."""
+        return None
+
     def is_enough(self, coded: Coded) -> bool:
         """Whether further steps and bytes gain nothing: every pixel is exact."""
         return coded.error == 0
@@ -249,9 +253,9 @@ class GaussianCount(RateControl):
         used = len(alpha.gaussians()) if alpha.payload else 0
         return replace(self, max_gaussians=max(self.max_gaussians - used, 1))
 
-    def allowed_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
+    def allowed_gaussians(self, times: Times, at: float) -> int:
         """The limit, and a surplus early."""
-        return min(super().allowed_gaussians(settings, times, at), int(self.max_gaussians * excess(times, at)))
+        return min(super().allowed_gaussians(times, at), int(self.max_gaussians * excess(times, at)))
 
     def merit(self, coded: Coded) -> tuple[float, float]:
         return -coded.error, -coded.size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sgmethod.backend.protocol import Backend, Coding, Frame
@@ -28,10 +28,18 @@ class Request:
     rate: RateControl
     deadline: Deadline
     backend: Backend
-    settings: RdSettings
     recorder: Recorder
     seed: int = 0
     with_shear: bool = False
+
+    @property
+    def settings(self) -> RdSettings:
+        """Those of its rate control, as far as there is time for them."""
+        return self.rate.settings
+
+    def with_settings(self, settings: RdSettings) -> Request:
+        """Return the same with other settings."""
+        return replace(self, rate=replace(self.rate, settings=settings))
 
     @property
     def histogram(self) -> Histogram:

@@ -8,7 +8,6 @@ from functools import cached_property
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2
-from sgmethod.rd.aim import QualityAim
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
 
@@ -62,10 +61,7 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 def retarget_after_miss(plan: Plan, state: State, files: Iterable[Coded]) -> State:
     """Prepare a further round after files that missed the budget.
 
-    SSIMULACRA 2 counts grain, and a file that aims at it has no texture instead: growth is shown what was hidden, at a
-    quantum that is finer by as much as is missing.
+    SSIMULACRA 2 counts grain, and a file that aims at it has no texture instead: growth is shown what was hidden.
     """
-    rate = plan.request.rate
-    if not isinstance(rate, QualityAim):
-        return state
-    return replace(state, target=state.target.whole(), quantum=rate.finer(state.quantum, files))
+    quantum = plan.request.rate.quantum_after_miss(state.quantum, files)
+    return state if quantum is None else replace(state, target=state.target.whole(), quantum=quantum)

@@ -28,7 +28,6 @@ class PaperSettings:
     # The ranges of l1, l2 and l3 start at these quantiles; 0 means the smallest and the largest value, as in
     # GaussianImage. Our optimiser makes a few Gaussians wider than the picture, which would make all steps coarse.
     range_quantile: float = 0.01
-    patience: float = 0.3  # a phase has converged after this part of the schedule without progress
 
     # Quantisation (sections III-C and IV-A)
     position_bits: int = 12

@@ -19,7 +19,7 @@ from sgmethod.backend.devices import backend_on, checked_device, has_tiles
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.budget import MAX_GAUSSIANS
-from sgmethod.codec import MAX_SEED
+from sgmethod.encode_arguments import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
 from sgmethod.io.image import ImageLimits, check_range

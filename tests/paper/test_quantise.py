@@ -1,4 +1,4 @@
-"""The lattice quantisers against finite differences of their smooth surrogate, and the colour codebook.
+"""The lattice quantisers against finite differences of their smooth surrogate, the colour codebook, and tuning.
 
 The surrogate of v^ = low + s round(u), u = (v - low) / s, holds the offset r = round(u) - u of the rounding constant
 while v, low, high and B = b (a real number there) vary; out of range it holds which end v^ sits at.
@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from sgmethod.backend.kernels import Kernels
+from sgmethod.decoder import draw
 from sgmethod.paper.codebook import ResidualCodebook, kmeans
+from sgmethod.paper.fit import level_of
 from sgmethod.paper.lattice import codes, quantise
+from sgmethod.paper.tuning import Tuner
+from sgmethod.settings.paper import PAPER
+from sgmethod.start.placement import place
+from tests.support.pictures import photo
 
 DIFFERENCE = 1e-6  # of the central differences, in float64
 GRADIENT_TOLERANCE = 1e-8  # worst seen 1.1e-9, from the differences
@@ -198,3 +207,15 @@ def test_long_tuning_does_not_diverge() -> None:
         book.follow(colors, index)
     assert max(errors) < 1.01 * errors[0]
     assert errors[-1] < errors[0]
+
+
+def test_a_file_is_as_good_as_the_best_step() -> None:
+    """The last steps, at a rate that is far too high, are much worse."""
+    pixels = photo()[:48, :64]
+    settings = replace(PAPER, adaptive_bitwidth=False, lambda_g=0.0)
+    start = place(pixels.astype(np.float32) / 255, 60, settings.start, np.random.default_rng(0))
+    tuner = Tuner(start, level_of(pixels, Kernels()), settings, None, 0)
+    errors = [tuner.step(rate)[0] for rate in [1.0] * 40 + [40.0] * 5]
+    drawn = draw(tuner.stream("paper").scene())
+    assert errors[-1] > 1.5 * min(errors)
+    assert np.square((drawn.astype(float) - pixels) / 255).mean() < 1.02 * min(errors)  # rounded to 8 bits

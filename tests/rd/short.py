@@ -57,18 +57,12 @@ def requested(
     backend: Backend | None = None,
     recorder: Recorder | None = None,
 ) -> Request:
-    """A request of profile rd, as codec.encode() makes it."""
+    """A request of profile rd, as rd/picture.py makes it."""
     clock = Clock()
     objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
-    return Request(
-        objective,
-        rate,
-        deadline or Deadline.from_limit(clock),
-        backend or Kernels(),
-        settings,
-        recorder or Recorder(clock),
-    )
+    deadline, recorder = deadline or Deadline.from_limit(clock), recorder or Recorder(clock)
+    return Request(objective, rate, deadline, backend or Kernels(), recorder)
 
 
 def begun(request: Request) -> tuple[Plan, State]:

@@ -1,0 +1,77 @@
+"""The arguments of an encode, checked before anything is read."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
+from sgmethod.bitstream.container import smallest_file
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, default_budget
+from sgmethod.errors import BudgetError
+from sgmethod.profiles import Profile, Settings, Tune, checked_effort, checked_profile, profile_of, settings_of, tuning
+from sgmethod.scene import Pixels
+
+MAX_SEED = 2**63 - 1  # a seed of torch is below 2^64, and each stage of a codebook adds to it
+
+
+@dataclass(frozen=True)
+class EncodeArguments:
+    """The checked arguments of an encode. effort: None if the caller gave settings."""
+
+    budget: Budget
+    profile: Profile
+    tune: Tune
+    effort: int | None
+    settings: Settings
+    seed: int
+
+    @classmethod
+    def checked(
+        cls,
+        budget: Budget,
+        profile: Profile,
+        tune: Tune | None,
+        effort: AnyInt,
+        settings: Settings | None,
+        seed: AnyInt,
+    ) -> EncodeArguments:
+        """Check the arguments of encode(). Raises BudgetError."""
+        seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
+        profile = checked_profile(profile) if settings is None else profile_of(settings)
+        tuned_for = tuning(tune, profile, budget)
+        if settings is not None:
+            return cls(budget, profile, tuned_for, None, settings, seed)
+        effort = checked_effort(effort)
+        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed)
+
+    def with_default_for(self, pixels: Pixels) -> EncodeArguments:
+        """Replace the default budget by what it is for a picture [H, W, C]."""
+        if self.budget is not DEFAULT_BUDGET:
+            return self
+        height, width, channels = pixels.shape
+        least = smallest_file(self.settings, has_alpha=channels == 4)
+        return replace(self, budget=default_budget(width, height, least))
+
+
+def only_budget(budget: Budget | None, kinds: dict[BudgetKind, Any]) -> Budget:
+    """Return the budget given, or the default. Raises BudgetError for more than one."""
+    given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
+    if budget is not None:
+        if not isinstance(budget, Budget):
+            raise BudgetError(f"a budget must be a sgmethod.Budget, not {type(budget).__name__}; or use bpp=0.3")
+        given.append(budget)
+    if len(given) > 1:
+        raise BudgetError(f"give one budget, not {len(given)}: {', '.join(one.kind for one in given)}")
+    return given[0] if given else DEFAULT_BUDGET
+
+
+def checked_time_limit(seconds: AnyFloat | None) -> float | None:
+    """Return a time limit in seconds. Raises BudgetError for anything but a positive number."""
+    if seconds is None:
+        return None
+    number = finite_number(seconds)
+    if number is None or not 0 < number <= sys.float_info.max:
+        raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds!r}")
+    return float(number)

@@ -1,0 +1,40 @@
+"""From a picture, with or without alpha, to a file of profile rd."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sgmethod.backend.kernels import Kernels
+from sgmethod.bitstream import container
+from sgmethod.encode_arguments import EncodeArguments
+from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.objective import Objective
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.rd import alpha, encode as pipeline
+from sgmethod.rd.budgets import rate_of
+from sgmethod.rd.byte_limit import ByteBudget
+from sgmethod.rd.request import Request
+from sgmethod.scene import Pixels
+from sgmethod.settings.rd import RdSettings
+
+
+def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, recorder: Recorder) -> tuple[bytes, int]:
+    """Encode pixels [H, W, 3], or [H, W, 4] with alpha; return the file and the optimiser steps it took.
+
+    Raises BudgetError for a budget that no file can meet.
+    """
+    settings = asked.settings
+    assert isinstance(settings, RdSettings)
+    height, width, channels = pixels.shape
+    has_alpha = channels == 4
+    deadline = Deadline.from_limit(recorder.clock, time_limit_s, height * width, settings.deadline)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels[..., :3]), asked.tune, settings.objective)
+    rate = rate_of(asked.budget, (width, height), settings, has_alpha=has_alpha)
+    if isinstance(rate, ByteBudget) and rate.is_short and objective.histogram.has_majority:
+        rate = rate.for_exact_background(has_alpha)
+    request = Request(objective, rate, deadline, Kernels(), recorder, asked.seed)
+    if has_alpha:
+        stream, steps = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
+    else:
+        stream, steps = pipeline.encode(request)
+    return container.serialise(stream), steps
