@@ -1,10 +1,11 @@
 """Measure what the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
-    python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser] [--minutes M]
+    python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser]
+                                      [--seeds 3] [--minutes M]
 
 whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
 numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
-optimiser  GaussianImage's own optimiser, shapes and colours, on the middle 160x160: random, fixed and dynamic
+optimiser  GaussianImage's own optimiser, shapes and colours, on the middle 64x64: random, fixed and dynamic
 
 Numbers of Gaussians are for 768x512 pixels; smaller pictures have as many for each pixel, and n_0 and N_t with them.
 All pictures of a row are fitted at once on a GPU.
@@ -14,11 +15,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import statistics
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import compress
+from itertools import compress, product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -75,7 +77,7 @@ def starting(of: PaperSettings, name: str) -> PaperSettings:
     return replace(of, start=start[name])
 
 
-PLAIN = replace(PAPER, lambda_g=0.0, fit_steps=3000, patience=1.0)
+PLAIN = replace(PAPER, lambda_g=0.0, fit_steps=3000)
 THEIRS = replace(PLAIN, fit_steps=50_000)
 
 
@@ -92,7 +94,7 @@ TABLES: dict[str, list[Row]] = {
         for start in ("random", "dynamic")
     ],
     "optimiser": [
-        Row(n, start, starting(THEIRS, start), (160, 160), theirs=True)
+        Row(n, start, starting(THEIRS, start), (64, 64), theirs=True)
         for n in (70_000, 30_000)
         for start in starts_of(n)
     ],
@@ -114,14 +116,14 @@ def pixels_of(path: Path, middle: tuple[int, int] | None) -> Pixels:
     return np.ascontiguousarray(pixels)
 
 
-def placed(row: Row, pixels: Pixels) -> Gaussians:
+def placed(row: Row, pixels: Pixels, seed: int) -> Gaussians:
     """The start of a row on a picture."""
     part = pixels.shape[0] * pixels.shape[1] / PIXELS
     start: StartSettings = row.settings.start
     k = start.threshold_factor * part ** (1 - start.threshold_exponent)  # so that N_t is that part, too
     start = replace(start, ratio_start=round(part * start.ratio_start), threshold_factor=k)
     image = pixels.astype(np.float32) / np.float32(255)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     found = place(image, round(part * row.gaussians), start, rng)
     return shaped(found, rng) if row.theirs else found
 
@@ -131,8 +133,7 @@ def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
     clock = Clock()
     level = paper.level_of(pixels, Kernels())
     if row.theirs:
-        height, width = pixels.shape[:2]
-        return fit_by_adan(start, level.gradients, width, height, AdanSettings(), row.settings.fit_steps)
+        return fit_by_adan(start, level.image(), AdanSettings(), row.settings.fit_steps)
     return paper.fit(level, start, row.settings, Recorder(clock), Deadline.from_limit(clock, None))[0]
 
 
@@ -161,8 +162,10 @@ def on_gpu(
         if time.monotonic() > ends:
             raise TimeoutError(f"no time is left after {step} steps")
         tiles = Tiles(frame, *values)
-        by_image = by_picture(tiles.draw(), target, s.lambda_g)
+        drawn = tiles.draw()
+        by_image = by_picture(drawn, target, s.lambda_g)
         if row.theirs:
+            by_image *= (drawn >= 0) & (drawn <= 1)  # it clamps the picture before its loss
             adan.step(values, tiles.gradients(by_image))
             values[1][nowhere] = 0
         else:
@@ -196,25 +199,25 @@ def judged(pixels: Pixels, gaussians: Gaussians) -> dict[str, Any]:
 
 
 def measure(
-    record: Record, name: str, device: str, ends: float, paths: Sequence[Path], together: Sequence[Row]
+    record: Record, name: str, device: str, ends: float, paths: Sequence[Path], together: Sequence[Row], seeds: int
 ) -> None:
     """Measure rows that differ in their starts alone: on a GPU all at once."""
+    cases = [*product(paths, together, range(seeds))]
     keys = [
-        {"table": name, "asked": row.gaussians, "setting": row.setting, "image": path.stem}
-        for path in paths
-        for row in together
+        {"table": name, "asked": row.gaussians, "setting": row.setting, "image": path.stem, "seed": seed}
+        for path, row, seed in cases
     ]
-    every = [(row, pixels_of(path, row.middle)) for path in paths for row in together]
+    every = [(row, pixels_of(path, row.middle), seed) for path, row, seed in cases]
     missing = [not record.has(**key) for key in keys]
     if device == "cpu":
         torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
-        for key, (row, pixels) in zip(compress(keys, missing), compress(every, missing), strict=True):
+        for key, (row, pixels, seed) in zip(compress(keys, missing), compress(every, missing), strict=True):
             if time.monotonic() < ends:
-                record.add({**key, **judged(pixels, on_cpu(row, pixels, placed(row, pixels)))})
+                record.add({**key, **judged(pixels, on_cpu(row, pixels, placed(row, pixels, seed)))})
     elif any(missing):
-        rows, pictures = zip(*every, strict=True)
+        rows, pictures, of_seeds = zip(*every, strict=True)
         with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:  # of whom none has touched the GPU
-            found = on_gpu(device, ends, rows[0], pictures, [*pool.map(placed, rows, pictures)])
+            found = on_gpu(device, ends, rows[0], pictures, [*pool.map(placed, rows, pictures, of_seeds)])
             for key, figures in zip(keys, pool.map(judged, pictures, found), strict=True):
                 record.add({**key, **figures})
 
@@ -222,25 +225,30 @@ def measure(
 def summary(rows: Sequence[Measured]) -> str:
     """A table of means over pictures, and of the gains of each row over those before it."""
     lines = []
-    every: dict[tuple[str, int, str], dict[str, Measured]] = {}
+    every: dict[tuple[str, int, str], dict[str, list[Measured]]] = {}  # by picture, a row for each seed
     for row in rows:
-        every.setdefault((row["table"], row["asked"], row["setting"]), {})[row["image"]] = row
+        every.setdefault((row["table"], row["asked"], row["setting"]), {}).setdefault(row["image"], []).append(row)
     for name, asked in dict.fromkeys((name, row.gaussians) for name, of in TABLES.items() for row in of):
         settings = [row.setting for row in TABLES[name] if row.gaussians == asked]
         by = {setting: found for setting in settings if (found := every.get((name, asked, setting)))}
         for k, (setting, found) in enumerate(by.items()):
-            psnr = number(mean([row["psnr"] for row in found.values()]), ".2f")
+            psnr = number(mean([figure(rows, "psnr") for rows in found.values()]), ".2f")
             cells = [name, f"{asked:,}", setting, len(found), psnr]
             lines += [[*cells, *gain(found, by[other], other)] for other in [*by][:k]] or [[*cells, "", "", "", "", ""]]
     titles = "table | Gaussians | start | pictures | PSNR | against | dB | standard error | MS-SSIM | better on"
     return table(titles, lines)
 
 
-def gain(found: dict[str, Measured], others: dict[str, Measured], other: str) -> list[str]:
-    """The cells of a gain over another setting, over the pictures of both."""
-    pairs = [(row, others[image]) for image, row in found.items() if image in others]
-    db = [row["psnr"] - its["psnr"] for row, its in pairs]
-    seen = mean([row["ms_ssim"] - its["ms_ssim"] for row, its in pairs if row["ms_ssim"] is not None])
+def figure(rows: Sequence[Measured], name: str) -> float:
+    """The mean of a figure over the seeds of one picture; NaN where it was not measured."""
+    return statistics.fmean(math.nan if row[name] is None else row[name] for row in rows)
+
+
+def gain(found: dict[str, list[Measured]], others: dict[str, list[Measured]], other: str) -> list[str]:
+    """The cells of a gain over another setting, over the pictures of both. The error is over pictures."""
+    pairs = [(rows, others[image]) for image, rows in found.items() if image in others]
+    db = [figure(rows, "psnr") - figure(its, "psnr") for rows, its in pairs]
+    seen = mean([by for rows, its in pairs if not math.isnan(by := figure(rows, "ms_ssim") - figure(its, "ms_ssim"))])
     better = f"{sum(one > 0 for one in db)} of {len(db)}"
     return [other, number(mean(db), "+.2f"), number(standard_error(db), ".2f"), number(seen, "+.5f"), better]
 
@@ -257,6 +265,7 @@ def main() -> None:
     parser.add_argument("--settings", type=lambda text: text.split(","), help="of a table's rows; all")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--steps", type=int, help="of each fit, instead of a table's own")
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=math.inf, help="no fit goes on for longer")
     parser.add_argument("--out", type=Path, default=RUNS / "gains.json")
     options = parser.parse_args()
@@ -271,5 +280,5 @@ def main() -> None:
                 alike.setdefault((row.gaussians, s.lambda_g), []).append(replace(row, settings=s))
         for together in alike.values():
             if time.monotonic() < ends:
-                measure(record, name, options.device, ends, paths, together)
+                measure(record, name, options.device, ends, paths, together, options.seeds)
     print(f"\n{summary(record.rows)}")

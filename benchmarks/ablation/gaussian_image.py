@@ -1,4 +1,8 @@
-"""GaussianImage's optimiser, shapes and colours (X. Zhang et al., 2024), to measure starts with as the paper does."""
+"""GaussianImage's optimiser, shapes and colours (X. Zhang et al., 2024), to measure starts with as the paper does.
+
+A part of a picture is fitted in the units of the whole: a step moves a mean by a part of the whole picture's side, and
+a gradient stands as far above Adan's eps as it does there.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod.backend.protocol import Loss
+from sgmethod.backend.protocol import CUTOFF_V1
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 
 INSIDE = 1 - 1e-6  # farthest place from the middle: at 1, atanh is infinite
+WHOLE = (768, 512)  # width and height of the photographs of Kodak
 
 
 @dataclass(frozen=True)
@@ -22,22 +29,24 @@ class AdanSettings:
     rate: float = 1e-3
     halved_every: int = 20_000  # steps
     betas: tuple[float, float, float] = (0.98, 0.92, 0.99)
+    eps: float = 1e-8  # for the mean error over the whole picture
     min_scale_px: float = 0.3  # ours: kernels here need a positive one
 
 
 class Adan:
     """Adan (X. Xie et al., 2022): moments of the gradient, of its change, and of the square of both together."""
 
-    def __init__(self, settings: AdanSettings, width: int, height: int) -> None:
-        """Begin with moments of zero, for Gaussians on a picture of this size in pixels."""
-        self._settings, self._size, self._steps = settings, (width, height), 0
+    def __init__(self, settings: AdanSettings, width: int, height: int, whole: tuple[int, int] = WHOLE) -> None:
+        """Begin with moments of zero, for Gaussians in the middle width x height pixels of a whole picture."""
+        self._settings, self._size, self._whole, self._steps = settings, (width, height), whole, 0
+        self._eps = settings.eps * whole[0] * whole[1] / (width * height)
         self._moments: list[Tensor] = []
 
     def step(self, gaussians: Sequence[Tensor], gradient: Sequence[Tensor]) -> None:
         """Move means [..., N, 2], factors and colours [..., N, 3] in place."""
         means, factors, colors = gaussians
-        half = torch.tensor(self._size, dtype=means.dtype, device=means.device) / 2
-        place = (means / half - 1).clamp(-INSIDE, INSIDE)  # tanh of the parameter
+        middle, half = (torch.tensor(one).to(means) / 2 for one in (self._size, self._whole))
+        place = ((means - middle) / half).clamp(-INSIDE, INSIDE)  # tanh of the parameter
         g = torch.cat([gradient[0] * half * (1 - place**2), *gradient[1:]], -1)
         if not self._moments:
             self._moments = [torch.zeros_like(g), torch.zeros_like(g), torch.zeros_like(g), g]
@@ -50,8 +59,8 @@ class Adan:
         square.lerp_((g + beta2 * more).square(), 1 - beta3)
         self._moments[3] = g
         unbiased = [m / (1 - beta**self._steps) for m, beta in zip(self._moments, self._settings.betas, strict=False)]
-        by = rate * (unbiased[0] + beta2 * unbiased[1]) / (unbiased[2].sqrt() + 1e-8)
-        means.copy_(half * (torch.tanh(torch.atanh(place) - by[..., :2]) + 1))
+        by = rate * (unbiased[0] + beta2 * unbiased[1]) / (unbiased[2].sqrt() + self._eps)
+        means.copy_(half * torch.tanh(torch.atanh(place) - by[..., :2]) + middle)
         factors -= by[..., 2:5]
         factors[..., 0::2].clamp_(min=self._settings.min_scale_px)
         colors -= by[..., 5:]
@@ -63,10 +72,15 @@ def shaped(start: Gaussians, rng: np.random.Generator) -> Gaussians:
     return replace(start, factors=factors.astype(np.float32), colors=colors.astype(np.float32))
 
 
-def fit(start: Gaussians, loss: Loss, width: int, height: int, settings: AdanSettings, steps: int) -> Gaussians:
-    """Fit by Adan on the CPU."""
-    gaussians, adan = start.copy(), Adan(settings, width, height)
-    values = [torch.from_numpy(one) for one in gaussians.arrays]
+def fit(start: Gaussians, target: NDArray[np.float32], settings: AdanSettings, steps: int) -> Gaussians:
+    """Fit to a target [3, H, W] by Adan on the CPU, with the error of the picture clamped to 0..1."""
+    gaussians, out, (height, width) = start.copy(), Gaussians.empty(len(start)), target.shape[1:]
+    values, gradient = ([torch.from_numpy(one) for one in of.arrays] for of in (gaussians, out))
+    adan, drawn = Adan(settings, width, height), np.empty_like(target)
     for _ in range(steps):
-        adan.step(values, [torch.from_numpy(one) for one in loss(gaussians)[1].arrays])
+        raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, CUTOFF_V1, pyramid=False)
+        raster.render(gaussians.colors, drawn)
+        by_picture = np.where((drawn >= 0) & (drawn <= 1), drawn - target, np.float32(0)) * np.float32(2 / drawn.size)
+        raster.backward(gaussians.colors, by_picture, *out.arrays)
+        adan.step(values, gradient)
     return gaussians

@@ -84,7 +84,7 @@ def measure(
     level, gaussians = _fitted(picture, table.middle, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
     tuner = Tuner(gaussians, level, settings, budget if settings.bits_by_budget else None, seed)
-    schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
+    schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate)
     schedule.run(Deadline.from_limit(clock), Recorder(clock), tuner.step)
     stream = tuner.stream("paper")
     seconds = time.perf_counter() - began
