@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from benchmarks.ablation.gains import summary
 from benchmarks.ablation.report import complete, worth
+from benchmarks.bd import compared, curves
 from benchmarks.machine import kept_rows, origin
 from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates, means
 from benchmarks.report.previews import times_our_bytes
@@ -129,3 +131,18 @@ def test_a_run_goes_on_with_its_own_rows_alone(tmp_path: Path) -> None:
     ):
         assert kept_rows(path, {**where, **other}) == []
     assert kept_rows(tmp_path / "none.json", where) == []
+
+
+def test_bd_rates_of_two_tables(tmp_path: Path) -> None:
+    """The example of the package bjontegaard 1.3.0, by its "pchip", which agrees with the JCT-VC's spreadsheet."""
+    anchor = [(9487.76, 40.037), (4593.60, 38.615), (2486.44, 36.845), (1358.24, 34.851)]
+    test = [(9787.80, 40.121), (4469.00, 38.651), (2451.52, 36.970), (1356.24, 34.987)]
+    lines = {"anchor": [("old", "a", *point) for point in anchor]}
+    lines["test"] = [("new", "a", *point) for point in test] + [("new", "b", *point) for point in test]
+    for name, of in lines.items():
+        text = "".join(f"{codec},{picture},{size},{db},us\n" for codec, picture, size, db in of)
+        (tmp_path / f"{name}.csv").write_text("codec,picture,bytes,psnr,source\n" + text)
+    found = compared(*(curves(tmp_path / f"{name}.csv", "psnr") for name in lines))
+    assert re.search(r"\| new \| old \| 1 of 1 \| (\S+) ", found)[1] == "-4.42"  # type: ignore[index]
+    with pytest.raises(SystemExit, match="no column 'ssimulacra2'"):
+        curves(tmp_path / "test.csv", "ssimulacra2")
