@@ -1,20 +1,23 @@
 """Photographs that are not Kodak's, from Debian's packages: python -m benchmarks.perceptual.photographs FOLDER
 
-FOLDER/measured gets those that are measured, FOLDER/tuning those on which constants of the codec were chosen. The
-longer side becomes 768 pixels, so that no trace of their JPEG files is left. FOLDER/large gets files of 12 megapixels
-and more as they are, for benchmarks.speed growth. Needs apt-get, dpkg-deb and the packages of Debian 12; licences stand
-in each package's copyright file.
+FOLDER/unseen gets those of unseen.tsv, which chose no constant of the codec and decided on none of its features: the
+headline rests on them. FOLDER/measured gets photographs that decided whether features stay, FOLDER/tuning those on
+which constants were chosen. The longer side becomes 768 pixels, so that no trace of their JPEG files is left.
+FOLDER/large gets files of 12 megapixels and more as they are, for speed. Needs apt-get, dpkg-deb and the packages of
+Debian 12; licences stand in unseen.tsv and in each package's copyright file.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import math
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 
-from PIL import Image
+from PIL import Image, ImageOps
 
 PACKAGES = (
     "lomiri-wallpapers-16.04",
@@ -34,6 +37,8 @@ PICTURES = {
         seeding_by_clements_engelhardt""",
 }
 LARGE = ("dragonfly_by_bolly", "kleiber_by_lukas_baubkus", "sunset_by_aitzol_berasategi")
+LARGE_PIXELS = 12e6
+UNSEEN = Path(__file__).with_name("unseen.tsv")
 
 
 def name_of(path: Path) -> str:
@@ -41,25 +46,47 @@ def name_of(path: Path) -> str:
     return (path.parents[2].name if path.parent.name == "images" else path.stem).lower()
 
 
+def reduced(source: Path, target: Path) -> None:
+    """Write a photograph as PNG, upright and with a longer side of SIDE pixels."""
+    picture = ImageOps.exif_transpose(Image.open(source)).convert("RGB")
+    scale = SIDE / max(picture.size)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    picture.resize((round(picture.width * scale), round(picture.height * scale)), Image.Resampling.LANCZOS).save(target)
+
+
+def unpacked(package: str, into: Path) -> Path:
+    """Fetch a package of Debian, and return the folder with its files."""
+    folder = into / package
+    folder.mkdir(exist_ok=True)
+    subprocess.run(["apt-get", "--quiet", "download", package], check=True, cwd=into)
+    (file,) = into.glob(f"{package}_*.deb")
+    subprocess.run(["dpkg-deb", "--extract", file, folder], check=True)
+    file.unlink()
+    return folder
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder: Path = parser.parse_args().folder
+    large = folder / "large"
+    large.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as there:
-        subprocess.run(["apt-get", "--quiet", "download", *PACKAGES], check=True, cwd=there)
-        for package in Path(there).glob("*.deb"):
-            subprocess.run(["dpkg-deb", "--extract", package, there], check=True)
-        found = {name_of(path): path for path in Path(there).rglob("*.jpg") if _is_whole(path)}
+        folders = [unpacked(package, Path(there)) for package in PACKAGES]
+        found = {name_of(path): path for one in folders for path in one.rglob("*.jpg") if _is_whole(path)}
         for part, names in PICTURES.items():
-            (folder / part).mkdir(parents=True, exist_ok=True)
             for name in names.split():
-                picture = Image.open(found[name]).convert("RGB")
-                scale = SIDE / max(picture.size)
-                size = round(picture.width * scale), round(picture.height * scale)
-                picture.resize(size, Image.Resampling.LANCZOS).save(folder / part / f"{name}.png")
-        (folder / "large").mkdir(exist_ok=True)
+                reduced(found[name], folder / part / f"{name}.png")
         for name in LARGE:
-            shutil.copy(found[name], folder / "large" / f"{name}.jpg")
+            shutil.copy(found[name], large / f"{name}.jpg")
+        rows = [*csv.DictReader(UNSEEN.open(), delimiter="\t")]
+        for package in dict.fromkeys(row["package"] for row in rows):
+            files = unpacked(package, Path(there))
+            for row in (row for row in rows if row["package"] == package):
+                reduced(files / row["file"], folder / "unseen" / f"{row['name']}.png")
+                if math.prod(Image.open(files / row["file"]).size) >= LARGE_PIXELS:
+                    shutil.copy(files / row["file"], large / f"{row['name']}.jpg")
+            shutil.rmtree(files)
 
 
 def _is_whole(path: Path) -> bool:
