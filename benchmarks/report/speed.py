@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, load, rows, seconds
 from benchmarks.speed.growth import exponent, growth_table
-from benchmarks.tables import MISSING, number, table
+from benchmarks.tables import MISSING, number, standard_error, table
 
 SIZES = {0.4: "convergence/kodak", 2: "convergence/2-megapixels", 12: "convergence/12-megapixels"}
 METHODS = {
@@ -33,16 +33,34 @@ WITHIN = {
     "jpegxl": "JPEG XL",
     "webp": "WebP",
 }
+# Figures to reach, of the means over pictures.
+REACHED: dict[float, dict[str, tuple[float, ...]]] = {
+    0.4: {"psnr": (29, 30, 31, 31.5, 32), "ssimulacra2": (10, 20, 25, 30)},
+    12: {"psnr": (27, 28, 29, 29.5, 30), "ssimulacra2": (10, 20, 25, 30)},
+}
+UNITS = {"psnr": "{:g} dB", "ssimulacra2": "SSIMULACRA 2 {:g}"}
 DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
 
 
+def of(megapixels: float, method: str, setting: str) -> dict[str, Row]:
+    """Rows of a method and setting by picture of one size."""
+    own = [row for row in rows(SIZES[megapixels]) if (row["method"], row["setting"]) == (method, setting)]
+    return {row["picture"]: row for row in own}
+
+
 def at(megapixels: float, method: str, setting: str) -> dict[str, float] | None:
-    """Means of a method and setting over the pictures of one size."""
-    mine = [row for row in rows(SIZES[megapixels]) if (row["method"], row["setting"]) == (method, setting)]
-    return (
-        {name: statistics.fmean(row[name] for row in mine) for name in ("seconds", "psnr", "bytes")} if mine else None
-    )
+    """Means of a method and setting over the pictures of one size.
+
+    psnr_error: the standard error of the mean difference from `rd` at its default, picture by picture.
+    """
+    mine, ours = of(megapixels, method, setting), of(megapixels, "rd", "")
+    if not mine:
+        return None
+    measured = [name for name in ("seconds", "psnr", "ssimulacra2", "bytes") if name in next(iter(mine.values()))]
+    found = {name: statistics.fmean(row[name] for row in mine.values()) for name in measured}
+    apart = [row["psnr"] - ours[picture]["psnr"] for picture, row in mine.items() if picture in ours]
+    return found | {"psnr_error": standard_error(apart) or 0.0}
 
 
 def sizes_table() -> str:
@@ -110,10 +128,11 @@ def draw(axes: Any, megapixels: float) -> None:
     for k, method in enumerate(DRAWN):
         settings = dict.fromkeys(row["setting"] for row in of_size if row["method"] == method)
         found = [m for setting in settings if (m := at(megapixels, method, setting))]
-        points = sorted((m["seconds"], m["psnr"]) for m in found)
+        points = sorted((m["seconds"], m["psnr"], m["psnr_error"]) for m in found)
         look = {"linestyle": "none"} if method in ("webp", "jpeg") else {}
-        axes.plot(*zip(*points, strict=True), **style(k) | look | {"label": LABELS.get(method, method)})
-        lows.append(max(db for _, db in points))
+        seconds_, db, error = zip(*points, strict=True)
+        axes.errorbar(seconds_, db, error, capsize=2, **style(k) | look | {"label": LABELS.get(method, method)})
+        lows.append(max(db))
     label = f"seconds, {megapixels:g} megapixels"
     axes.set(xscale="log", xlabel=label, ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None))
 
@@ -127,3 +146,14 @@ def within_table(megapixels: float) -> str:
         best = [max((m["psnr"] for m in found if m["seconds"] <= s), default=None) for s in SECONDS[megapixels]]
         lines.append([name, *(number(psnr, ".1f") for psnr in best)])
     return table(" | ".join(["", *(f"{s:g} s" for s in SECONDS[megapixels])]), lines)
+
+
+def reached_table(megapixels: float, figure: str) -> str:
+    """The seconds after which each method reaches a PSNR or a SSIMULACRA 2: of the quickest setting whose mean does."""
+    goals, lines = REACHED[megapixels][figure], []
+    for method, name in WITHIN.items():
+        settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
+        means = [m for setting in settings if (m := at(megapixels, method, setting))]
+        best = [min((m["seconds"] for m in means if m[figure] >= goal), default=None) for goal in goals]
+        lines.append([name, *(MISSING if s is None else f"{seconds(s)} s" for s in best)])
+    return table(" | ".join(["", *(UNITS[figure].format(goal) for goal in goals)]), lines)
