@@ -3,20 +3,15 @@
     python -m benchmarks.perceptual.sheet --images KODAK [--bpp 0.25] [--out FILE]
     python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif \\
         --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
-    python -m benchmarks.perceptual.sheet --images KODAK PHOTOGRAPHS/measured --blind 7 --bpp 0.2 --out FILE
 
 Each part is shown at twice its size: the source, our file tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0,
 tune=iq, libavif's default) and JPEG XL, or the columns of --of. AVIF's file is the largest within --bpp, and ours is no
 larger; other files are at least as large as ours.
-
---blind: for readers who are not told which codec is which. Shows grainy parts unless --parts names others, labels the
-columns after the source A, B and so on, in a new order for each part, and writes the key to FILE.txt.
 """
 
 from __future__ import annotations
 
 import argparse
-import random
 from bisect import bisect_left
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,20 +31,13 @@ PARTS = (
     "kodim01:60:250,kodim04:190:330,kodim05:430:120,kodim08:150:150,kodim13:60:380,"
     "kodim14:330:250,kodim15:230:110,kodim18:130:330,kodim19:180:560,kodim22:500:350"
 )
-# Water, lawn, foliage; then of benchmarks.perceptual.photographs trees, water, meadow, rock, moss, heath, lake, stone.
-GRAINY = (
-    "kodim13:60:380,kodim14:330:250,kodim19:180:560,kodim22:500:350,"
-    "life_by_aitzol_berasategi:40:60,life_by_aitzol_berasategi:340:340,"
-    "picosdeeuropa_by_aitzol_berasategi:500:300,picosdeeuropa_by_aitzol_berasategi:400:120,"
-    "onestandsout:400:330,sunset_by_aitzol_berasategi:120:370,bythewater:400:110,picture_0b_by_freespace:20:400"
-)
 BASELINES = {"avif": AvifOf8BitsForEyes, "jpegxl": JpegXl, "jpeg": Jpeg}
 COLUMNS = ("source", "visual", *BASELINES)
 LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 30  # pixels of the sheet, for words
 
-Column = tuple[str, str, Pixels]  # its name, its label, and the whole picture
+Column = tuple[str, Pixels]  # its label, and the whole picture
 
 
 def columns(names: list[str], path: Path, bpp: float) -> Iterator[Column]:
@@ -59,11 +47,11 @@ def columns(names: list[str], path: Path, bpp: float) -> Iterator[Column]:
     ours = encode(source, bytes=len(avif), tune="visual").data
     for name in names:
         if name == "source":
-            yield name, f"{path.stem}, source", source
+            yield f"{path.stem}, source", source
             continue
         codec = BASELINES[name]() if name in BASELINES else None
         data = avif if name == "avif" else no_smaller(codec, source, len(ours)) if codec else ours
-        yield name, f"{LABELS[name]}, {len(data):,} bytes", codec.decode(data) if codec else decode(data)
+        yield f"{LABELS[name]}, {len(data):,} bytes", codec.decode(data) if codec else decode(data)
 
 
 def no_smaller(codec: Baseline, source: Pixels, size: int) -> bytes:
@@ -73,41 +61,27 @@ def no_smaller(codec: Baseline, source: Pixels, size: int) -> bytes:
     return codec.encode(source, qualities[first])
 
 
-def hidden(named: list[Column], order: random.Random) -> list[Column]:
-    """The source, then the others in a random order under letters."""
-    source, *others = sorted(named, key=lambda column: column[0] != "source")
-    order.shuffle(others)
-    return [source, *((name, letter, pixels) for (name, _, pixels), letter in zip(others, "ABCD", strict=False))]
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, nargs="+", required=True, help="folders of the pictures, PNG")
-    parser.add_argument("--parts", help="NAME:X:Y of each, separated by commas")
+    parser.add_argument("--parts", default=PARTS, help="NAME:X:Y of each, separated by commas")
     parser.add_argument("--of", type=some_of(COLUMNS, "column"), help=f"of {', '.join(COLUMNS)}")
     parser.add_argument("--bpp", type=float, default=0.25)
-    parser.add_argument("--blind", type=int, metavar="SEED", help="of the order in which names are hidden")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "seen.webp")
     options = parser.parse_args()
-    is_blind = options.blind is not None
-    names = options.of or ["source", "visual", "avif", *(() if is_blind else ("jpegxl",))]
-    parts = [text.split(":") for text in (options.parts or (GRAINY if is_blind else PARTS)).split(",")]
+    names = options.of or ["source", "visual", "avif", "jpegxl"]
+    parts = [text.split(":") for text in options.parts.split(",")]
     paths = {path.stem: path for folder in options.images for path in folder.glob("*.png")}
     made = {name: [*columns(names, paths[name], options.bpp)] for name in {name for name, _, _ in parts}}
     sheet = Image.new("RGB", (len(names) * ZOOM * WIDTH, len(parts) * (ZOOM * HEIGHT + MARGIN)), "white")
-    order, key = random.Random(options.blind), []
     for row, (name, x, y) in enumerate(parts):
-        shown = hidden(made[name], order) if is_blind else made[name]
-        key.append(f"{row + 1:02} {name}: {', '.join(f'{label} {column}' for column, label, _ in shown[1:])}")
-        for at, (_, label, pixels) in enumerate(shown):
+        for at, (label, pixels) in enumerate(made[name]):
             corner = at * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
             ImageDraw.Draw(sheet).text((corner[0] + 4, corner[1] + 3), label, "black", ImageFont.load_default(20))
             part = Image.fromarray(np.ascontiguousarray(pixels[int(y) :, int(x) :][:HEIGHT, :WIDTH]))
             large = part.resize((ZOOM * WIDTH, ZOOM * HEIGHT), Image.Resampling.LANCZOS)
             sheet.paste(large, (corner[0], corner[1] + MARGIN))
     sheet.save(options.out, quality=80, method=6)
-    if is_blind:
-        options.out.with_suffix(".txt").write_text("\n".join(key) + "\n")
 
 
 if __name__ == "__main__":
