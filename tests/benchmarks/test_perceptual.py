@@ -57,6 +57,6 @@ def test_votes_are_counted_by_pair() -> None:
     assert "| p1 | 1 | 1 | 0 |" in text
     assert text.endswith(
         "visitors: 2, pairs: 3; ours is preferred in 75.0% ± 25.0%"
-    )  # of the two pairs that have votes
+    )
     with pytest.raises(SystemExit, match="another page"):
         score(key, [{"answers": [{"source": "s9", "chosen": "o9"}]}])
