@@ -61,7 +61,7 @@ Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in 
 def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = None) -> bytes:
     """Encode pixels, uint8 [H, W, 3], as a picture file. Sides are at most MAX_SIDES; quality: 1 to 100."""
     options = {**OPTIONS.get(kind, {}), "quality": quality or DEFAULT_QUALITY.get(kind)}
-    return pictures.encode_picture(
+    return pictures.picture_file(
         pixels, pictures.SUFFIXES[f".{kind}"], options, lambda rows: isal_zlib.compress(rows, PNG_LEVEL)
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from sgmethod.errors import ImageError
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.io.pictures import encode_picture
+from sgmethod.io.pictures import picture_file
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 
@@ -62,7 +62,7 @@ def better_file(pixels: Pixels, size: int, db: float, kinds: Sequence[Kind] = KI
     if not is_drawn(pixels):
         return None
     try:
-        if "webp" in kinds and len(data := encode_picture(pixels, "WebP", LOSSLESS_WEBP)) <= size:
+        if "webp" in kinds and len(data := picture_file(pixels, "WebP", LOSSLESS_WEBP)) <= size:
             return Better("webp", data, math.inf)
         if "avif" not in kinds or pixels.shape[2] == 4:
             return None
@@ -87,7 +87,7 @@ def _avif(pixels: Pixels, size: int) -> Iterator[bytes]:
     low, high = 0, 100
     while high - low > NEAR:
         quality = (low + high) // 2
-        data = encode_picture(pixels, "AVIF", {"quality": quality, **QUICK_AVIF})
+        data = picture_file(pixels, "AVIF", {"quality": quality, **QUICK_AVIF})
         if len(data) <= size:
             yield data
         low, high = (quality, high) if len(data) <= size else (low, quality)
