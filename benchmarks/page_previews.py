@@ -32,7 +32,7 @@ def opened(file: str) -> Image.Image:
 
 def drawn(photograph: Image.Image, size: int) -> Image.Image:
     """A photograph's preview of so many bytes, as wide as a tile."""
-    return Image.fromarray(decode(preview(photograph, bytes=size).text, width=WIDTH))
+    return Image.fromarray(decode(preview(photograph, bytes=size).data, width=WIDTH))
 
 
 def rows_of(pictures: list[dict[str, Any]], at: int) -> dict[str, list[list[Tile]]]:

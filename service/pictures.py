@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 import sgmethod
 from sgmethod.errors import ViewError
 from sgmethod.io import pictures
+from sgmethod.io.within import last_within
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View, fitted_scale
 
 PictureFormat = Literal["png", "jpg", "webp", "avif"]
@@ -61,7 +62,7 @@ Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in 
 def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = None) -> bytes:
     """Encode pixels, uint8 [H, W, 3], as a picture file. Sides are at most MAX_SIDES; quality: 1 to 100."""
     options = {**OPTIONS.get(kind, {}), "quality": quality or DEFAULT_QUALITY.get(kind)}
-    return pictures.encode_picture(
+    return pictures.picture_file(
         pixels, pictures.SUFFIXES[f".{kind}"], options, lambda rows: isal_zlib.compress(rows, PNG_LEVEL)
     )
 
@@ -73,33 +74,20 @@ def as_large(
 
     estimate: bytes at a quality, roughly, which make the first of few tries a good one.
     """
-    under = over = None
+    encoded = cache(encoded)
     low, high, scale = 0, 101, 1.0
-    while high - low > 1 and tries:
-        quality = (low + high) // 2 if estimate is None else _largest(estimate, size / scale, low, high)
+    if estimate is None:
+        low = last_within(lambda quality: len(encoded(quality)), size, low, high)
+        high = low + 1
+    while estimate is not None and tries and high - low > 1:
+        quality = last_within(estimate, size / scale, low + 1, high)
         file = encoded(quality)
-        if len(file) <= size:
-            under, low = file, quality
-        else:
-            over, high = file, quality
-        if estimate is not None:
-            if (1 - NEAR) * size <= len(file) <= size:
-                break
-            scale = len(file) / estimate(quality)
-        tries -= 1
-    if under is not None and (over is None or len(under) >= (1 - NEAR) * size):
-        return under
-    assert over is not None  # one of them is there
-    return over
-
-
-def _largest(estimate: Callable[[int], float], size: float, low: int, high: int) -> int:
-    """Return the best quality by the estimate, between `low` and `high` and equal to neither."""
-    low += 1
-    while high - low > 1:
-        quality = (low + high) // 2
-        low, high = (quality, high) if estimate(quality) <= size else (low, quality)
-    return low
+        low, high = (quality, high) if len(file) <= size else (low, quality)
+        if (1 - NEAR) * size <= len(file) <= size:
+            break
+        scale, tries = len(file) / estimate(quality), tries - 1
+    under, over = (encoded(quality) if 1 <= quality <= 100 else b"" for quality in (low, high))
+    return under if under and (not over or len(under) >= (1 - NEAR) * size) else over
 
 
 def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn: bool = False) -> bytes:

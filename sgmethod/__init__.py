@@ -69,14 +69,14 @@ if TYPE_CHECKING:
         SgError as SgError,
         ViewError as ViewError,
     )
-    from sgmethod.exchange.files import (
+    from sgmethod.exchange.packing import pack as pack
+    from sgmethod.exchange.ply_and_npz import (
         read_npz as read_npz,
         read_ply as read_ply,
         write_npz as write_npz,
         write_ply as write_ply,
     )
-    from sgmethod.exchange.packing import pack as pack
-    from sgmethod.many.encoding import encode_many as encode_many
+    from sgmethod.many.encode_many import encode_many as encode_many
     from sgmethod.many.manifest import Row as Row
     from sgmethod.many.run import Tally as Tally
     from sgmethod.previews.preview import Preview as Preview, preview as preview
@@ -99,9 +99,9 @@ _HOMES = {
         *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "MissingPackageError"),
         *("NativeModuleError", "ServerError", "SgError", "ViewError"),
     ),
-    "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
+    "exchange.ply_and_npz": ("read_npz", "read_ply", "write_npz", "write_ply"),
     "exchange.packing": ("pack",),
-    "many.encoding": ("encode_many",),
+    "many.encode_many": ("encode_many",),
     "many.manifest": ("Row",),
     "many.run": ("Tally",),
     "previews.preview": ("Preview", "preview"),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
-from sgmethod.bitstream.text import file_of, from_text
+from sgmethod.bitstream.text import file_of
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import File, bytes_of
 from sgmethod.native import native
@@ -43,7 +41,7 @@ def decode(
     >>> sgmethod.decode("photo.sg", width=64).shape
     (48, 64, 3)
 
-    data: a file's path, bytes or text; texture: False leaves texture out, like View(texture=False); width, height:
+    data: a file's path or bytes; texture: False leaves texture out, like View(texture=False); width, height:
     pixels into which the picture or the view's region is fitted.
     Raises BitstreamError for a damaged file, and for a picture or view of more than max_pixels; ViewError for an
     invalid view; OSError for a path that cannot be read; MemoryError.
@@ -63,17 +61,17 @@ def info(data: File, max_gaussians: AnyInt | None = None) -> Info:
     >>> sgmethod.info("photo.sg").width
     128
 
-    data: a file's path, bytes or text.
+    data: a file's path or bytes.
     Raises BitstreamError for a damaged file, and for more than max_gaussians before allocating memory for them;
     OSError.
     """
     if max_gaussians is not None:
         max_gaussians = checked_integer(max_gaussians, "max_gaussians", 0, MAX_LIMIT)
-    return container.info(_bytes_of(data), Limits(max_gaussians=max_gaussians))
+    return container.info(_read(data), Limits(max_gaussians=max_gaussians))
 
 
 def open(file: File) -> SgFile:
-    """Open and check an .sg file, given its path, bytes or text. Raises BitstreamError and OSError."""
+    """Open and check an .sg file, given its path or bytes. Raises BitstreamError and OSError."""
     return SgFile(file)
 
 
@@ -91,11 +89,11 @@ class SgFile:
     def __init__(self, data: File, max_pixels: AnyInt = MAX_PIXELS) -> None:
         """Open and check a file.
 
-        data: a file's path, bytes or text; max_pixels: limit for the picture and each view.
+        data: a file's path or bytes; max_pixels: limit for the picture and each view.
         Raises BitstreamError and OSError.
         """
         self._limits = Limits(checked_integer(max_pixels, "max_pixels", 0, MAX_LIMIT))
-        self._data = _bytes_of(data)
+        self._data = _read(data)
         self._stream = container.parse(self._data, self._limits)
 
     @property
@@ -163,16 +161,9 @@ class SgFile:
         return f"<SgFile {width} x {height} pixels, {len(self._data):,} bytes>"
 
 
-def _bytes_of(file: File) -> bytes:
-    try:
-        return file_of(bytes_of(file, BitstreamError, "an .sg file"))
-    except OSError as error:
-        if isinstance(file, str):  # there is no file of that name
-            with suppress(BitstreamError):
-                return from_text(file.strip())  # perhaps with a line end, as in a file of texts
-            if error.errno == errno.ENAMETOOLONG:
-                raise BitstreamError("this is neither the name of a file nor the text of an .sg file") from error
-        raise
+def _read(file: File) -> bytes:
+    """Return the bytes of an .sg file, given its path or bytes, which may also hold its text."""
+    return file_of(bytes_of(file, BitstreamError, "an .sg file"))
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:

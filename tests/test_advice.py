@@ -16,7 +16,7 @@ import sgmethod
 from sgmethod.cli.main import main
 from sgmethod.errors import ImageError
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.io.pictures import encode_picture
+from sgmethod.io.pictures import picture_file
 from sgmethod.metrics import advice as module
 from sgmethod.metrics.advice import Better, advice, better_file, is_drawn
 from tests.support.pictures import page_of_text
@@ -44,9 +44,9 @@ def test_a_page_of_text_gets_the_better_file(monkeypatch: pytest.MonkeyPatch) ->
     assert better_file(with_alpha, 20, 30.0) is None
 
     def large_webp(pixels: np.ndarray, kind: str, options: dict[str, Any]) -> bytes:
-        return bytes(10**6) if kind == "WebP" else encode_picture(pixels, kind, options)
+        return bytes(10**6) if kind == "WebP" else picture_file(pixels, kind, options)
 
-    monkeypatch.setattr(module, "encode_picture", large_webp)
+    monkeypatch.setattr(module, "picture_file", large_webp)
     for kinds in (("webp", "avif"), ("avif",)):
         avif = better_file(page(), 5000, 10.0, kinds)
         assert avif is not None
@@ -67,7 +67,7 @@ def test_no_advice_without_the_encoders(monkeypatch: pytest.MonkeyPatch) -> None
     def none(*_: object) -> bytes:
         raise ImageError("this Pillow cannot write WebP")
 
-    monkeypatch.setattr(module, "encode_picture", none)
+    monkeypatch.setattr(module, "picture_file", none)
     assert better_file(page(), 10**6, 30.0) is None
 
 
@@ -89,6 +89,6 @@ def test_only_who_shows_advice_pays_for_it(
     output = capsys.readouterr()
     assert json.loads(output.out)["better"] == "webp"
     assert "sgmethod: advice: " in output.err
-    monkeypatch.setattr(module, "encode_picture", lambda *_: pytest.fail("it is never shown"))
+    monkeypatch.setattr(module, "picture_file", lambda *_: pytest.fail("it is never shown"))
     sgmethod.encode(page(), bpp=1, effort=1, time_limit_s=0.2)
     sgmethod.preview(page())

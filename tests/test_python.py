@@ -261,7 +261,7 @@ def test_pillow_raises_its_own_errors() -> None:
 WITH_EXAMPLES = ["codec", "decoder", "pillow.plugin", "exchange.packing", "previews.preview", "previews.reducing"]
 
 
-@pytest.mark.parametrize("module", [*WITH_EXAMPLES, "torch.drawing", "torch.files", "torch.fitting"])
+@pytest.mark.parametrize("module", [*WITH_EXAMPLES, "torch.drawing", "torch.reading", "torch.fitting"])
 def test_examples_in_docstrings(module: str) -> None:
     sgmethod.encode("photo.jpg").save("photo.sg")
     names = {"sgmethod": sgmethod, "np": np, "Image": Image}

@@ -23,6 +23,7 @@ from PIL import Image, features
 
 from benchmarks.pictures import Pixels
 from benchmarks.rd.codecs import File
+from sgmethod.io.within import last_within
 from sgmethod.native import native
 
 MIN_BPP = 0.25  # to which a picture is reduced
@@ -52,16 +53,14 @@ class Baseline:
         max_bytes: float = aim * pixels.shape[0] * pixels.shape[1] / 8
         files: dict[int, File] = {}
 
-        def fits(k: int) -> bool:
+        def size(k: int) -> int:
             files[k] = self._file(pixels, self.qualities[k])
-            return len(files[k].data) <= max_bytes
+            return len(files[k].data)
 
         low, high = 0, len(self.qualities)  # what `low` gives is taken, what `high` gives is too large
         if near is not None:
-            low, high = _around(self.qualities.index(near), high, fits)
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if fits(middle) else (low, middle)
+            low, high = _around(self.qualities.index(near), high, lambda k: size(k) <= max_bytes)
+        low = last_within(size, max_bytes, low, high)
         return files.get(low) or self._file(pixels, self.qualities[low])
 
     def _file(self, pixels: Pixels, quality: float) -> File:

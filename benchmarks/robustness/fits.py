@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.pictures import Pixels, photograph
 from benchmarks.robustness.case import Case, Cases, Found
-from benchmarks.robustness.pictures import PICTURES as HARD, text
+from benchmarks.robustness.drawings import PICTURES as HARD, text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels
-from benchmarks.robustness.pictures import PICTURES
+from benchmarks.robustness.drawings import PICTURES
 from benchmarks.tables import MISSING, table
 from sgmethod import Budget, BudgetError, Encoded, encode
 from sgmethod.bitstream import container

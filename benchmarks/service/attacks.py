@@ -24,7 +24,7 @@ from benchmarks.arguments import some_of
 from benchmarks.machine import ROOT, RUNS, Record, peak_bytes
 from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import Request, send_all
-from benchmarks.service.pictures import made_picture
+from benchmarks.service.uploads import made_picture
 from tests.support.nginx import Nginx, make_certificate
 from tests.support.service import Service
 

@@ -23,7 +23,7 @@ from typing import Any
 
 from benchmarks.machine import RUNS, command, one_a_line, origin, write_text
 from benchmarks.service.killed import ChaosService
-from benchmarks.service.pictures import made_picture
+from benchmarks.service.uploads import made_picture
 from tests.support.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 0.6  # between two events, on average: a job waits some two seconds for its end

@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks.machine import RUNS, Record
 from benchmarks.service.generator import Request, send_all
-from benchmarks.service.pictures import made_picture
+from benchmarks.service.uploads import made_picture
 from tests.support.processes import wait_until
 from tests.support.service import ServiceProcess
 

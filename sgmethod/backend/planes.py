@@ -13,16 +13,21 @@ Beyond = Literal["edge", "constant"]
 
 
 def even(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
-    """Pad a plane [H, W] to even sides, by repeating the last sample or by zeros."""
-    height, width = plane.shape
-    return np.pad(plane, ((0, height % 2), (0, width % 2)), mode=beyond) if height % 2 or width % 2 else plane
+    """Pad a plane [H, W], or [H, W, C], to even sides, by repeating the last sample or by zeros."""
+    height, width = plane.shape[:2]
+    more = (0, height % 2), (0, width % 2), *[(0, 0)] * (plane.ndim - 2)
+    return np.pad(plane, more, mode=beyond) if height % 2 or width % 2 else plane
 
 
 def halved(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
-    """Reduce a plane [H, W] to half the size, by means of four samples in its own type. beyond: see even()."""
+    """Reduce a plane [H, W], or [H, W, C], to half the size, by means of four samples in its own type.
+
+    beyond: see even().
+    """
     whole = even(plane, beyond)
-    height, width = whole.shape
-    return np.asarray(cv2.resize(whole, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+    height, width = (side // 2 for side in whole.shape[:2])
+    half = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+    return half.reshape(height, width, *plane.shape[2:])  # OpenCV leaves out a single channel
 
 
 def all_halved(planes: NDArray[Any]) -> NDArray[Any]:

@@ -7,8 +7,8 @@ import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from sgmethod.cli import files
-from sgmethod.cli.files import CommandError
+from sgmethod.cli import paths
+from sgmethod.cli.paths import CommandError
 from sgmethod.decoder import decode, info
 from sgmethod.io.compositing import WHITE, composited
 
@@ -21,7 +21,7 @@ TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2"}
 
 def run_info(arguments: argparse.Namespace) -> int:
     """Run sgmethod info."""
-    fields = info(files.read(arguments.input)).to_dict()
+    fields = info(paths.read(arguments.input)).to_dict()
     if arguments.json:
         print(json.dumps(fields, allow_nan=False))
     else:
@@ -83,16 +83,16 @@ def _picture(path: str) -> NDArray[np.uint8]:
     from sgmethod.bitstream.stream import BEGINNINGS
     from sgmethod.errors import ImageError
 
-    data = files.read(path)
+    data = paths.read(path)
     if data.startswith(BEGINNINGS):
         pixels = decode(data)
         if pixels.shape[2] == 3:
             return pixels
-        files.print_lines("note", path, ["transparency is composited over white"])
+        paths.print_lines("note", path, ["transparency is composited over white"])
         return composited(pixels, WHITE)
     try:
-        pixels, notes = files.read_pixels(data)
+        pixels, notes = paths.read_pixels(data)
     except ImageError as error:
         raise CommandError(f"{path}: {error}") from error
-    files.print_lines("note", path, notes)
+    paths.print_lines("note", path, notes)
     return pixels

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict, replace
 
-from sgmethod.cli import files, naming
-from sgmethod.cli.files import CommandError
+from sgmethod.cli import naming, paths
 from sgmethod.cli.naming import Conversion
+from sgmethod.cli.paths import CommandError
 from sgmethod.cli.several import convert_all, convert_one
 from sgmethod.decoder import SgFile
-from sgmethod.io.pictures import OPAQUE, SUFFIXES, encode_picture
+from sgmethod.io.pictures import OPAQUE, SUFFIXES, picture_file
 from sgmethod.view import View
 
 
@@ -20,7 +20,7 @@ def run_decode(arguments: argparse.Namespace) -> int:
         raise CommandError("--scale cannot be combined with --width or --height")
     _view(arguments)  # fail once, not for each picture
     conversions = naming.decodes(arguments)
-    files.check_outputs([one.input for one in conversions], [one.target for one in conversions])
+    paths.check_outputs([one.input for one in conversions], [one.target for one in conversions])
     if arguments.output_dir is not None:
         return convert_all(conversions, _decode, "decoded", arguments)
     (conversion,) = conversions
@@ -29,15 +29,15 @@ def run_decode(arguments: argparse.Namespace) -> int:
 
 
 def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Conversion:
-    file = SgFile(files.read(conversion.input))
+    file = SgFile(paths.read(conversion.input))
     sides = {"width": arguments.width, "height": arguments.height}
     pixels = file.pixels(**asdict(_view(arguments)), **sides)
     kind = naming.kind_of(conversion.target, SUFFIXES, "PNG")
     notes = []
     if pixels.shape[2] == 4 and kind in OPAQUE:
         notes.append(f"{kind} has no alpha channel: transparency is composited over white")
-    data = encode_picture(pixels, kind)
-    files.write(conversion.target, data)
+    data = picture_file(pixels, kind)
+    paths.write(conversion.target, data)
     height, width = pixels.shape[:2]
     summary = f"{width} x {height} pixels, {kind}, {len(data):,} bytes"
     return replace(conversion, bytes=len(data), summary=summary, notes=notes)

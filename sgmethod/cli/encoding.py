@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sgmethod.budget import BUDGET_KINDS, Budget
-from sgmethod.cli import files, naming
+from sgmethod.cli import naming, paths
 from sgmethod.cli.arguments import one_line
-from sgmethod.cli.files import CommandError
 from sgmethod.cli.naming import Conversion
+from sgmethod.cli.paths import CommandError
 from sgmethod.cli.several import Figures, convert_all, convert_one
 from sgmethod.cli.terminal import progress_line, redraw
 from sgmethod.many.manifest import Manifest
@@ -33,8 +33,8 @@ PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # time to wait for a server that is 
 def run_encode(arguments: argparse.Namespace) -> int:
     """Run sgmethod encode."""
     conversions = naming.encodes(arguments)
-    traces = [] if arguments.trace is None else [files.output(arguments.trace)]
-    files.check_outputs([one.input for one in conversions], [*(one.target for one in conversions), *traces])
+    traces = [] if arguments.trace is None else [paths.output(arguments.trace)]
+    paths.check_outputs([one.input for one in conversions], [*(one.target for one in conversions), *traces])
     budget = _only_budget(arguments)
     if arguments.server is not None:
         if arguments.seed != 0:
@@ -70,18 +70,18 @@ def _encode(
 ) -> Conversion:
     """Read, encode and write one picture. began: value of perf_counter when the user's wait began, if before now."""
     began = time.perf_counter() if began is None else began
-    image = files.read(conversion.input)
+    image = paths.read(conversion.input)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
         try:
             data, figures, trace, notes = encode(conversion, arguments, image, show)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{files.name_of(conversion.target)} was not written") from None
+            raise KeyboardInterrupt(f"{paths.name_of(conversion.target)} was not written") from None
     figures["seconds"] = round(time.perf_counter() - began, 4)  # including imports and transfers
     if arguments.trace is not None:
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
-        files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
-    files.write(conversion.target, data)
+        paths.write(paths.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
+    paths.write(conversion.target, data)
     summary = "" if arguments.json else _summary(figures)
     return replace(conversion, bytes=len(data), summary=summary, figures=figures, notes=notes)
 
@@ -99,7 +99,7 @@ def _encode_here(_: Conversion, arguments: argparse.Namespace, image: bytes, sho
     from sgmethod.codec import encode
     from sgmethod.metrics.advice import advice, better_file
 
-    pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
+    pixels, notes = paths.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(
         pixels,
         _only_budget(arguments),

@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _check_threads() -> None:
     """Raise CommandError for an invalid SG_THREADS, which the kernels would silently ignore."""
     if text := os.environ.get("SG_THREADS"):
-        from sgmethod.cli.files import CommandError
+        from sgmethod.cli.paths import CommandError
         from sgmethod.threads import MAX_THREADS
 
         # float() takes any number of digits; int() refuses more than 4,300.

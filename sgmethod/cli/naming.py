@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sgmethod.cli import files
-from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli import paths
+from sgmethod.cli.paths import STREAM, CommandError
 from sgmethod.io import formats
 from sgmethod.many.manifest import Row
 from sgmethod.many.names import Names
@@ -61,7 +61,7 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
         if source.lower().endswith(SUFFIX):
             raise CommandError(f"{source} is named like an .sg file; if it is a picture, name the output too")
         target = STREAM if source == STREAM else sg_beside(source)
-    elif not (target.lower().endswith(SUFFIX) or files.is_device(target)):
+    elif not (target.lower().endswith(SUFFIX) or paths.is_device(target)):
         raise CommandError(f"the output {target} must end in .sg; to encode several pictures, use --output-dir out")
     return [Conversion.from_paths(source, target)]
 
@@ -83,7 +83,7 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
             f"{len(names)} names given, expected an input and an output such as {example}; "
             "for several inputs, use --output-dir out"
         )
-    return names[0], files.output(names[1]) if len(names) == 2 else None
+    return names[0], paths.output(names[1]) if len(names) == 2 else None
 
 
 def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
@@ -100,13 +100,13 @@ def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callabl
         short = Path(renamed(source))
         name = names.take(source, short.name, Path(source).name + short.suffix)
         made.append(Conversion.from_paths(source, str(Path(arguments.output_dir) / name)))
-    files.make_folder(arguments.output_dir)
+    paths.make_folder(arguments.output_dir)
     return made
 
 
 def kind_of(target: str, kinds: Mapping[str, str], of_devices: str) -> str:
     """Return the format of an output by its extension. Raises CommandError for an unknown one."""
-    kind = of_devices if files.is_device(target) else kinds.get(Path(target).suffix.lower())
+    kind = of_devices if paths.is_device(target) else kinds.get(Path(target).suffix.lower())
     if kind is None:
         raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(kinds)}")
     return kind
@@ -117,7 +117,7 @@ def files_of(name: str, known: set[str]) -> Iterator[str]:
     if not Path(name).is_dir():
         yield name
         return
-    found = [path for path in files.listed(name) if path.suffix.lower() in known and not path.name.startswith(".")]
+    found = [path for path in paths.listed(name) if path.suffix.lower() in known and not path.name.startswith(".")]
     if not found:
         raise CommandError(f"{name} contains no file ending in {', '.join(sorted(known))}")
     yield from map(str, found)

@@ -10,9 +10,9 @@ from io import BytesIO
 from itertools import cycle, groupby
 from typing import Any
 
-from sgmethod.cli import files
-from sgmethod.cli.files import CommandError
+from sgmethod.cli import paths
 from sgmethod.cli.naming import Conversion, kind_of
+from sgmethod.cli.paths import CommandError
 from sgmethod.cli.several import convert_one
 from sgmethod.errors import extra
 
@@ -24,15 +24,15 @@ Point = dict[str, Any]
 
 def run_plot(arguments: argparse.Namespace) -> int:
     """Run sgmethod plot."""
-    conversion = Conversion.from_paths(arguments.input, files.output(arguments.output))
-    files.check_outputs([conversion.input], [conversion.target])
+    conversion = Conversion.from_paths(arguments.input, paths.output(arguments.output))
+    paths.check_outputs([conversion.input], [conversion.target])
     kind_of(conversion.target, KINDS, "svg")  # fail before the work
     return convert_one(conversion, _plot, arguments)
 
 
 def _plot(conversion: Conversion, _: argparse.Namespace) -> Conversion:
-    points = _points(files.read(conversion.input), files.name_of(conversion.input))
-    files.write(conversion.target, _drawn(points, kind_of(conversion.target, KINDS, "svg")))
+    points = _points(paths.read(conversion.input), paths.name_of(conversion.input))
+    paths.write(conversion.target, _drawn(points, kind_of(conversion.target, KINDS, "svg")))
     return replace(conversion, summary=f"{len(points)} points, {points[-1]['seconds']:.1f} s")
 
 

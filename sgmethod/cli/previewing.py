@@ -10,10 +10,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sgmethod.budget import Budget
-from sgmethod.cli import files, naming
+from sgmethod.cli import naming, paths
 from sgmethod.cli.arguments import one_line
-from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import PICTURES, Conversion
+from sgmethod.cli.paths import STREAM, CommandError
 from sgmethod.cli.several import SOME_FAILED, convert_all, outcomes, say_notes, tasks_of
 from sgmethod.cli.terminal import silent_stderr
 from sgmethod.errors import noted
@@ -29,7 +29,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
     _check(arguments)
     if arguments.output_dir is not None:
         conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside)
-        files.check_outputs([one.input for one in conversions], [one.target for one in conversions])
+        paths.check_outputs([one.input for one in conversions], [one.target for one in conversions])
         with Manifest(arguments.output_dir, {"preview": True, "bytes": arguments.bytes}) as manifest:
             return convert_all(conversions, _preview, "made", arguments, manifest)
     listed = ([name] if name == STREAM else naming.files_of(name, PICTURES) for name in arguments.names)
@@ -90,11 +90,11 @@ def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Conversio
     """Read and encode one picture; write the file if there is an output folder."""
     from sgmethod.previews.preview import preview
 
-    image = files.read(conversion.input)
+    image = paths.read(conversion.input)
     with silent_stderr(), noted() as notes:  # libtiff prints lines of its own
         made = preview(image, int(arguments.bytes))
     if conversion.target != STREAM:
-        files.write(conversion.target, made.data)
+        paths.write(conversion.target, made.data)
     summary = _summary(made, conversion, arguments)
     return replace(conversion, bytes=len(made.data), summary=summary, figures=made.to_dict(), notes=notes)
 

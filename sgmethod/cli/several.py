@@ -18,10 +18,10 @@ from typing import Any, TextIO
 
 from PIL import Image
 
-from sgmethod.cli import files
+from sgmethod.cli import paths
 from sgmethod.cli.arguments import one_line
-from sgmethod.cli.files import STREAM
 from sgmethod.cli.naming import Conversion
+from sgmethod.cli.paths import STREAM
 from sgmethod.cli.terminal import Ticker, redraw, remaining
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
@@ -37,9 +37,9 @@ def say_notes(outcome: Conversion, arguments: argparse.Namespace) -> None:
     """Print what was dropped from a picture, and warnings about its file."""
     if not arguments.quiet:
         figures = outcome.figures
-        files.print_lines("note", outcome.input, outcome.notes)
-        files.print_lines("warning", outcome.input, figures.get("warnings", []))
-        files.print_lines("advice", outcome.input, filter(None, [figures.get("advice")]))
+        paths.print_lines("note", outcome.input, outcome.notes)
+        paths.print_lines("warning", outcome.input, figures.get("warnings", []))
+        paths.print_lines("advice", outcome.input, filter(None, [figures.get("advice")]))
 
 
 def convert_one(
@@ -56,7 +56,7 @@ def convert_one(
         if getattr(arguments, "json", False):
             print(json.dumps(made.figures, allow_nan=False), file=out)
         elif not arguments.quiet:
-            names = f"{files.name_of(made.input)} -> {files.name_of(made.target, 'standard output')}"
+            names = f"{paths.name_of(made.input)} -> {paths.name_of(made.target, 'standard output')}"
             print(f"{one_line(names)}: {made.summary}", file=out)
     return 0
 

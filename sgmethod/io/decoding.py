@@ -1,4 +1,4 @@
-"""Decoding the samples of any Pillow reader as they are stored: in their own colours, depth and orientation."""
+"""The second step: decode the samples of any Pillow reader as they are stored, in their own colours and orientation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from PIL import Image
 from sgmethod.errors import ImageError
 from sgmethod.io import chunks, formats
 from sgmethod.io.colour import Colour, Levels
-from sgmethod.io.header import BITS_PER_SAMPLE, Opened
+from sgmethod.io.opening import BITS_PER_SAMPLE, ImageLimits, Opened
 
 # A TIFF tag, and a value
 PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
@@ -66,6 +66,34 @@ def decode(opened: Opened, smaller: int = 1) -> Picture:
     if alpha is not None and alpha.min() == white:
         alpha = None
     return Picture(levels, white, alpha, white, opened.orientation, opened.colour, opened.notes)
+
+
+def from_array(pixels: npt.NDArray[Any]) -> Picture:
+    """Check an array. Raises ImageError for a wrong type or shape, other values, or a size beyond ImageLimits."""
+    pixels = np.asarray(pixels)  # np.matrix would not become three-dimensional
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
+        raise ImageError(f"an image must be [H, W], or [H, W, C] with 1, 3 or 4 channels, got {list(pixels.shape)}")
+    ImageLimits().check(pixels.shape[1], pixels.shape[0])
+    if pixels.dtype not in (np.uint8, np.uint16):
+        if not np.issubdtype(pixels.dtype, np.floating):
+            raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
+        check_range(float(pixels.min()), float(pixels.max()))
+    white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
+    if pixels.shape[2] < 4:
+        return Picture(pixels, white)
+    alpha = pixels[..., 3:]
+    return Picture(pixels[..., :3], white, None if alpha.min() == white else alpha, white)
+
+
+def check_range(minimum: float, maximum: float) -> None:
+    """Raise ImageError unless the minimum and the maximum of an image lie in [0, 1]."""
+    if not minimum <= maximum:  # a minimum is NaN if any value is
+        raise ImageError("image values must lie in [0, 1], got NaN")
+    if minimum < 0 or maximum > 1:
+        raise ImageError(f"image values must lie in [0, 1], got {minimum:.8g} to {maximum:.8g}: rescale or clip them")
 
 
 def _transparent_in_png(data: bytes, channels: int, white: int) -> npt.NDArray[Any]:

@@ -45,21 +45,8 @@ READERS = {
 SUFFIXES = {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".webp", ".avif", ".avifs", ".heic", ".heif", ".hif"}
 SUFFIXES |= {".tif", ".tiff", ".bmp", ".dib", ".gif", ".jxl", ".ppm", ".pgm", ".pbm", ".pnm", ".qoi"}
 # Of picture formats that are not read. No .sg file should have such a name.
-OTHER_SUFFIXES = {
-    ".jp2",
-    ".j2k",
-    ".jpx",
-    ".psd",
-    ".svg",
-    ".pdf",
-    ".eps",
-    ".exr",
-    ".hdr",
-    ".ico",
-    ".icns",
-    ".tga",
-    ".dds",
-}
+OTHER_SUFFIXES = {".jp2", ".j2k", ".jpx", ".psd", ".svg", ".pdf", ".eps", ".exr", ".hdr", ".ico", ".icns", ".tga"}
+OTHER_SUFFIXES |= {".dds"}
 REFUSED = {
     "an .sg file already": tuple(bytes([0xD3, 0xC0 + version]) for version in range(1, 16)),
     "a big-endian BigTIFF": (b"MM\0+",),

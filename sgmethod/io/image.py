@@ -1,14 +1,13 @@
 """Reading any picture as 8-bit sRGB: image files, Pillow images and arrays.
 
-A file goes through the steps open_file, decode, orient, to_srgb, composite and to_8_bit; a Pillow image is open, and an
-array is decoded already. A refused picture raises an ImageError with one clear sentence, anything dropped an
+_pixels() lists the steps. A refused picture raises an ImageError with one clear sentence, anything dropped an
 ImageWarning:
 
     formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
                    `heif`, JPEG XL with the extra `jxl`; recognised by their first bytes, never by file name
     size           checked against ImageLimits from the header, before pixels are decoded
-    frames         the first, with a warning if there are others. Further pictures inside a JPEG (previews, gain maps)
-                   and previews in a TIFF do not count. Animated JPEG XL is refused. Outside the first frame of a GIF,
+    frames         the first, with a warning if there are others. Further pictures inside a JPEG (thumbnails, gain maps)
+                   and thumbnails in a TIFF do not count. Animated JPEG XL is refused. Outside the first frame of a GIF,
                    the picture is transparent.
     whole          truncated files, files with missing pixels and damaged PNGs are refused, unless the program has set
                    Pillow's LOAD_TRUNCATED_IMAGES; damage in other formats can go unnoticed, because they have no
@@ -35,7 +34,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,13 +45,13 @@ import numpy.typing as npt
 from PIL import Image
 
 from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
-from sgmethod.io import chunks, formats
-from sgmethod.io.decoding import Picture, decode
+from sgmethod.io import formats
+from sgmethod.io.decoding import Picture, decode, from_array
 from sgmethod.io.files import checked_path
-from sgmethod.io.header import ImageLimits, Opened, check_jpeg_xl, check_samples, frame_of, open_file, stated_colour
+from sgmethod.io.opening import ImageLimits, check_jpeg_xl, open_file, open_pillow
 from sgmethod.scene import Pixels
 
-__all__ = ["ImageHeader", "ImageLimits", "Input", "check_range", "read_header", "read_image_8_bit", "read_input"]
+__all__ = ["ImageHeader", "ImageLimits", "Input", "read_header", "read_image_8_bit", "read_input"]
 
 Input = str | os.PathLike[str] | bytes | bytearray | memoryview | Image.Image | npt.NDArray[Any]
 
@@ -98,16 +97,14 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Pixels:
     transparent picture instead of compositing it over white.
     Warns with ImageWarning of anything dropped. Raises ImageError, and OSError for a path that cannot be read.
     """
-    if isinstance(image, np.ndarray):
-        return _finished(_from_array(image), keep_alpha)
-    if isinstance(image, Image.Image):
-        with only_image_errors():
-            picture = to_srgb(orient(decode(_open_pillow(image))))
-        return _finished(picture, keep_alpha)
+    if isinstance(image, str | os.PathLike):
+        image = checked_path(image, ImageError).read_bytes()
     if isinstance(image, bytes | bytearray | memoryview):
         return read_image_8_bit(bytes(image), keep_alpha=keep_alpha)
-    if isinstance(image, str | os.PathLike):
-        return read_image_8_bit(checked_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
+    if isinstance(image, Image.Image):
+        return _pixels(lambda: decode(open_pillow(image)), keep_alpha)
+    if isinstance(image, np.ndarray):
+        return _pixels(lambda: from_array(image), keep_alpha)
     raise ImageError(
         "an image must be a path, the bytes of an image file, a Pillow image or a numpy array, "
         f"not {type(image).__name__}"
@@ -124,18 +121,19 @@ def read_image_8_bit(
     Warns with ImageWarning of anything dropped. Raises ImageError where read_header does, and if pixel data are damaged
     or missing.
     """
-    kind = formats.name_of(data)
+    kind, limits = formats.name_of(data), limits or ImageLimits()
+    return _pixels(lambda: decode(open_file(data, kind, limits), smaller), keep_alpha, kind)
+
+
+def _pixels(decoded: Callable[[], Picture], keep_alpha: bool, kind: str = "image") -> Pixels:
+    """Take a picture through all steps, from a file, a Pillow image or an array to 8-bit sRGB."""
     with only_image_errors(kind):
-        picture = to_srgb(orient(decode(open_file(data, kind, limits or ImageLimits()), smaller)))
-    return _finished(picture, keep_alpha)
-
-
-def _finished(picture: Picture, keep_alpha: bool) -> Pixels:
-    """Take the last steps, for which a picture is in sRGB, and issue its warnings."""
-    if not keep_alpha:
-        picture = composite(picture)
+        picture = decoded()
+        for step in (orient, to_srgb) if keep_alpha else (orient, to_srgb, composite):
+            picture = step(picture)
+        pixels = round_to_8_bits(picture)
     warn(picture.notes)
-    return to_8_bit(picture)
+    return pixels
 
 
 def orient(picture: Picture) -> Picture:
@@ -166,7 +164,7 @@ def composite(picture: Picture) -> Picture:
     return Picture(values, 1, notes=(*picture.notes, "transparency is composited over white"))
 
 
-def to_8_bit(picture: Picture) -> Pixels:
+def round_to_8_bits(picture: Picture) -> Pixels:
     """Round to levels 0 to 255, C-contiguous: [H, W, 3], or [H, W, 4] with alpha."""
     height, width = picture.levels.shape[:2]
     pixels = _rounded(np.broadcast_to(picture.levels, (height, width, 3)), picture.white)
@@ -189,45 +187,6 @@ def _rounded(levels: npt.NDArray[Any], white: int) -> Pixels:
     for row, one in zip(pixels, levels, strict=True):
         row[...] = np.round(_values(one, white) * 255)
     return pixels
-
-
-def _open_pillow(image: Image.Image) -> Opened:
-    """Check a Pillow image as a file is checked, and copy it."""
-    ImageLimits().check(*image.size)
-    check_samples(image)
-    tags, frame, image = getattr(image, "tag_v2", None), frame_of(image), image.copy()
-    if tags is not None:  # a copy has lost those of TIFF, which say what white is
-        image.tag_v2 = tags  # type: ignore[attr-defined]
-    orientation = chunks.exif_orientation(image.info.get("exif"))
-    return Opened(image, None, orientation, *stated_colour(image, None), frame=frame)
-
-
-def _from_array(pixels: npt.NDArray[Any]) -> Picture:
-    """Check an array. Raises ImageError for a wrong type or shape, other values, or a size beyond ImageLimits."""
-    pixels = np.asarray(pixels)  # np.matrix would not become three-dimensional
-    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
-    if pixels.ndim == 2:
-        pixels = pixels[..., None]
-    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
-        raise ImageError(f"an image must be [H, W], or [H, W, C] with 1, 3 or 4 channels, got {list(pixels.shape)}")
-    ImageLimits().check(pixels.shape[1], pixels.shape[0])
-    if pixels.dtype not in (np.uint8, np.uint16):
-        if not np.issubdtype(pixels.dtype, np.floating):
-            raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
-        check_range(float(pixels.min()), float(pixels.max()))
-    white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
-    if pixels.shape[2] < 4:
-        return Picture(pixels, white)
-    alpha = pixels[..., 3:]
-    return Picture(pixels[..., :3], white, None if alpha.min() == white else alpha, white)
-
-
-def check_range(minimum: float, maximum: float) -> None:
-    """Raise ImageError unless the minimum and the maximum of an image lie in [0, 1]."""
-    if not minimum <= maximum:  # a minimum is NaN if any value is
-        raise ImageError("image values must lie in [0, 1], got NaN")
-    if minimum < 0 or maximum > 1:
-        raise ImageError(f"image values must lie in [0, 1], got {minimum:.8g} to {maximum:.8g}: rescale or clip them")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Colours and aperture of the picture that an AVIF shows.
+"""Colours and aperture of the picture that an AVIF shows: Pillow gives neither, and pillow-heif reads no AVIF.
 
 That is the file's primary item; others, such as a gain map, may have colours of their own. Containers are defined in
 ISO/IEC 14496-12 and 23008-12, what is in an item in the AV1 Bitstream Specification, 5.3 to 5.5. Functions raise

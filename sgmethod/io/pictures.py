@@ -29,7 +29,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-def encode_picture(
+def picture_file(
     pixels: NDArray[np.uint8],
     kind: str,
     options: Mapping[str, Any] | None = None,

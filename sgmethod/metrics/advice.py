@@ -6,7 +6,7 @@ Text, screenshots, charts and line art consist of flat areas with sharp edges be
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -14,7 +14,8 @@ import numpy as np
 
 from sgmethod.errors import ImageError
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.io.pictures import encode_picture
+from sgmethod.io.pictures import picture_file
+from sgmethod.io.within import largest_within
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 
@@ -62,14 +63,15 @@ def better_file(pixels: Pixels, size: int, db: float, kinds: Sequence[Kind] = KI
     if not is_drawn(pixels):
         return None
     try:
-        if "webp" in kinds and len(data := encode_picture(pixels, "WebP", LOSSLESS_WEBP)) <= size:
+        if "webp" in kinds and len(data := picture_file(pixels, "WebP", LOSSLESS_WEBP)) <= size:
             return Better("webp", data, math.inf)
         if "avif" not in kinds or pixels.shape[2] == 4:
             return None
-        files = [Better("avif", data, psnr(read_image_8_bit(data), pixels)) for data in _avif(pixels, size)]
+        data = _avif(pixels, size)
+        reached = psnr(read_image_8_bit(data), pixels) if data else 0.0
     except ImageError:  # no such encoder here, or too large for it
         return None
-    return max((file for file in files if file.psnr >= db + CLEARLY_DB), key=lambda file: file.psnr, default=None)
+    return Better("avif", data, reached) if reached >= db + CLEARLY_DB else None
 
 
 def advice(better: Better | None, size: int, db: float) -> dict[str, str | None]:
@@ -82,12 +84,8 @@ def advice(better: Better | None, size: int, db: float) -> dict[str, str | None]
     return {"advice": f"{UNSUITED}: {words}", "better": better.kind}
 
 
-def _avif(pixels: Pixels, size: int) -> Iterator[bytes]:
-    """Files of at most this size, by bisection of the quality."""
-    low, high = 0, 100
-    while high - low > NEAR:
-        quality = (low + high) // 2
-        data = encode_picture(pixels, "AVIF", {"quality": quality, **QUICK_AVIF})
-        if len(data) <= size:
-            yield data
-        low, high = (quality, high) if len(data) <= size else (low, quality)
+def _avif(pixels: Pixels, size: int) -> bytes:
+    """Return about the largest file of at most this size; b"" if none is so small."""
+    return largest_within(
+        lambda quality: picture_file(pixels, "AVIF", {"quality": quality, **QUICK_AVIF}), size, 0, 100, NEAR
+    )

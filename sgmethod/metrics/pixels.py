@@ -145,7 +145,7 @@ def _window(x: Plane) -> Plane:
 
 def _halve(x: Pixels, peak: int) -> Plane:
     """Reduce to half the size by means over 2 x 2 pixels, with zeros in front of odd sides; the peak becomes 1."""
-    from sgmethod.opencv import cv2
+    from sgmethod.backend.planes import halved  # needs OpenCV, as psnr() does not
 
     height, width, channels = x.shape
     even: npt.NDArray[Any] = np.pad(x, ((height % 2, 0), (width % 2, 0), (0, 0))) if height % 2 or width % 2 else x
@@ -154,8 +154,7 @@ def _halve(x: Pixels, peak: int) -> Plane:
 
     def halve_band(start: int) -> None:
         band = np.multiply(even[2 * start : 2 * (start + rows)], np.float32(1 / peak), dtype=np.float32)
-        here = half[start : start + rows]
-        here[...] = cv2.resize(band, (here.shape[1], len(here)), interpolation=cv2.INTER_AREA).reshape(here.shape)
+        half[start : start + rows] = halved(band)
 
     in_parallel(halve_band, range(0, len(half), rows))
     return half

@@ -180,17 +180,14 @@ def _window(plane: Plane) -> Plane:
 
 def _halved(pixels: NDArray[Any]) -> Plane:
     """Reduce to half the size by means over 2 x 2 pixels in linear light; at odd sides, over the pixels there are."""
-    from sgmethod.opencv import cv2
+    from sgmethod.backend.planes import halved
 
     height, width = pixels.shape[:2]
     half = np.empty((-(-height // 2), -(-width // 2), 3), np.float32)
     rows = max(BAND // width, 1)
 
     def halve_band(start: int) -> None:
-        whole = _linear(pixels[2 * start : 2 * (start + rows)])
-        band = cv2.copyMakeBorder(whole, 0, len(whole) % 2, 0, width % 2, cv2.BORDER_REPLICATE)
-        here = half[start : start + rows]
-        here[...] = cv2.resize(band, (here.shape[1], len(here)), interpolation=cv2.INTER_AREA)
+        half[start : start + rows] = halved(_linear(pixels[2 * start : 2 * (start + rows)]))
 
     in_parallel(halve_band, range(0, len(half), rows))
     return half

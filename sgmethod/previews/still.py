@@ -8,6 +8,7 @@ import io
 import numpy as np
 from PIL import Image
 
+from sgmethod.io.within import largest_within
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 
@@ -42,14 +43,11 @@ def _reduced(picture: Image.Image, side: int) -> Image.Image:
 
 
 def _best_quality(picture: Image.Image, max_bytes: int) -> bytes:
-    """Bisect for the highest quality at which a WebP fits; b"" if none does."""
-    best, low, high = b"", 0, 100
-    while low <= high:
-        quality = (low + high) // 2
+    """Find the WebP of the highest quality that fits; b"" if none does."""
+
+    def encoded(quality: int) -> bytes:
         file = io.BytesIO()
         picture.save(file, "WEBP", quality=quality, method=6)
-        if len(file.getvalue()) <= max_bytes:
-            best, low = file.getvalue(), quality + 1
-        else:
-            high = quality - 1
-    return best
+        return file.getvalue()
+
+    return largest_within(encoded, max_bytes, -1, 101)

@@ -4,7 +4,7 @@
     pixels = sgmethod.torch.decode("photo.sg", "cuda")
     found = sgmethod.torch.fit(images, 500)  # images [B, 3, H, W], found.means [B, 500, 2] and so on
 
-drawing.py has the renderer, files.py .sg files as tensors, fitting.py fits of batches, shards.py fitted data
+drawing.py has the renderer, reading.py .sg files as tensors, fitting.py fits of batches, shards.py fitted data
 sets, gaussian_image.py parameters of GaussianImage.
 """
 
@@ -14,9 +14,9 @@ from sgmethod.errors import extra
 
 with extra("torch"):
     from sgmethod.torch.drawing import render
-    from sgmethod.torch.files import SgDataset, decode, draw, gaussians
     from sgmethod.torch.fitting import Fit, fit
     from sgmethod.torch.gaussian_image import from_gaussian_image
+    from sgmethod.torch.reading import SgDataset, decode, draw, gaussians
     from sgmethod.torch.shards import fit_many
 
 __all__ = ["Fit", "SgDataset", "decode", "draw", "fit", "fit_many", "from_gaussian_image", "gaussians", "render"]

@@ -22,7 +22,8 @@ from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.encode_arguments import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
-from sgmethod.io.image import ImageLimits, check_range
+from sgmethod.io.decoding import check_range
+from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 from sgmethod.rd.exact import Exact, ExactFit
 from sgmethod.scene import Pixels

@@ -27,7 +27,7 @@ from sgmethod.arguments import AnyFloat, AnyInt, checked_integer
 from sgmethod.backend.devices import checked_device
 from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.errors import ImageError, SgError
-from sgmethod.exchange.files import arrays_of
+from sgmethod.exchange.ply_and_npz import arrays_of
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.image import read_input
 from sgmethod.many.manifest import Manifest, Row

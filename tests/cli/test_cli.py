@@ -24,7 +24,7 @@ from PIL import Image
 import sgmethod
 from sgmethod import codec, decode, info
 from sgmethod.budget import Budget
-from sgmethod.cli import arguments, decoding, files, main as cli, terminal
+from sgmethod.cli import arguments, decoding, main as cli, paths, terminal
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
@@ -330,7 +330,7 @@ def test_what_libtiff_prints_is_not_shown(run: Run, capfd: pytest.CaptureFixture
 
 
 def test_endless_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "MAX_INPUT_BYTES", 1 << 20)
+    monkeypatch.setattr(paths, "MAX_INPUT_BYTES", 1 << 20)
     assert_refused(run("info", "/dev/zero"), "larger than 1,048,576 bytes")
 
 

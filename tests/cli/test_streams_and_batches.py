@@ -25,7 +25,7 @@ from sgmethod.cli.several import _Report, pixels_of
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.client import RemoteEncoded
 from sgmethod.errors import ImageError
-from sgmethod.io.pictures import SUFFIXES, encode_picture
+from sgmethod.io.pictures import SUFFIXES, picture_file
 from sgmethod.many import processes
 from sgmethod.many.run import Tally
 from sgmethod.metrics import psnr, ssimulacra2
@@ -91,22 +91,22 @@ def test_the_suffix_decides_the_format(run: Run, suffix: str) -> None:
 def test_every_format_but_ppm_says_srgb() -> None:
     pixels = np.full((16, 16, 3), SRGB_ALREADY, np.uint8)
     for kind in ("JPEG", "WebP"):
-        data = encode_picture(pixels, kind)
+        data = picture_file(pixels, kind)
         profile = Image.open(io.BytesIO(data)).info["icc_profile"]
         assert b"sRGB" in profile.replace(b"\0", b"")
         assert int.from_bytes(profile[:4], "big") == len(profile)
-        assert data == encode_picture(pixels, kind)
-    assert Image.open(io.BytesIO(encode_picture(pixels, "PNG"))).info["srgb"] == 0
-    assert b"colrnclx\0\1\0\r" in encode_picture(pixels, "AVIF")  # the code points of sRGB: 1 and 13
+        assert data == picture_file(pixels, kind)
+    assert Image.open(io.BytesIO(picture_file(pixels, "PNG"))).info["srgb"] == 0
+    assert b"colrnclx\0\1\0\r" in picture_file(pixels, "AVIF")  # the code points of sRGB: 1 and 13
 
 
 @pytest.mark.parametrize(("kind", "most"), [("JPEG", 65_500), ("WebP", 16_383), ("AVIF", 16_384)])
 def test_a_picture_that_a_format_cannot_hold(kind: str, most: int, capfd: pytest.CaptureFixture[str]) -> None:
     for height, width in ((1, most), (most, 1)):
-        size = Image.open(io.BytesIO(encode_picture(np.zeros((height, width, 3), np.uint8), kind))).size
+        size = Image.open(io.BytesIO(picture_file(np.zeros((height, width, 3), np.uint8), kind))).size
         assert size == (width, height)
     with pytest.raises(ImageError, match=f"at most {most:,} pixels per side"):
-        encode_picture(np.zeros((1, most + 1, 3), np.uint8), kind)
+        picture_file(np.zeros((1, most + 1, 3), np.uint8), kind)
     assert capfd.readouterr() == ("", "")
 
 

@@ -14,8 +14,8 @@ import sgmethod
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame
-from sgmethod.exchange.files import C0, WRITTEN
 from sgmethod.exchange.packing import seen
+from sgmethod.exchange.ply_and_npz import C0, WRITTEN
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.view import NO_CUTOFF, recut

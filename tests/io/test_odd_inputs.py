@@ -245,7 +245,7 @@ ODD = {
     "a huge qoi": Odd(qoi(bytes(RED), width=2**31, height=2**31), "too large"),
     "a huge avif": Odd(saved("AVIF").replace(struct.pack(">II", *SIZE), b"\xff\xff\xff\xff" * 2), "damaged, truncated"),
     "an empty ppm": Odd(ppm(6, 255, b"", 0, 5), "damaged, truncated"),
-    "a preview in a raw file": Odd(tiff([(np.zeros((1, 4, 1), np.uint8), {254: 1})]), "preview"),
+    "a thumbnail in a raw file": Odd(tiff([(np.zeros((1, 4, 1), np.uint8), {254: 1})]), "thumbnail"),
 }
 
 

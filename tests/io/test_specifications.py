@@ -200,16 +200,16 @@ def test_signed_samples_are_refused(order: str) -> None:
 @pytest.mark.parametrize(
     ("others", "still"),
     [
-        ([{254: 1}], True),  # a preview
+        ([{254: 1}], True),  # a thumbnail
         ([{254: 4, 262: 4}], True),  # a mask, whose colours Pillow does not know
-        ([{254: 5, 262: 4}, {254: 1}, {255: 2}], True),  # a mask of a preview, a preview, and one by the older tag
+        ([{254: 5, 262: 4}, {254: 1}, {255: 2}], True),  # a mask of a thumbnail, a thumbnail, and one by the older tag
         ([{254: 2}], False),  # a page
         ([{}], False),
         ([{254: 1}, {254: 0}], False),
         ([{254: 1}] * 120, False),  # more than are looked at
     ],
 )
-def test_previews_and_masks_are_no_further_pictures(
+def test_thumbnails_and_masks_are_no_further_pictures(
     others: list[dict[int, int]], still: bool, order: str, big: bool
 ) -> None:
     data = tiff([(RGB, {}), *((GREY[::4, ::4], tags) for tags in others)], order, big=big)

@@ -166,8 +166,8 @@ def test_partial_transparency_is_kept_as_from_python(tmp_path: Path) -> None:
     ]
     pictures = [*plain, *fades]
     made = encoded(tmp_path, *((picture, {"bytes": 200}) for picture in pictures))
-    ours = [sgmethod.decode(one["text"]) for one in made]
-    theirs = [sgmethod.decode(sgmethod.preview(picture, 200).text) for picture in pictures]
+    ours = [sgmethod.decode(from_text(one["text"])) for one in made]
+    theirs = [sgmethod.decode(sgmethod.preview(picture, 200).data) for picture in pictures]
     for one, other in zip(ours[: len(plain)], theirs, strict=False):
         assert abs(one[..., 3].mean() - other[..., 3].mean()) <= 4
     for picture, *both in zip(fades, ours[len(plain) :], theirs[len(plain) :], strict=True):
@@ -199,7 +199,7 @@ def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> N
     made = encoded(tmp_path, *calls)
     for (pixels, options), one in zip(calls, made, strict=True):
         assert len(from_text(one["text"])) <= options["bytes"]
-        assert sgmethod.decode(one["text"]).shape[:2] == pixels.shape[:2] == (one["height"], one["width"])
+        assert sgmethod.decode(from_text(one["text"])).shape[:2] == pixels.shape[:2] == (one["height"], one["width"])
     (tmp_path / "texts.json").write_text(json.dumps([one["text"] for one in made]))
     done = run("node", "--input-type=module", "--eval", DECODE.replace("%s", JAVASCRIPT.as_uri()), folder=tmp_path)
     assert done.status == 0, done.stderr
@@ -216,7 +216,8 @@ def test_small_photographs(tmp_path: Path) -> None:
     small = [np.asarray(Image.fromarray(one).resize((24, 16), Image.Resampling.BOX), np.uint8) for one in photographs]
     made = encoded(tmp_path, *((opaque(pixels), {"bytes": 200}) for pixels in small))
     behind = [
-        psnr(sgmethod.decode(sgmethod.preview(pixels, 200).text), pixels) - psnr(sgmethod.decode(one["text"]), pixels)
+        psnr(sgmethod.decode(sgmethod.preview(pixels, 200).data), pixels)
+        - psnr(sgmethod.decode(from_text(one["text"])), pixels)
         for pixels, one in zip(small, made, strict=True)
     ]
     assert statistics.fmean(behind) <= 1

@@ -1,4 +1,4 @@
-"""The first steps of reading a file: open it, and check everything that needs no pixels."""
+"""The first step of reading a picture: open it, and check everything that needs no pixels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sgmethod.native import native
 
 # TIFF: tags, and values of PLANAR and SAMPLE_FORMAT
 NEW_SUBFILE_TYPE, BITS_PER_SAMPLE, PLANAR, SAMPLE_FORMAT = 254, 258, 284, 339
-PREVIEW, SEPARATE, UNSIGNED, UNKNOWN = 1, 2, 1, 4
+THUMBNAIL, SEPARATE, UNSIGNED, UNKNOWN = 1, 2, 1, 4
 MAX_PAGES = 100
 
 
@@ -73,8 +73,8 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
     except RuntimeError as error:
         raise ValueError("rejected by its decoder") from error  # the decoder's own message would not help a user
     limits.check(*reader.size)
-    if kind == "TIFF" and _is_preview(reader):
-        raise ImageError("the first picture in the file is only a preview, as in camera raw files")
+    if kind == "TIFF" and _is_thumbnail(reader):
+        raise ImageError("the first picture in the file is only a thumbnail, as in camera raw files")
     check_samples(reader)
     _check_tiles(reader, kind)
     if jpeg_xl is not None and jpeg_xl.depth > 8 and reader.mode == "LA":
@@ -89,6 +89,17 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
         notes = ("only the first of several pictures is used", *notes)
     aperture = items.clean_aperture(data, *reader.size) if kind == "AVIF" else None  # libheif crops itself
     return Opened(reader, data, orientation, stated, notes, still, frame_of(reader), aperture)
+
+
+def open_pillow(image: Image.Image) -> Opened:
+    """Check a Pillow image as a file is checked, and copy it."""
+    ImageLimits().check(*image.size)
+    check_samples(image)
+    tags, frame, image = getattr(image, "tag_v2", None), frame_of(image), image.copy()
+    if tags is not None:  # a copy has lost those of TIFF, which say what white is
+        image.tag_v2 = tags  # type: ignore[attr-defined]
+    orientation = chunks.exif_orientation(image.info.get("exif"))
+    return Opened(image, None, orientation, *stated_colour(image, None), frame=frame)
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits) -> chunks.JpegXl:
@@ -111,9 +122,9 @@ def check_samples(reader: Any) -> None:
         raise ImageError("TIFF files with planar 16-bit channels are not supported")
 
 
-def _is_preview(tiff: Any) -> bool:
-    """Whether the page that a reader is at is a preview of another."""
-    return bool(tiff.tag_v2.get(NEW_SUBFILE_TYPE, 0) & PREVIEW)
+def _is_thumbnail(tiff: Any) -> bool:
+    """Whether the page that a reader is at is a thumbnail of another."""
+    return bool(tiff.tag_v2.get(NEW_SUBFILE_TYPE, 0) & THUMBNAIL)
 
 
 def _check_tiles(reader: Any, kind: str) -> None:
@@ -130,7 +141,7 @@ def _check_tiles(reader: Any, kind: str) -> None:
 
 
 def _is_still(reader: Image.Image, data: bytes) -> bool:
-    """Whether a file contains only one picture. Previews in a TIFF do not count, nor pages that Pillow cannot read."""
+    """Whether a file contains only one picture. A TIFF's thumbnails do not count, nor pages that Pillow cannot read."""
     if not getattr(reader, "is_animated", False):
         return True
     if reader.format != "TIFF":
@@ -139,7 +150,7 @@ def _is_still(reader: Image.Image, data: bytes) -> bool:
     try:
         for page in range(1, MAX_PAGES):
             pages.seek(page)
-            if not _is_preview(pages):
+            if not _is_thumbnail(pages):
                 return False
     except Exception:  # there are no more pages, or they are damaged
         return True
