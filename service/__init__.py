@@ -6,7 +6,6 @@ The packages and modules; each imports only from those above it:
     errors          errors that several packages share
     keys            API keys, and links that work without a key
     logs            what the processes write to standard error
-    memory          the memory that the machine or the container has
     settings        the operator's settings
     process/        the processes of a service, and how they end
     storage/        source images and bitstreams, in a folder or in a bucket

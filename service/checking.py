@@ -11,13 +11,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from service.errors import JobTableError, MissingPackagesError, NotSetUpError
-from service.memory import available
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers
 from service.settings import MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
+from sgmethod.memory import available
 
 SANDBOX_STARTS_S = 30.0  # at the latest
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")

@@ -18,8 +18,8 @@ from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
-from service.memory import available
 from sgmethod.io.image import ImageLimits
+from sgmethod.memory import available
 from sgmethod.native import native
 from sgmethod.threads import MAX_THREADS
 

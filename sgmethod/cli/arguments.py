@@ -41,7 +41,7 @@ examples:
   sgmethod encode photo.jpg                        writes photo.sg, of at most 50 kB
   sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --quality web <photo.jpg >photo.sg
-  sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
+  sgmethod encode *.jpg --output-dir out           writes out/NAME.sg for each
   sgmethod encode photos --output-dir out --resume
                                                    every picture in the folder, except those done before""",
 )
@@ -67,7 +67,7 @@ examples:
   sgmethod preview photo.jpg --html                an <img> with the preview as its background
   sgmethod preview photo.jpg --element --alt "A red door"
                                                    an <sg-img>, and what the picture shows
-  sgmethod preview photos --jobs 4 --json >previews.jsonl
+  sgmethod preview photos --json >previews.jsonl
   sgmethod preview photos --output-dir out --resume
                                                    out/NAME.sg, and all texts in out/manifest.jsonl""",
 )
@@ -246,9 +246,8 @@ def _add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs",
         type=_whole_number("a number of jobs", 1, MAX_JOBS),
-        default=1,
         metavar="N",
-        help="encode N pictures at a time (default: 1)",
+        help="encode N pictures at a time (default: one for each core, if there are many and memory allows)",
     )
     parser.add_argument("--resume", action="store_true", help="skip pictures that DIR/manifest.jsonl lists as encoded")
 

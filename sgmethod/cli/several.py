@@ -24,6 +24,7 @@ from sgmethod.cli.naming import Conversion
 from sgmethod.cli.paths import STREAM
 from sgmethod.cli.terminal import Ticker, redraw, remaining
 from sgmethod.many.manifest import Manifest
+from sgmethod.many.processes import usual_jobs
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
 
 SOME_FAILED = 1
@@ -116,7 +117,7 @@ class _Report:
         says_pace = self._shown or not (arguments.quiet or self._json)
         self._pixels = Counter({one: pixels_of(one) for one in set(pictures)} if says_pace else {})
         self._done_pixels, self._all_pixels = 0, sum(self._pixels[picture] for picture in pictures)
-        self._left, self._jobs, self._pace = Counter(pictures), getattr(arguments, "jobs", 1), ""
+        self._left, self._jobs, self._pace = Counter(pictures), jobs_of(arguments, len(pictures)), ""
         self._began: dict[str, float] = {}
         self._lock = Lock()
         self._redraw()
@@ -189,7 +190,13 @@ def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:
 def outcomes(tasks: list[Task[Conversion]], convert: Convert, arguments: argparse.Namespace) -> Finished[Conversion]:
     """Yield conversions as they are made."""
     make = partial(caught, partial(_converted, convert, arguments))
-    return finish_locally(make, tasks, min(getattr(arguments, "jobs", 1), len(tasks)))
+    return finish_locally(make, tasks, min(jobs_of(arguments, len(tasks)), len(tasks)))
+
+
+def jobs_of(arguments: argparse.Namespace, pictures: int) -> int:
+    """Return how many pictures are converted at a time: those of a server, and decodes, one after another."""
+    is_remote = getattr(arguments, "server", None) is not None
+    return getattr(arguments, "jobs", 1) or (1 if is_remote else usual_jobs(pictures))
 
 
 def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Conversion]) -> Conversion:

@@ -17,6 +17,7 @@ from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
 
 from sgmethod.errors import SgError
+from sgmethod.memory import available
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -27,10 +28,24 @@ ENDED = (
 )
 
 MAX_JOBS = 256
+MEMORY_OF_JOB = 3 << 29  # bytes: the encode of 24 megapixels takes two thirds of that
+PICTURES_OF_JOB = 4  # for fewer, a process takes longer to begin than it saves
 CONTEXT = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def usual_jobs(pictures: int) -> int:
+    """Return how many pictures to encode at a time: one for each thread that is set, as far as memory allows."""
+    from sgmethod.native import native
+
+    jobs = min(native.thread_count(), available() // MEMORY_OF_JOB, pictures // PICTURES_OF_JOB, MAX_JOBS)
+    try:
+        CONTEXT.Semaphore()
+    except (OSError, ImportError):  # as in AWS Lambda
+        return 1
+    return max(jobs, 1)
 
 
 def in_processes(

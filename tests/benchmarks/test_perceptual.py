@@ -55,8 +55,6 @@ def test_votes_are_counted_by_pair() -> None:
     text = score(key, answers)
     assert "| p0 | 2 | 0 | 0 |" in text
     assert "| p1 | 1 | 1 | 0 |" in text
-    assert text.endswith(
-        "visitors: 2, pairs: 3; ours is preferred in 75.0% ± 25.0%"
-    )
+    assert text.endswith("visitors: 2, pairs: 3; ours is preferred in 75.0% ± 25.0%")
     with pytest.raises(SystemExit, match="another page"):
         score(key, [{"answers": [{"source": "s9", "chosen": "o9"}]}])

@@ -14,6 +14,7 @@ import pytest
 from sgmethod import SgError
 from sgmethod.many import processes
 from sgmethod.many.processes import in_processes
+from sgmethod.native import native
 from tests.many.killing import doubled
 from tests.support.processes import wait_until
 
@@ -67,3 +68,17 @@ def test_errors_are_raised_and_end_no_other_process() -> None:
     assert other.is_alive()
     other.kill()
     other.join()
+
+
+@pytest.mark.parametrize(
+    ("cores", "gibibytes", "pictures", "expected"),
+    [(16, 64, 1000, 16), (16, 4, 1000, 2), (2, 1, 1000, 1), (16, 64, 12, 3), (16, 64, 1, 1), (16, 64, 0, 1)],
+)
+def test_jobs_by_cores_memory_and_pictures(
+    cores: int, gibibytes: int, pictures: int, expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(native, "thread_count", lambda: cores)
+    monkeypatch.setattr(processes, "available", lambda: gibibytes << 30)
+    assert processes.usual_jobs(pictures) == expected
+    monkeypatch.setattr(processes.CONTEXT, "Semaphore", Mock(side_effect=OSError))  # as in AWS Lambda
+    assert processes.usual_jobs(pictures) == 1

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from service.memory import available
 from service.settings import Settings
+from sgmethod.memory import available
 
 TOTAL = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 MB = 1 << 20

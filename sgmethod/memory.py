@@ -1,4 +1,4 @@
-"""The memory that this service may use, from which the defaults of some settings follow."""
+"""The memory that this process may use, from which some defaults follow."""
 
 from __future__ import annotations
 
