@@ -1,9 +1,10 @@
 """A small set of measurements, in ten minutes at most, or what docs/results shows.
 
-    python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,speed]
+    python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,speed] [--report]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
-where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
+where it was stopped, as long as code and machine are the same; --report, or python -m benchmarks.report, then makes the
+documents. benchmarks/Dockerfile has all that this needs.
 Not in --full: `speed growth` and the other photographs of benchmarks.perceptual, which need pictures of their own, and
 benchmarks.gpu.
 """
@@ -92,6 +93,7 @@ def main() -> None:
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
     parser.add_argument("--only", type=some_of(COMMANDS, "command"), default=",".join(COMMANDS), help="commands")
     parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
+    parser.add_argument("--report", action="store_true", help="then make tables and plots from the results")
     options = parser.parse_args()
     lines = dict(FULL if options.full else SMALL)
     if not options.full:
@@ -107,6 +109,8 @@ def main() -> None:
     for name, line in lines.items():
         words = [word.format(images=options.images, weights=options.weights) for word in shlex.split(line)]
         run(name, words, RESULTS if options.full else RUNS)
+    if options.report:
+        subprocess.run([sys.executable, "-m", "benchmarks.report"], cwd=ROOT, check=False)
 
 
 if __name__ == "__main__":
