@@ -17,7 +17,6 @@ from pathlib import Path
 
 TOUCH_S = 2.0
 SILENT_S = 15.0  # after which a worker counts as dead
-FORGOTTEN_S = 86_400.0  # files of hosts that are gone: every new container has another name
 
 
 def touch(data_dir: Path) -> None:
@@ -28,9 +27,6 @@ def touch(data_dir: Path) -> None:
     except FileNotFoundError:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         file.touch()
-        for other in file.parent.iterdir():
-            if _age_s(other) > FORGOTTEN_S:
-                other.unlink(missing_ok=True)
 
 
 def is_alive(data_dir: Path) -> bool:

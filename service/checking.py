@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from service.errors import JobTableError, MissingPackagesError, NotSetUpError
+from service.errors import JobTableError, MissingPackagesError
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers
@@ -57,11 +57,7 @@ def _settings(settings: Settings) -> str:
 
 
 def _database(settings: Settings) -> str:
-    """Look at the database, but set nothing up: another version of the service may be using it."""
-    try:
-        table = open_job_table(settings, sets_up=False)
-    except NotSetUpError as error:
-        return str(error)
+    table = open_job_table(settings)
     table.check_writable()
     jobs = table.counts().jobs
     table.close()

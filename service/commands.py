@@ -44,7 +44,7 @@ def main() -> int:
         settings = Settings()
         set_up_logging()
     except ValidationError as error:
-        _warn(map(_fault_in_words, error.errors()))
+        _warn(map(_explain, error.errors()))
         return BAD_SETTING
     except (OSError, SgError) as error:  # a file of a secret, or the kernels, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
@@ -64,7 +64,7 @@ def main() -> int:
         return INTERRUPTED
 
 
-def _fault_in_words(fault: ErrorDetails) -> str:
+def _explain(fault: ErrorDetails) -> str:
     field = str(fault["loc"][0]) if fault["loc"] else ""
     what = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "string_pattern_mismatch":  # whose message is a regular expression
@@ -80,7 +80,6 @@ def _parser() -> argparse.ArgumentParser:
     worker = commands.add_parser("worker", help="run a single worker")
     commands.add_parser("alive", help="exit with status 0 if a worker of this host, or container, is alive")
     check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
-    check.add_argument("--set-up", action="store_true", help="first create or upgrade the job table, as a start does")
     runs = (serve, _serve), (web, _web), (worker, _worker), (check, _check)
     for command, run in runs:
         command.set_defaults(run=run)
@@ -145,11 +144,9 @@ def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractConte
     return own_sandbox(settings.encode_threads, absent)
 
 
-def _check(settings: Settings, arguments: argparse.Namespace) -> int:
+def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
     from service.checking import check
 
-    if arguments.set_up:
-        open_job_table(settings).close()
     failures = 0
     for name, passed, detail in check(settings):
         print(f"{'ok    ' if passed else 'FAILED'}  {name}: {detail}", flush=True)

@@ -19,7 +19,3 @@ class KeyReusedError(Exception):
 
 class MissingPackagesError(Exception):
     """The settings need packages that are not installed. The message has the command that installs them."""
-
-
-class NotSetUpError(JobTableError):
-    """There is no job table yet, or only one of an earlier version; the next start of the service sets it up."""

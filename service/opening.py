@@ -9,20 +9,16 @@ from service.settings import Settings
 from service.storage.files import DiskStorage, Storage
 
 
-def open_job_table(settings: Settings, *, sets_up: bool = True) -> JobTable:
-    """Open the job table. sets_up: create or upgrade it where needed, instead of raising NotSetUpError.
-
-    Raises JobTableError, MissingPackagesError, OSError.
-    """
+def open_job_table(settings: Settings) -> JobTable:
+    """Open the job table, or create it. Raises JobTableError, MissingPackagesError, OSError."""
     if settings.uses_postgres:
         try:
             from service.jobs.postgres import PostgresJobTable
         except ImportError as error:
             raise MissingPackagesError("PostgreSQL needs extra packages: pip install '.[postgres]'") from error
-        return PostgresJobTable(settings.database_url, settings, sets_up=sets_up)
-    if sets_up:
-        settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return SqliteJobTable(settings.database_path, settings, sets_up=sets_up)
+        return PostgresJobTable(settings.database_url, settings)
+    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return SqliteJobTable(settings.database_path, settings)
 
 
 def open_storage(settings: Settings) -> Storage:

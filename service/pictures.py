@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import re
@@ -209,11 +210,7 @@ class Drawing:
 
     def etag(self, sha256: str) -> str:
         """Return an entity tag: the same bitstream and drawing give the same bytes."""
-        part = "".join(f"{number}-" for number in self.view.region or ())
-        prefix = "" if self.view.prefix == 1 else f"p{self.view.prefix!r}-"
-        smooth = "" if self.view.texture else "smooth-"
-        quality = "" if self.quality is None else f"-q{self.quality}"
-        return f'"{sha256[:32]}-{prefix}{smooth}{part}{self.width}x{self.height}{quality}.{self.kind}"'
+        return f'"{hashlib.sha256(f"{sha256} {self}".encode()).hexdigest()[:32]}"'
 
     def draw(self, bitstream: bytes) -> bytes:
         """Return the picture file. Raises BitstreamError, ViewError, MemoryError."""

@@ -26,7 +26,7 @@ from sgmethod.threads import MAX_THREADS
 MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 MAX_SECONDS = 86_400.0  # small enough for the system and both databases
-MAX_KEPT_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
+MAX_RETENTION_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MIN_DECODE_BYTES = 512 << 20
 MAX_WORKERS = 64  # processes of one machine
 MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
@@ -87,7 +87,7 @@ class Settings(BaseSettings):
     workers: int = Field(default_factory=default_workers, ge=1, le=MAX_WORKERS)
     api_keys_file: Path | None = None
     trusted_proxies: str = ""  # addresses and networks, separated by commas
-    retention_s: float = Field(default=30 * 86_400, ge=0, le=MAX_KEPT_S)  # of finished jobs; 0 for ever
+    retention_s: float = Field(default=30 * 86_400, ge=0, le=MAX_RETENTION_S)  # of finished jobs; 0 for ever
     quota_bytes: int = Field(default=0, ge=0)  # of all images and bitstreams; 0 for no limit
     database_url: str = Field(default="", pattern=r"^(|sqlite|postgres(ql)?://.*)$", repr=False)  # may hold a password
     storage_url: str = Field(default="", pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$")
@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     require_sandbox: bool = False
 
     # Retention and quotas.
-    source_retention_s: float = Field(default=3600.0, ge=0, le=MAX_KEPT_S)
+    source_retention_s: float = Field(default=3600.0, ge=0, le=MAX_RETENTION_S)
     quota_bytes_per_key: int = Field(default=0, ge=0)  # 0 for no limit
 
     # Links and webhooks.

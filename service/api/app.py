@@ -23,18 +23,17 @@ from fastapi.security import HTTPBearer
 from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.cache import PictureCache
 from service.api.callers import Authentication
-from service.api.context import Context
+from service.api.context import Context, PictureCache
 from service.api.health import VERSION
 from service.api.metrics import Metrics
 from service.api.middleware import BodyLimit, RequestLog
+from service.api.probes import Probes
 from service.api.problems import PAGE, install_problem_handlers
-from service.api.room import DiskRoom
 from service.api.routes import add_routes
-from service.api.turns import ClientTasks, Turns, Waits
+from service.api.turns import ClientTasks, Shares, Turns
 from service.keys import KeyRing
 from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
@@ -52,7 +51,7 @@ FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
-KEYS_READ_ALIKE = 5  # times in a row: a file that is being written may end after any line
+STABLE_READS = 5  # times in a row: a file that is being written may end after any line
 KEEP_ALIVE_S = 75  # longer than a proxy keeps connections, so that it does not send a request as one closes
 
 log = logging.getLogger(__name__)
@@ -85,7 +84,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 async def _reload_keys(context: Context) -> None:
     """Reload the file of keys once it has changed and rests. If it cannot be read, the previous keys stay."""
     seen: dict[str, str] = {}
-    alike = 0
+    same = 0
     while context.settings.api_keys_file is not None:
         await asyncio.sleep(KEYS_POLL_S)
         with log_errors("reloading the API keys"):
@@ -94,8 +93,8 @@ async def _reload_keys(context: Context) -> None:
             except ValueError as error:
                 log_seldom(log, f"kept the previous API keys: {error}")
                 names = {}
-            seen, alike = names, alike + 1 if names == seen else 1
-            if names and alike >= KEYS_READ_ALIKE and context.keys.replace(names):
+            seen, same = names, same + 1 if names == seen else 1
+            if names and same >= STABLE_READS and context.keys.replace(names):
                 log.info("reloaded the API keys")
 
 
@@ -139,17 +138,19 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         redoc_url=None,
         redirect_slashes=False,  # a redirect would repeat the client's Host
     )
+    table, storage = open_job_table(settings), open_storage(settings)
     context = app.state.context = Context(
         settings,
-        open_job_table(settings),
-        open_storage(settings),
+        table,
+        storage,
         ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
         Turns(UPLOADS_IN_MEMORY, WAITING_UPLOADS),
-        Waits(settings.max_waits),
+        Shares(settings.max_waits, -(-settings.max_waits // 2)),
         stopping,
         KeyRing(settings.key_names),
         metrics,
+        Probes(table, storage),
     )
     install_problem_handlers(app)
     # Authentication checks the key; this documents it.
@@ -172,19 +173,18 @@ def _page(path: Path) -> Callable[[], FileResponse]:
     return lambda: FileResponse(path, headers={"Content-Security-Policy": PAGE_POLICY})
 
 
-def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
-    """Add the middleware, from the inside out.
+def _with_middleware(app: FastAPI, context: Context) -> ASGIApp:
+    """Add the middleware for requests, from the inside out.
 
     It wraps FastAPI, because FastAPI's answer to an unexpected error bypasses its own middleware.
     """
     settings = context.settings
-    app = Authentication(app, context.keys, settings)
+    http: ASGIApp = Authentication(app, context.keys, settings)
     # Where a bucket stores images, temporary files are alone on their disk, which may be small.
-    kept_bytes = 0 if settings.storage_url else settings.min_free_bytes
-    app = BodyLimit(app, settings.max_upload_bytes, DiskRoom(kept_bytes))
+    http = BodyLimit(http, settings.max_upload_bytes, 0 if settings.storage_url else settings.min_free_bytes)
     if settings.cors_origins:
-        app = CORSMiddleware(
-            app,
+        http = CORSMiddleware(
+            http,
             allow_origins=listed(settings.cors_origins),
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
             allow_headers=[
@@ -193,4 +193,9 @@ def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
             ],
             expose_headers=["ETag", "Location", "Retry-After", "X-Request-Id"],
         )
-    return RequestLog(app, context.metrics)
+    http = RequestLog(http, context.metrics)
+
+    async def application(scope: Scope, receive: Receive, send: Send) -> None:
+        await (http if scope["type"] == "http" else app)(scope, receive, send)
+
+    return application

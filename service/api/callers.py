@@ -96,13 +96,12 @@ class Authentication:
         self._origins = set(listed(settings.cors_origins))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http":
-            try:
-                scope.setdefault("state", {})["caller"] = self._caller(scope)
-                scope["query_string"] = _without_link(scope)
-            except ProblemError as problem:
-                await refused(Request(scope), problem)(scope, receive, send)
-                return
+        try:
+            scope.setdefault("state", {})["caller"] = self._caller(scope)
+            scope["query_string"] = _without_link(scope)
+        except ProblemError as problem:
+            await refused(Request(scope), problem)(scope, receive, send)
+            return
         await self._app(scope, receive, send)
 
     def _caller(self, scope: Scope) -> Caller:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, TypeVar
@@ -10,12 +11,11 @@ from typing import Annotated, TypeVar
 from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Path as PathParameter, Request
 
-from service.api.cache import PictureCache
 from service.api.callers import Caller
 from service.api.metrics import Metrics
-from service.api.models import HealthView
+from service.api.probes import Probes
 from service.api.problems import ProblemError
-from service.api.turns import ClientTasks, Together, Turns, Waits
+from service.api.turns import ClientTasks, Shares, Turns
 from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
 from service.keys import KeyRing
@@ -24,22 +24,45 @@ from service.storage.files import Storage
 
 log = logging.getLogger(__name__)
 
-PROBE_THREADS = 4
 WORK_THREADS = 40  # of each kind
 T = TypeVar("T")
 JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
+
+
+class PictureCache:
+    """The most recently requested picture files by entity tag, up to max_bytes. Use it in the event loop only."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._files: OrderedDict[str, bytes] = OrderedDict()
+        self.bytes = 0
+
+    def get(self, etag: str) -> bytes | None:
+        """Return the file if it is in memory."""
+        if etag in self._files:
+            self._files.move_to_end(etag)
+        return self._files.get(etag)
+
+    def put(self, etag: str, file: bytes) -> None:
+        """Store the file if it fits at all, and evict the oldest files to make space."""
+        if etag in self._files or len(file) > self._max_bytes:
+            return
+        self._files[etag] = file
+        self.bytes += len(file)
+        while self.bytes > self._max_bytes:
+            _, oldest = self._files.popitem(last=False)
+            self.bytes -= len(oldest)
 
 
 @dataclass(frozen=True)
 class Context:
     """The parts of the running service.
 
-    tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; waits: counts requests
-    that wait for a job; stopping: returns whether the service is shutting down; readiness: the check of all parts,
-    which anyone may ask for and which writes to disk.
+    tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; waits: requests that wait for a
+    job; stopping: returns whether the service is shutting down.
 
-    reading, writing, storing: threads for the job table and the storage; watching_table, watching_storage: threads for
-    probes. The pools are separate, so that a lock or a silent bucket does not block anything else.
+    reading, writing, storing: threads for the job table and the storage. The pools are separate, so that a lock or a
+    silent bucket does not block anything else.
     """
 
     settings: Settings
@@ -48,13 +71,11 @@ class Context:
     tasks: ClientTasks
     pictures: PictureCache
     accepting: Turns
-    waits: Waits
+    waits: Shares
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics
-    readiness: Together[HealthView] = field(default_factory=Together)
-    watching_table: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
-    watching_storage: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+    probes: Probes
     reading: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
     writing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
     storing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
@@ -79,10 +100,15 @@ class Context:
             log.warning("%s cannot be removed yet: %s", key, error)
 
 
-# Async, since plain functions would wait for a thread of the pool that serves the page's files.
-async def _context(request: Request) -> Context:
+def context_of(request: Request) -> Context:
+    """Return the context of the application that handles this request."""
     context: Context = request.app.state.context
     return context
+
+
+# Async, since plain functions would wait for a thread of the pool that serves the page's files.
+async def _context(request: Request) -> Context:
+    return context_of(request)
 
 
 async def _caller(request: Request) -> Caller:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Depends, Request, Response
@@ -12,10 +11,10 @@ from fastapi.responses import JSONResponse
 from starlette.datastructures import UploadFile
 
 from service.api import models
-from service.api.context import Context, UseCaller, UseContext
+from service.api.context import Context, UseCaller, UseContext, context_of
+from service.api.files import bitstream_response, picture_response
 from service.api.jobs import job_within
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
-from service.api.pictures import bitstream, picture
 from service.api.problems import RETRYABLE, ProblemError
 from service.api.requests import (
     FORM_TYPE,
@@ -29,7 +28,7 @@ from service.api.requests import (
     wants_picture,
 )
 from service.errors import JobTableError, KeyReusedError, LimitError
-from service.jobs.job import Job, NewJob, SourceImage, new_job_id
+from service.jobs.job import Job, NewJob, new_job_id
 from service.pictures import PictureOptions
 from service.storage.files import source_key
 
@@ -58,22 +57,6 @@ WaitSeconds = Annotated[int, Depends(wanted_wait_s)]
 IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
 
-@dataclass(frozen=True)
-class _EncodeRequest:
-    """A client's request, independent of settings. image: identifies the image."""
-
-    owner: str | None
-    key: str | None
-    options: EncodeOptions
-    image: str
-
-    @property
-    def fingerprint(self) -> str:
-        """Digest of the request."""
-        words = f"{self.options.model_dump_json(exclude_unset=True)} {self.image}"
-        return hashlib.sha256(words.encode()).hexdigest()
-
-
 async def encode(
     request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
 ) -> Response:
@@ -85,37 +68,29 @@ async def encode(
     """
     await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
-        image = "" if key is None else await _digest(file, context)
-        wanted = _EncodeRequest(caller.owner, key, read_options(fields), image)
-        job = await _first(wanted, context)
+        options, fingerprint, job = read_options(fields), "", None
+        if key is not None:  # first, since what would be refused now may have been accepted then
+            fingerprint = await context.store(_fingerprint, options, file)
+            job = await context.read(context.table.first, caller.owner, key, fingerprint)
         if job is None:
             header = await context.tasks.read_header(caller.client, file)
+            wanted = options.request(header, context.settings.max_time_limit_s)
+            new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, options.priority)
             async with context.accepting.turn(caller.client):
                 await file.seek(0)
-                job = await context.store(_accept, context, wanted, header, await file.read())
-    return await _answer(request, context, job, wait_s)
+                job = await context.store(_accept, context, new, await file.read())
+    return await _answer(request, job, wait_s)
 
 
-async def _digest(file: UploadFile, context: Context) -> str:
-    await file.seek(0)
-    return (await context.store(hashlib.file_digest, file.file, "sha256")).hexdigest()
+def _fingerprint(options: EncodeOptions, image: UploadFile) -> str:
+    """Return a digest of a client's request, independent of settings."""
+    image.file.seek(0)
+    digest = hashlib.file_digest(image.file, "sha256").hexdigest()  # type: ignore[arg-type]
+    return hashlib.sha256(f"{options.model_dump_json(exclude_unset=True)} {digest}".encode()).hexdigest()
 
 
-async def _first(wanted: _EncodeRequest, context: Context) -> Job | None:
-    """Return the job that the same request has already made. Raises KeyReusedError.
-
-    Checked before anything else: what would be refused now may have been accepted then.
-    """
-    if wanted.key is None:
-        return None
-    return await context.read(context.table.first, wanted.owner, wanted.key, wanted.fingerprint)
-
-
-def _accept(context: Context, wanted: _EncodeRequest, header: SourceImage, image: bytes) -> Job:
+def _accept(context: Context, new: NewJob, image: bytes) -> Job:
     """Store the image, then insert the job. Only then may the client get an answer."""
-    request = wanted.options.request(header, context.settings.max_time_limit_s)
-    priority = wanted.options.priority
-    new = NewJob(new_job_id(), request, header, wanted.fingerprint, wanted.key, wanted.owner, priority)
     free_bytes = context.storage.free_bytes()  # a large upload is a temporary file there, and so counted already
     if free_bytes is not None and free_bytes < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
@@ -132,17 +107,18 @@ def _accept(context: Context, wanted: _EncodeRequest, header: SourceImage, image
     return job
 
 
-async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:
+async def _answer(request: Request, job: Job, wait_s: int) -> Response:
     """Answer with the finished file if the client waits and the job is done in time, else with the accepted job.
 
     An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
+    context = context_of(request)
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     file = None
-    if wait_s and not context.waits.is_full(request.state.caller.client):
+    if wait_s and not context.waits.is_full_for(request.state.caller.client):
         try:
-            file = await _file_within(request, context, job, wait_s)
+            file = await _file_within(request, job, wait_s)
         except ProblemError as problem:
             if problem.status not in RETRYABLE:
                 problem.headers.update(headers)
@@ -155,17 +131,17 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> 
     return file
 
 
-async def _file_within(request: Request, context: Context, job: Job, wait_s: int) -> Response | None:
+async def _file_within(request: Request, job: Job, wait_s: int) -> Response | None:
     """Return the bitstream, or the picture that Accept asks for; None if the job is not done within wait_s seconds.
 
     Raises ProblemError, JobTableError, OSError.
     """
-    ended = await job_within(request, job, wait_s, context)
+    ended = await job_within(request, job, wait_s)
     if ended is None:
         return None
     if ended.error is not None and ended.state == "failed":
         status = 422 if ended.error.code == "refused" else 500
         raise ProblemError(status, ended.error.detail, code=ended.error.code, id=ended.id)
     if wants_picture(request):
-        return await picture(ended, accepted_format(request), PictureOptions(), context, request)
-    return await bitstream(ended, context, request)
+        return await picture_response(request, ended, await accepted_format(request), PictureOptions())
+    return await bitstream_response(request, ended)

@@ -11,7 +11,7 @@ from fastapi import Query, Request, Response
 from pydantic import Field
 
 from service.api import models
-from service.api.context import Context, KnownJob, UseCaller, UseContext, no_such_job
+from service.api.context import Context, KnownJob, UseCaller, UseContext, context_of, no_such_job
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters, while_client_waits
 from service.jobs.job import FINAL_STATES, Job, JobState
@@ -55,8 +55,9 @@ async def jobs(
     return models.JobPage(jobs=[models.summary(job, settings) for job in page[:limit]], next=older)
 
 
-async def job_within(request: Request, job: Job, seconds: int, context: Context) -> Job | None:
+async def job_within(request: Request, job: Job, seconds: int) -> Job | None:
     """Wait for the job to end; None if it takes longer. Raises ProblemError 409 if it is removed meanwhile."""
+    context = context_of(request)
     with context.waits.one(request.state.caller.client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
 

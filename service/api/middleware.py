@@ -1,19 +1,22 @@
-"""Middleware around the application: logging of requests, and the limit on bodies."""
+"""Middleware for HTTP requests: their log, and the limit on bodies."""
 
 from __future__ import annotations
 
 import logging
 import re
 import secrets
+import shutil
+import tempfile
 import time
 
+from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.callers import address_of
 from service.api.metrics import Metrics
-from service.api.problems import REFUSAL, ProblemError
-from service.api.room import DiskRoom, Reservation
+from service.api.problems import REFUSAL, RETRY_AFTER, ProblemError
+from service.api.requests import IN_MEMORY_BYTES
 from service.logs import request_id
 
 log = logging.getLogger("access")
@@ -24,6 +27,7 @@ RESPONSE_HEADERS = {  # defaults
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+COPIES = 2  # of an upload: the temporary file, and what the storage keeps
 MAX_LOGGED_PATH = 200  # characters of the log; our own paths are shorter
 _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
@@ -39,9 +43,6 @@ class RequestLog:
         self._metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         given = Headers(scope=scope).get(ID_HEADER, "")
         name = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
         method, path, state = scope["method"], scope["path"], scope.setdefault("state", {})
@@ -76,41 +77,54 @@ class RequestLog:
 class BodyLimit:
     """Middleware that raises ProblemError in the application when it reads a body that is too large for it or the disk.
 
-    413 for more than max_bytes; 503, before the first byte, if the disk has no room for what the client announces, or
-    for max_bytes if it announces nothing.
+    413 for more than max_bytes; 503, before the first byte, if the disk of temporary files has no room for what the
+    client announces, or for max_bytes if it announces nothing. min_free_bytes: left free for the job table and for jobs
+    that have been accepted.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int, room: DiskRoom) -> None:
+    def __init__(self, app: ASGIApp, max_bytes: int, min_free_bytes: int) -> None:
         self._app = app
         self._max_bytes = max_bytes
-        self._room = room
+        self._min_free_bytes = min_free_bytes
+        self._reserved = 0  # bytes that are still to be written
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         headers = Headers(scope=scope)
         length = headers.get("content-length", "0")
         declared, received = int(length) if re.fullmatch("[0-9]{1,18}", length) else 0, 0
-        reservation = Reservation(self._room, self._max_bytes if "transfer-encoding" in headers else declared)
-
-        def check(size: int) -> None:
-            if size > self._max_bytes:
-                detail = f"the body is larger than {self._max_bytes} bytes"
-                raise ProblemError(413, detail, max_bytes=self._max_bytes)
+        expected = self._max_bytes if "transfer-encoding" in headers else declared
+        reserved: int | None = None  # for this body
 
         async def limited() -> Message:
-            nonlocal received
-            check(declared)
-            await reservation.begin()
+            nonlocal received, reserved
+            self._check(declared)
+            if reserved is None:
+                reserved = await self._reserve(COPIES * expected if expected > IN_MEMORY_BYTES else 0)
             message = await receive()
             size = len(message.get("body", b""))
             received += size
-            check(received)
-            reservation.written(size)
+            self._check(received)
+            written = min(size, reserved)  # which the free space lacks from now on
+            reserved -= written
+            self._reserved -= written
             return message
 
         try:
             await self._app(scope, limited, send)
         finally:
-            reservation.end()
+            self._reserved -= reserved or 0
+
+    def _check(self, size: int) -> None:
+        if size > self._max_bytes:
+            detail = f"the body is larger than {self._max_bytes} bytes"
+            raise ProblemError(413, detail, max_bytes=self._max_bytes)
+
+    async def _reserve(self, size: int) -> int:
+        """Reserve disk space, and return its size. Raises ProblemError 503 if there is too little."""
+        if size:
+            usage = await to_thread.run_sync(shutil.disk_usage, tempfile.gettempdir())
+            if usage.free - self._reserved - size < self._min_free_bytes:
+                detail = "the disk has no room for this upload, with those that are on their way"
+                raise ProblemError(503, detail, reason="disk", headers=RETRY_AFTER)
+            self._reserved += size
+        return size

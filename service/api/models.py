@@ -99,20 +99,15 @@ class JobSummary(AcceptedView):
     error: JobError | None = Field(description="once failed")
 
 
-class TraceView(BaseModel):
-    """The trace of the fit, or its new points."""
+class JobView(JobSummary):
+    """A job with its trace."""
 
     progress: float = Field(description="estimated progress, 0 to 1; never decreases")
+    seconds_left: float | None = Field(description="estimate while the job is running, once there is one")
     trace: list[dict[str, Figure]] = Field(
         description="seconds, step, steps, psnr (dB), bytes, gaussians, phase and share (the part of the time that is "
         "over), oldest first; sparser with time"
     )
-
-
-class JobView(TraceView, JobSummary):
-    """A job with its trace."""
-
-    seconds_left: float | None = Field(description="estimate while the job is running, once there is one")
 
     model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE_JOB]})
 
@@ -162,10 +157,14 @@ def summary(job: Job, settings: Settings) -> JobSummary:
 
 def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
     """Return the job with its trace and progress."""
-    done, left_s = 1.0 if job.state == "done" else progress(trace), None
+    # The greatest share, since a second try at a PSNR begins anew.
+    progress = 1.0 if job.state == "done" else max((point.get("share", 0.0) for point in trace), default=0.0)
+    left_s = None
     if job.state == "running" and job.started_at is not None:
         left_s = seconds_left(trace, time.time() - job.started_at, job.request.time_limit_s)
-    return JobView.model_validate({**_members(job, settings), "progress": done, "seconds_left": left_s, "trace": trace})
+    return JobView.model_validate(
+        {**_members(job, settings), "progress": progress, "seconds_left": left_s, "trace": trace}
+    )
 
 
 def _members(job: Job, settings: Settings) -> JsonObject:
@@ -184,8 +183,3 @@ def _members(job: Job, settings: Settings) -> JsonObject:
         # A queued job may have the error of its last crash, which clients do not need.
         "error": job.error if job.state == "failed" else None,
     }
-
-
-def progress(trace: Sequence[JsonObject]) -> float:
-    """Estimate the share of the work that is done, 0 to 1."""
-    return max((point.get("share", 0.0) for point in trace), default=0.0)

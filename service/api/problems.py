@@ -127,11 +127,11 @@ def _problem_of(request: Request, error: Exception) -> ProblemError:
 def _invalid_parameters(error: RequestValidationError) -> ProblemError:
     if any(e["loc"][0] == "path" for e in error.errors()):
         return ProblemError(404, "there is nothing at this address")
-    errors = [{"where": ".".join(map(str, e["loc"])), "detail": _in_words(e)} for e in error.errors()]
+    errors = [{"where": ".".join(map(str, e["loc"])), "detail": _explain(e)} for e in error.errors()]
     return ProblemError(422, "; ".join(f"{e['where']}: {e['detail']}" for e in errors), errors=errors)
 
 
-def _in_words(error: Mapping[str, Any]) -> str:
+def _explain(error: Mapping[str, Any]) -> str:
     if error["type"] == "extra_forbidden":
         return "unknown query parameter"
     return str(error["msg"]).removeprefix("Value error, ")

@@ -5,23 +5,21 @@ from __future__ import annotations
 import asyncio
 import re
 import tempfile
-from collections.abc import AsyncIterator, Coroutine, Mapping
+from collections.abc import AsyncIterator, Coroutine
 from contextlib import asynccontextmanager
 from typing import Annotated, Any, BinaryIO, TypeVar, cast
 
-from fastapi import Query, Request, Response
+from fastapi import Query, Request
 from pydantic import BaseModel, ConfigDict
 from starlette.datastructures import Headers, UploadFile
 from starlette.requests import ClientDisconnect
 
 from service.api.problems import ProblemError
-from service.api.room import IN_MEMORY_BYTES
 from service.pictures import MEDIA_TYPES, PictureFormat
 
 BITSTREAM_TYPE = "application/octet-stream"
 FORM_TYPE = "multipart/form-data"
-MAX_CACHED_S = 31_536_000  # a year, the most that RFC 2616 allowed
-MEDIA_TYPE_ALIASES = {"*": "*/*", "image/jpg": "image/jpeg"}  # old clients write the left-hand form
+IN_MEMORY_BYTES = 1 << 20  # of a body; larger ones go to a temporary file
 # Headers of answers.
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
@@ -56,14 +54,14 @@ def media_type(request: Request) -> str:
     return "".join(given).partition(";")[0].strip().lower()
 
 
-def accepted_format(request: Request) -> PictureFormat:
+async def accepted_format(request: Request) -> PictureFormat:
     """Return the format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
     accept = header_line(request.headers, "accept") or "*/*"
     weights: dict[str, float] = {}
     for entry in accept.split(","):
         name, *parameters = (part.strip().lower() for part in entry.split(";"))
         given = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        weights[MEDIA_TYPE_ALIASES.get(name, name)] = float(given) if _WEIGHT.fullmatch(given) else 1.0
+        weights[name] = float(given) if _WEIGHT.fullmatch(given) else 1.0
     best: PictureFormat = "png"
     best_weight = 0.0
     for kind, own_type in MEDIA_TYPES.items():  # PNG comes first
@@ -79,16 +77,6 @@ def wants_picture(request: Request) -> bool:
     """Whether the Accept header names pictures and not bitstreams."""
     accept = (header_line(request.headers, "accept") or "").lower()
     return "image/" in accept and BITSTREAM_TYPE not in accept
-
-
-def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
-    """Return 304 if the client has the file with this ETag (RFC 9110, 13.1.2)."""
-    given = header_line(request.headers, "if-none-match") if request.method == "GET" else None
-    known = [tag.strip().removeprefix("W/") for tag in (given or "").split(",")]
-    if "*" not in known and headers["ETag"] not in known:
-        return None
-    kept = {name: value for name, value in headers.items() if name != "Content-Disposition"}
-    return Response(status_code=304, headers=kept)
 
 
 async def wanted_wait_s(
@@ -107,7 +95,7 @@ async def wanted_wait_s(
     Raises ProblemError 406 if it would wait for a picture in a format that is not available.
     """
     if wait and wants_picture(request):
-        accepted_format(request)
+        await accepted_format(request)
     return min(wait, MAX_WAIT_S)
 
 

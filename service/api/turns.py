@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any, BinaryIO, Generic, TypeVar
+from typing import Any, BinaryIO
+from weakref import WeakValueDictionary
 
 from starlette.datastructures import UploadFile
 
@@ -39,20 +40,37 @@ WEBP_BYTES_PER_PIXEL = 8  # libwebp reserves two canvases to read the size, and 
 KNOWN_GOOD_S, KNOWN_BAD_S = 5.0, 1.0  # results of a trial are cached, since anyone may request one
 
 
-T = TypeVar("T")
+class Shares:
+    """What clients hold of something scarce: max_total together, and max_own each. Use it in the event loop only."""
 
+    def __init__(self, max_total: int, max_own: int) -> None:
+        self._max_total = max_total
+        self._max_own = max_own
+        self._held: Counter[str] = Counter()
 
-class Together(Generic[T]):
-    """A check whose running call answers all who ask meanwhile. Use it in the event loop only."""
+    @property
+    def total(self) -> int:
+        """What all clients hold."""
+        return self._held.total()
 
-    def __init__(self) -> None:
-        self._running: asyncio.Future[T] | None = None
+    def is_full(self) -> bool:
+        """Whether nothing is left for anyone."""
+        return self.total >= self._max_total
 
-    async def result(self, check: Callable[[], Awaitable[T]]) -> T:
-        """Return the result of the call that runs, or of a new one."""
-        if self._running is None or self._running.done():
-            self._running = asyncio.ensure_future(check())
-        return await asyncio.shield(self._running)
+    def is_full_for(self, client: str) -> bool:
+        """Whether nothing is left for this client."""
+        return self.is_full() or self._held[client] >= self._max_own
+
+    @contextmanager
+    def one(self, client: str) -> Iterator[None]:
+        """Count one for the client during the context."""
+        self._held[client] += 1
+        try:
+            yield
+        finally:
+            self._held[client] -= 1
+            if not self._held[client]:
+                del self._held[client]
 
 
 class Turns:
@@ -65,11 +83,9 @@ class Turns:
 
     def __init__(self, places: int, max_waiting: int) -> None:
         self._own_places = max(1, places - 1)
-        self._max_present = places + max_waiting
-        self._max_own = self._own_places + -(-max_waiting // 2)
+        self._present = Shares(places + max_waiting, self._own_places + -(-max_waiting // 2))  # running or waiting
         self._places = asyncio.Semaphore(places)
-        self._clients: dict[str, asyncio.Semaphore] = {}
-        self._present: Counter[str] = Counter()  # running or waiting
+        self._clients: WeakValueDictionary[str, asyncio.Semaphore] = WeakValueDictionary()
 
     @asynccontextmanager
     async def turn(self, client: str) -> AsyncIterator[None]:
@@ -77,51 +93,16 @@ class Turns:
 
         Raises ProblemError 503 at once if the queue is full, or 429 if the client's part of it is.
         """
-        if self._present.total() >= self._max_present:
+        if self._present.is_full():
             detail = "too many pictures are being processed"
             raise ProblemError(503, detail, reason="turns", headers=RETRY_SOON)
-        if self._present[client] >= self._max_own:
+        if self._present.is_full_for(client):
             detail = "too many of your pictures are already waiting"
             raise ProblemError(429, detail, reason="own_turns", headers=RETRY_SOON)
-        self._present[client] += 1
-        try:
-            async with self._clients.setdefault(client, asyncio.Semaphore(self._own_places)), self._places:
+        own_places = self._clients.setdefault(client, asyncio.Semaphore(self._own_places))
+        with self._present.one(client):
+            async with own_places, self._places:
                 yield
-        finally:
-            self._present[client] -= 1
-            if not self._present[client]:
-                del self._present[client], self._clients[client]
-
-
-class Waits:
-    """Counts requests that wait for a job. Use it in the event loop only.
-
-    max_open: how many may wait at a time, of which one client may have half.
-    """
-
-    def __init__(self, max_open: int) -> None:
-        self._max_open = max_open
-        self._open: Counter[str] = Counter()
-
-    @property
-    def open(self) -> int:
-        """Number of requests that wait."""
-        return self._open.total()
-
-    def is_full(self, client: str) -> bool:
-        """Whether one more request of the client would be too many."""
-        return self.open >= self._max_open or self._open[client] >= -(-self._max_open // 2)
-
-    @contextmanager
-    def one(self, client: str) -> Iterator[None]:
-        """Count a request as waiting during the context."""
-        self._open[client] += 1
-        try:
-            yield
-        finally:
-            self._open[client] -= 1
-            if not self._open[client]:
-                del self._open[client]
 
 
 class ClientTasks:
@@ -163,9 +144,9 @@ class ClientTasks:
         """Draw a bitstream as a picture file. limits: of the task, if the size of the output is known."""
         task = Draw(**{**self._limits, **limits}, options=options, file_kind=kind)
         began = time.perf_counter()
-        made = (await self._ask(self._drawings, client, file, task)).file
+        drawn = (await self._ask(self._drawings, client, file, task)).file
         self._metrics.decode_seconds.observe(time.perf_counter() - began)  # refusals are not counted
-        return made
+        return drawn
 
     async def compare(self, client: str, file: BinaryIO, kind: ComparisonFormat, size: int, pixels: int) -> bytes:
         """Encode an image of so many pixels by another codec, to about `size` bytes."""
@@ -175,8 +156,8 @@ class ClientTasks:
     async def preview(self, client: str, image: UploadFile, max_bytes: int) -> PreviewFigures:
         """Make a preview of an image."""
         task = MakePreview(**self._limits, max_bytes=max_bytes)
-        made: PreviewFigures = await self._figures(self._drawings, client, image, task)
-        return made
+        preview: PreviewFigures = await self._figures(self._drawings, client, image, task)
+        return preview
 
     async def _figures(self, turns: Turns, client: str, image: UploadFile, task: Task) -> Any:
         """Return the figures of a task on an image.
@@ -192,12 +173,12 @@ class ClientTasks:
         except TaskError as error:
             raise ProblemError(422, f"the image cannot be read: {error}") from error
 
-    async def trouble(self, patience_s: float) -> str:
+    async def trouble(self, timeout_s: float) -> str:
         """Return why the sandbox is not working; empty if it did a task recently, or does one now."""
         async with self._trying:
             if time.monotonic() >= self._next_trial:
                 try:
-                    await self._sandbox.try_out(patience_s)
+                    await self._sandbox.try_out(timeout_s)
                     self._worked()
                 except (OSError, TaskError) as error:
                     self._trouble = str(error)

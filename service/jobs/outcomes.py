@@ -20,7 +20,7 @@ OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed"
 SECONDS = "encode_seconds"
 # Each pause is about as long as the delivery has waited until then, and so doubles.
 FIRST_PAUSE_S, MAX_PAUSE_S = 10.0, 3600.0
-KEPT_S = 3 * 86_400.0  # retry time of a delivery
+RETRY_FOR_S = 3 * 86_400.0  # retry time of a delivery
 
 ADD = """
 INSERT INTO totals VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET amount = totals.amount + excluded.amount
@@ -31,7 +31,7 @@ NEXT = """
 SELECT job, body, due_at, epoch() - ended_at AS age_s, due_at <= epoch() AS is_due FROM deliveries WHERE address = ?
 ORDER BY due_at LIMIT 1
 """
-PUT_OFF = "UPDATE deliveries SET due_at = epoch() + ? WHERE job = ? AND address = ? AND due_at = ?"
+POSTPONE = "UPDATE deliveries SET due_at = epoch() + ? WHERE job = ? AND address = ? AND due_at = ?"
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def take_delivery(db: Database, address: str) -> Delivery | None:
     if row is None or not row["is_due"]:
         return None
     pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), MAX_PAUSE_S)
-    first = db.execute(PUT_OFF, (pause_s, row["job"], address, row["due_at"])).rowcount == 1
+    first = db.execute(POSTPONE, (pause_s, row["job"], address, row["due_at"])).rowcount == 1
     return Delivery(row["job"], address, row["body"]) if first else None
 
 

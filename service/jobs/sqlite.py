@@ -5,77 +5,55 @@ from __future__ import annotations
 import queue
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from service.errors import JobTableError, NotSetUpError
-from service.jobs.statements import (
-    COUNT_ALL,
-    OLDEST_VERSION,
-    SCHEMA,
-    SCHEMA_VERSION,
-    TO_BE_MADE,
-    UPGRADE,
-    Database,
-    other_version,
-    to_be_upgraded,
-)
+from service.errors import JobTableError
+from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database, other_version
 from service.jobs.table import JobTable
-from service.process.loops import StopSignal
 from service.settings import Settings
 
 BUSY_TIMEOUT_S = 30.0
-POLL_S = 0.1
 NUMBER = "INTEGER PRIMARY KEY AUTOINCREMENT"
-COME = """
+ADD = """
 INSERT INTO stored VALUES (NEW.owner, NEW.state, 1, NEW.image_bytes + NEW.file_bytes)
 ON CONFLICT (owner, state) DO UPDATE SET jobs = jobs + 1, bytes = bytes + excluded.bytes
 """
-GO = """
+REMOVE = """
 UPDATE stored SET jobs = jobs - 1, bytes = bytes - OLD.image_bytes - OLD.file_bytes
 WHERE owner = OLD.owner AND state = OLD.state
 """
+COUNTED = "owner, state, image_bytes, file_bytes"
 TRIGGERS = (
-    f"CREATE TRIGGER jobs_come AFTER INSERT ON jobs BEGIN {COME}; END",
-    f"CREATE TRIGGER jobs_go AFTER DELETE ON jobs BEGIN {GO}; END",
-    f"CREATE TRIGGER jobs_change AFTER UPDATE OF owner, state, image_bytes, file_bytes ON jobs BEGIN {GO}; {COME}; END",
+    f"CREATE TRIGGER jobs_come AFTER INSERT ON jobs BEGIN {ADD}; END",
+    f"CREATE TRIGGER jobs_go AFTER DELETE ON jobs BEGIN {REMOVE}; END",
+    f"CREATE TRIGGER jobs_change AFTER UPDATE OF {COUNTED} ON jobs BEGIN {REMOVE}; {ADD}; END",
 )
 SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON;"
 
 
 class SqliteJobTable(JobTable):
-    """A job table in one SQLite file in WAL mode, every commit synced to disk.
+    """A job table in one SQLite file in WAL mode, every commit synced to disk. A missing file is created."""
 
-    sets_up: whether to create or upgrade it, instead of raising NotSetUpError.
-    """
-
-    def __init__(self, path: Path, settings: Settings, *, sets_up: bool = True) -> None:
+    def __init__(self, path: Path, settings: Settings) -> None:
         super().__init__(settings)
         self._path = path
-        self._sets_up = sets_up
         self._file: tuple[int, int] | None = None  # device and inode of the file that the idle connections have open
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
-        if sets_up:
-            path.touch(mode=0o600)
-        elif not path.exists():
-            raise NotSetUpError(f"{path}: {TO_BE_MADE}")
+        path.touch(mode=0o600)
         self._follow_file()
 
     def _set_up(self) -> None:
-        """Create the tables if there are none, and upgrade those of an earlier version."""
+        """Create the tables if there are none."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
-            if version == SCHEMA_VERSION:
-                return
-            if version not in (0, OLDEST_VERSION):
+            if version not in (0, SCHEMA_VERSION):
                 raise JobTableError(f"{self._path}: {other_version(version)}")
-            if not self._sets_up:
-                raise NotSetUpError(f"{self._path}: {to_be_upgraded(version) if version else TO_BE_MADE}")
-            statements = UPGRADE if version else SCHEMA.format(number=NUMBER)
-            for statement in (*statements.split(";")[:-1], *TRIGGERS, COUNT_ALL):
-                db.execute(statement)
-            db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+            if version == 0:
+                for statement in (*SCHEMA.format(number=NUMBER).split(";")[:-1], *TRIGGERS):
+                    db.execute(statement)
+                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def _follow_file(self) -> None:
         """Reopen a file that was replaced: writes to the old one would be lost with its last reader."""
@@ -95,9 +73,9 @@ class SqliteJobTable(JobTable):
             self._file = None  # so that the next call sets it up
             raise
 
-    def _connect(self, patience_s: float = BUSY_TIMEOUT_S) -> sqlite3.Connection:
+    def _connect(self, timeout_s: float = BUSY_TIMEOUT_S) -> sqlite3.Connection:
         # A connection serves one thread at a time, but not always the same one.
-        db = sqlite3.connect(self._path, timeout=patience_s, isolation_level=None, check_same_thread=False)
+        db = sqlite3.connect(self._path, timeout=timeout_s, isolation_level=None, check_same_thread=False)
         db.row_factory = sqlite3.Row
         db.create_function("epoch", 0, time.time)
         return db
@@ -136,14 +114,6 @@ class SqliteJobTable(JobTable):
 
     def _alone(self, db: Database) -> None:
         """Do nothing: every transaction is alone."""
-
-    def _wake(self, db: Database) -> None:
-        """Do nothing: workers poll often enough."""
-
-    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
-        while not stop.requested:
-            if not run_next():
-                stop.wait(POLL_S)
 
     def check_writable(self) -> None:
         self._follow_file()

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 SCHEMA_VERSION = 4
-# Jobs and their bytes by owner and state. Triggers keep it, so both databases add them in their own SQL.
-STORED = """
+# {number}: the type of an automatic row number, which depends on the database. The table `stored` counts jobs and their
+# bytes by owner and state; each database adds triggers that update it.
+SCHEMA = """
 CREATE TABLE stored (
     owner TEXT NOT NULL,
     state TEXT NOT NULL,
@@ -15,9 +16,6 @@ CREATE TABLE stored (
     bytes BIGINT NOT NULL,
     PRIMARY KEY (owner, state)
 );
-"""
-# {number}: the type of an automatic row number, which depends on the database.
-SCHEMA = f"""{STORED}
 CREATE TABLE workers (
     name    TEXT PRIMARY KEY,
     seen_at DOUBLE PRECISION NOT NULL
@@ -36,7 +34,7 @@ CREATE TABLE totals (
     amount DOUBLE PRECISION NOT NULL
 );
 CREATE TABLE jobs (
-    number          {{number}},
+    number          {number},
     id              TEXT NOT NULL UNIQUE,
     owner           TEXT NOT NULL DEFAULT '',
     priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
@@ -72,12 +70,6 @@ CREATE TABLE trace (
     point TEXT NOT NULL,
     PRIMARY KEY (job, place)
 );
-"""
-# From version 3, also while processes of that version use the table: after the triggers, what was there is counted.
-OLDEST_VERSION = 3
-UPGRADE = f"ALTER TABLE jobs ADD COLUMN losses INTEGER NOT NULL DEFAULT 0; {STORED}"
-COUNT_ALL = """
-INSERT INTO stored SELECT owner, state, count(*), sum(image_bytes + file_bytes) FROM jobs GROUP BY owner, state
 """
 COUNTS = """
 SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
@@ -122,24 +114,16 @@ ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_bytes, error = NULL, finished_at = epoch()"
 PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?, losses = losses + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
-TO_BE_MADE = "there is no job table yet; the first start of the service makes it"
-MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
+CLAIMED = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is too long because the clock was set back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
 LOST = "WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
 
 
-def to_be_upgraded(version: int) -> str:
-    """Return what becomes of a job table of an earlier version."""
-    return (
-        f"the job table is of version {version}; the next start of the service upgrades it to version {SCHEMA_VERSION}"
-    )
-
-
-def other_version(version: int) -> str:
+def other_version(version: object) -> str:
     """Return why a job table of another version cannot be used, and what to do."""
-    known = f"versions {OLDEST_VERSION} and {SCHEMA_VERSION}"
-    return f"the job table is of version {version}, and this service reads {known}; install the service that wrote it"
+    known = f"this service reads version {SCHEMA_VERSION}"
+    return f"the job table has version {version}, and {known}; install the service that wrote it"
 
 
 class Database(Protocol):

@@ -1,6 +1,6 @@
 """The job table, independent of the database.
 
-sqlite.py and postgres.py contain the differences: connections, transactions, and how a job wakes waiting workers.
+sqlite.py and postgres.py contain the differences: connections, transactions and the set-up.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import json
 import logging
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -30,7 +30,6 @@ from service.jobs.job import (
 )
 from service.jobs.outcomes import Delivery
 from service.jobs.statements import Database
-from service.process.loops import StopSignal
 from service.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -40,7 +39,7 @@ WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
 MAX_LOSSES = 20  # lost workers until a job fails: few jobs are the cause, but one might be
-FORGOTTEN_S = 900.0  # a worker that is silent for longer is removed
+FORGET_AFTER_S = 900.0  # a worker that is silent for longer is removed
 
 
 class JobTable(ABC):
@@ -48,6 +47,8 @@ class JobTable(ABC):
 
     Every method may raise JobTableError, and may be called from any thread. Its changes are on disk when it returns.
     """
+
+    poll_s = 0.1  # pause of a worker that has found no job
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -64,17 +65,6 @@ class JobTable(ABC):
     @abstractmethod
     def _alone(self, db: Database) -> None:
         """Keep others from accepting or claiming jobs until this transaction ends, so that counts stay valid."""
-
-    @abstractmethod
-    def _wake(self, db: Database) -> None:
-        """Wake a worker once this transaction, which queues a job, is committed."""
-
-    @abstractmethod
-    def dispatch(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
-        """Call run_next, in one thread at a time, whenever there may be a job to claim, until stopping is requested.
-
-        run_next returns whether it ran a job, and never raises.
-        """
 
     @abstractmethod
     def check_writable(self) -> None:
@@ -104,7 +94,6 @@ class JobTable(ABC):
                     *(as_json(job.request), as_json(job.image), job.image.size_bytes),
                 ),
             )
-            self._wake(db)
             return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
     def first(self, owner: str | None, idempotency_key: str, fingerprint: str) -> Job | None:
@@ -119,17 +108,17 @@ class JobTable(ABC):
                 self._check_queue(db, owner)
 
     def _check_queue(self, db: Database, owner: str | None) -> None:
-        most, own_most = self._settings.queue_length, self._settings.max_queued_per_key
-        if _queued(db) >= most:
+        max_own = self._settings.max_queued_per_key
+        if _queued(db) >= self._settings.queue_length:
             raise LimitError("queue", "the queue is full; try again later")
-        if owner and _queued(db, owner) >= own_most:
-            raise LimitError("own_queue", f"this API key already has {own_most} jobs waiting; try again later")
+        if owner and _queued(db, owner) >= max_own:
+            raise LimitError("own_queue", f"this API key already has {max_own} jobs waiting; try again later")
 
     def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
-        most, own_most = self._settings.quota_bytes, self._settings.quota_bytes_per_key
-        if owner and own_most and stored.stored_bytes(db, owner) + size_bytes > own_most:
+        quota, own_quota = self._settings.quota_bytes, self._settings.quota_bytes_per_key
+        if owner and own_quota and stored.stored_bytes(db, owner) + size_bytes > own_quota:
             raise LimitError("own_quota", "this API key has reached its storage quota; remove jobs first")
-        if most and stored.stored_bytes(db) + size_bytes > most:
+        if quota and stored.stored_bytes(db) + size_bytes > quota:
             raise LimitError("quota", "the service has reached its storage quota; remove jobs first")
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
@@ -170,11 +159,11 @@ class JobTable(ABC):
         with self._connection() as db:
             return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
-    def trace(self, job_id: str, first: int = 0) -> list[dict[str, Any]]:
-        """Return the trace points of the job's latest attempt, oldest first, from index `first`."""
-        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
+    def trace(self, job_id: str) -> list[dict[str, Any]]:
+        """Return the trace points of the job's latest attempt, oldest first."""
+        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? ORDER BY place"
         with self._connection() as db:
-            return [json.loads(row["point"]) for row in db.execute(query, (job_id, first)).fetchall()]
+            return [json.loads(row["point"]) for row in db.execute(query, (job_id,)).fetchall()]
 
     def remove(self, job_id: str) -> Job | None:
         """Delete a job in any state, and return it. A worker that runs it loses its claim."""
@@ -233,8 +222,10 @@ class JobTable(ABC):
         """Note that the worker is alive, with or without a job."""
         with self._transaction() as db:
             db.execute(sql.REGISTER, (worker,))
-            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
-            expired = db.execute("DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.KEPT_S,)).rowcount
+            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGET_AFTER_S,))
+            expired = db.execute(
+                "DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.RETRY_FOR_S,)
+            ).rowcount
             if expired:
                 log.error("gave up on %d webhooks", expired)
 
@@ -265,7 +256,7 @@ class JobTable(ABC):
         with self._transaction() as db:
             job = self._change(db, claim, sql.DONE, text, result.size_bytes, int(self.keeps_sources))
             if job is not None:
-                self._conclude(db, job)
+                outcomes.conclude(db, job, self._settings.webhook_addresses)
                 return True
             # A commit that succeeded may be reported as failed; then the repeated call must succeed.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.id,)).fetchone()
@@ -277,7 +268,7 @@ class JobTable(ABC):
         False: the job is no longer this worker's.
         """
         with self._transaction() as db:
-            return self._fail(db, error, sql.MINE, (claim.id, claim.attempt)) is not None
+            return self._fail(db, error, sql.CLAIMED, (claim.id, claim.attempt)) is not None
 
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
         """Return the job after an attempt that failed; None if the attempt is not its latest."""
@@ -288,14 +279,8 @@ class JobTable(ABC):
         if job is not None and not again:
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
-            self._conclude(db, job)
+            outcomes.conclude(db, job, self._settings.webhook_addresses)
         return job
-
-    def _conclude(self, db: Database, job: Job) -> None:
-        """Record the outcome of an attempt, and wake a worker if the job is queued again."""
-        outcomes.conclude(db, job, self._settings.webhook_addresses)
-        if job.state == "queued":
-            self._wake(db)
 
     @property
     def keeps_sources(self) -> bool:
@@ -305,15 +290,12 @@ class JobTable(ABC):
     def release(self, claim: Job) -> bool:
         """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's."""
         with self._transaction() as db:
-            mine = self._change(db, claim, "state = 'queued', started_at = NULL") is not None
-            if mine:
-                self._wake(db)
-            return mine
+            return self._change(db, claim, "state = 'queued', started_at = NULL") is not None
 
     @staticmethod
     def _change(db: Database, claim: Job, assignments: str, *values: Any) -> Job | None:
         """Update the claimed job under its fencing token; None if the token is stale."""
-        return _update(db, assignments, sql.MINE, *values, claim.id, claim.attempt)
+        return _update(db, assignments, sql.CLAIMED, *values, claim.id, claim.attempt)
 
     def due_delivery(self, address: str) -> Delivery | None:
         """Take a webhook that the caller has to send now, if one is due.

@@ -37,10 +37,6 @@ class StopSignal:
             select.select([self._read_end], [], [], timeout_s)
         return self.requested
 
-    def fileno(self) -> int:
-        """Return a descriptor that is readable once stopping is requested."""
-        return self._read_end
-
     def on_signals(self) -> None:
         """Request a stop on SIGTERM and SIGINT."""
         for number in (signal.SIGTERM, signal.SIGINT):

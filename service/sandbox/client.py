@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 READ_BYTES = 1 << 18
 # A task's own limit counts processor time. This one is for machines with none to spare.
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 TRIES = 2  # a process may have died for another reason than its task
 EARLY_END = b"!"
 KILLED = "the system killed a task, as it does when memory runs out"
@@ -94,7 +94,7 @@ class Sandbox:
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
                 try:
-                    outcome = await asyncio.wait_for(running.outcome(), max(PATIENCE_S, 4 * task.cpu_s))
+                    outcome = await asyncio.wait_for(running.outcome(), max(TIMEOUT_S, 4 * task.cpu_s))
                 except TimeoutError:
                     if not running.begun:
                         raise SandboxUnavailableError("the sandbox cannot be started") from None
@@ -120,14 +120,14 @@ class Sandbox:
                         raise OutOfMemoryError(KILLED)
         raise TaskError("its decoder crashed")
 
-    async def try_out(self, patience_s: float) -> None:
+    async def try_out(self, timeout_s: float) -> None:
         """Read the header of a tiny image. Raises TaskError, OSError."""
         with tempfile.TemporaryFile() as file:
             file.write(TINY_IMAGE)
             file.flush()
             task = ReadHeader(memory_bytes=1 << 28, cpu_s=1.0, max_pixels=1)
             try:
-                await asyncio.wait_for(self.ask(task, file), patience_s)
+                await asyncio.wait_for(self.ask(task, file), timeout_s)
             except TimeoutError:
                 raise SandboxUnavailableError("the sandbox does not answer") from None
 
@@ -154,16 +154,16 @@ class RunningTask:
         """
         if not select.select([self._connection], [], [], timeout_s)[0]:
             return []
-        return self._taken(self._received())
+        return self._parse(self._receive())
 
     async def outcome(self) -> Message:
         """Return the message that ends the task; Crashed after an invalid frame. Raises SandboxUnavailableError."""
         loop = asyncio.get_running_loop()
         while True:
             try:
-                messages = self._taken(await loop.sock_recv(self._connection, READ_BYTES))
+                messages = self._parse(await loop.sock_recv(self._connection, READ_BYTES))
             except ConnectionError:
-                messages = self._taken(b"")
+                messages = self._parse(b"")
             except FrameError as error:
                 return Crashed(detail=f"it sent an invalid message: {error}")
             if messages:
@@ -174,13 +174,13 @@ class RunningTask:
         with contextlib.suppress(OSError):  # it has ended, or has not read the last request
             self._connection.send(EARLY_END)
 
-    def _received(self) -> bytes:
+    def _receive(self) -> bytes:
         try:
             return self._connection.recv(READ_BYTES)
         except ConnectionError:
             return b""
 
-    def _taken(self, data: bytes) -> list[Message]:
+    def _parse(self, data: bytes) -> list[Message]:
         if not data:
             raise SandboxUnavailableError("the sandbox has died")
         messages = self._reader.take(data)

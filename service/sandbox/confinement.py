@@ -29,7 +29,7 @@ from service.sandbox import filter as calls
 
 # Paths of programs and libraries, languages, memory, and kernels, on which the last digit of a fit depends. Any other
 # variable may be a secret.
-KEPT_VARIABLES = (
+VISIBLE_VARIABLES = (
     *("PATH", "PYTHON", "VIRTUAL_ENV", "LANG", "LC_", "LD_", "MALLOC_", "GLIBC_TUNABLES"),
     *("OPENBLAS_", "SG_ISA"),
 )
@@ -60,7 +60,7 @@ _libc = ctypes.CDLL(None, use_errno=True)  # opened here: a fork that is confine
 
 def environment(given: Mapping[str, str]) -> dict[str, str]:
     """Return the variables that a confined process may see: none of the service's settings or keys."""
-    return {name: value for name, value in given.items() if name.startswith(KEPT_VARIABLES)}
+    return {name: value for name, value in given.items() if name.startswith(VISIBLE_VARIABLES)}
 
 
 def set_name(name: str) -> None:

@@ -127,7 +127,7 @@ class Server:
     def _serve(self, fork: TaskProcess, answer: socket.socket) -> None:
         """Handle a client's socket: it asks for an early end, has disconnected, or has space for the last frame."""
         if fork.status is not None:
-            self._tell_end(fork, answer)
+            self._send_end(fork, answer)
             return
         try:
             asked = answer.recv(CONTROL_BYTES, socket.MSG_DONTWAIT)
@@ -137,7 +137,7 @@ class Server:
             asked = b""
         os.kill(fork.number, END_EARLY if asked else signal.SIGKILL)
         if not asked:
-            self._leave(fork, answer)
+            self._close_answer(fork, answer)
 
     def _reap(self, fork: TaskProcess) -> None:
         """Collect a fork that closed control. If it still runs, assume it is compromised."""
@@ -149,9 +149,9 @@ class Server:
             print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
             time.sleep(PAUSE_S)  # the next may end the same way
         if fork.answer is not None:
-            self._tell_end(fork, fork.answer)
+            self._send_end(fork, fork.answer)
 
-    def _tell_end(self, fork: TaskProcess, answer: socket.socket) -> None:
+    def _send_end(self, fork: TaskProcess, answer: socket.socket) -> None:
         assert fork.status is not None
         try:
             answer.send(packed(Ended(status=fork.status)), socket.MSG_DONTWAIT)
@@ -160,9 +160,9 @@ class Server:
             return
         except OSError:
             pass
-        self._leave(fork, answer)
+        self._close_answer(fork, answer)
 
-    def _leave(self, fork: TaskProcess, answer: socket.socket) -> None:
+    def _close_answer(self, fork: TaskProcess, answer: socket.socket) -> None:
         self._selector.unregister(answer)
         answer.close()
         fork.answer = None
@@ -221,7 +221,7 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
         if isinstance(task, Encode):
             os.nice(ENCODE_NICENESS)
         set_name(task.job_id if isinstance(task, Encode) else task.kind)
-        data = _whole(file)
+        data = _read_whole(file)
         os.close(file)
         prepare(task)
         missing = set(confine(task.memory_bytes, task.cpu_s, task.max_threads, parent)).difference(absent)
@@ -245,7 +245,7 @@ def _close_other_descriptors(kept: int) -> None:
     os.closerange(kept + 1, MAX_DESCRIPTORS)
 
 
-def _whole(file: int) -> bytes:
+def _read_whole(file: int) -> bytes:
     """Read the file from its beginning, whatever the position of its descriptor."""
     size = os.fstat(file).st_size
     data = bytearray()

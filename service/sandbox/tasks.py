@@ -33,7 +33,7 @@ TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
 TINY_SIZE = (8, 8)
 # glibc's malloc.h: thresholds above which freed memory returns to the system.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
+TRIM_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
 # Modules that tasks do not need, or that need PyTorch or Triton.
 NOT_IMPORTED = {
     f"sgmethod.{name}"
@@ -115,7 +115,7 @@ def warm_fork() -> None:
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:  # C libraries other than glibc lack it
-        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+        mallopt(M_TRIM_THRESHOLD, TRIM_BYTES)
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
     Drawing.from_options(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import errno
-import math
 import os
 import re
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -33,7 +31,6 @@ HINTS = {
 # Clients wait, so a store that is silent for this long counts as unreachable.
 SILENCE = timedelta(seconds=5)
 TIMEOUT = timedelta(seconds=60)  # of one request: enough for the largest image at 1 MB a second
-SLOW_FOR_S = 600.0  # without what must be stored soon: uploads may wait for each other
 RETRIES_END_AFTER = timedelta(seconds=3)  # so that a request without an answer is not repeated
 
 
@@ -44,7 +41,7 @@ def _as_os_errors() -> Iterator[None]:
     except (BaseError, FileNotFoundError) as error:
         if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in str(error):
             raise FileNotFoundError(errno.ENOENT, "no such object") from error
-        raise OSError(errno.EIO, f"the object store failed: {_in_words(str(error))}") from error
+        raise OSError(errno.EIO, f"the object store failed: {_explain(str(error))}") from error
     except BaseException as error:
         if type(error).__name__ == "PanicException":  # of the library, and not a subclass of Exception
             words = "the object store's library panicked, as it does for a malformed AWS_ variable"
@@ -52,7 +49,7 @@ def _as_os_errors() -> Iterator[None]:
         raise
 
 
-def _in_words(text: str) -> str:
+def _explain(text: str) -> str:
     """Return the library's error as one line. Its cause, if given, is some twenty lines further down."""
     for word, hint in HINTS.items():
         if word in text:
@@ -72,7 +69,6 @@ class BucketStorage:
         for name, value in os.environ.items():
             if name.startswith("AWS_") and value != value.strip():
                 raise OSError(errno.EINVAL, f"{name} begins or ends with a space or a line end")
-        self._slow_until = -math.inf
         # Plain HTTP is used only if the endpoint says so.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}
@@ -86,16 +82,6 @@ class BucketStorage:
         with _as_os_errors():
             # One request for the whole object, so that a broken upload leaves no parts behind.
             obstore.put(self._patient, check_key(key), data, use_multipart=False)
-
-    def put_soon(self, key: str, data: bytes) -> None:
-        if time.monotonic() < self._slow_until:
-            raise OSError(errno.EAGAIN, "the object store was slow")
-        try:
-            with _as_os_errors():
-                obstore.put(self._store, check_key(key), data, use_multipart=False)
-        except OSError:
-            self._slow_until = time.monotonic() + SLOW_FOR_S
-            raise
 
     def get(self, key: str) -> bytes:
         with _as_os_errors():

@@ -63,10 +63,6 @@ class Storage(Protocol):
         """Store data. When this returns, it survives a power cut. Raises OSError."""
         ...
 
-    def put_soon(self, key: str, data: bytes) -> None:
-        """Store data that matters only now. Raises OSError soon if that takes long, but may store it later."""
-        ...
-
     def get(self, key: str) -> bytes:
         """Return the stored bytes. Raises FileNotFoundError."""
         ...
@@ -109,8 +105,6 @@ class DiskStorage:
 
     def put(self, key: str, data: bytes) -> None:
         write_atomically(self._path(key), data, unfinished=self._root / UNFINISHED)
-
-    put_soon = put
 
     def get(self, key: str) -> bytes:
         return self._path(key).read_bytes()

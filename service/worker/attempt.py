@@ -82,8 +82,7 @@ class Attempt:
     def show(self, bitstream: bytes) -> None:
         """Store a preview in the background: a slow storage must not hold up the encode.
 
-        Previews are dropped while one is being stored, and for a while after one that took too long: the bitstream
-        might wait for them.
+        Previews are dropped while one is being stored.
         """
         if self._showing is not None and self._showing.is_alive():
             return
@@ -92,7 +91,7 @@ class Attempt:
 
     def _store_preview(self, bitstream: bytes) -> None:
         with contextlib.suppress(OSError):  # a preview is optional
-            self._storage.put_soon(preview_key(self.claim.id, self.claim.attempt), bitstream)
+            self._storage.put(preview_key(self.claim.id, self.claim.attempt), bitstream)
 
     def beat(self, *, now: bool = False) -> None:
         """Renew the lease and send the trace, if it is time to or `now`. Raises ClaimLostError.
@@ -128,11 +127,11 @@ class Attempt:
         claim = self.claim
         if isinstance(outcome, JobError):
             log.warning("job %s: attempt %d %s: %s", claim.id, claim.attempt, outcome.code, outcome.detail)
-            is_recorded = self._insist(lambda: self._table.fail(claim, outcome))
+            is_recorded = self._retry(lambda: self._table.fail(claim, outcome))
         else:
             self._store(outcome.bitstream)  # before it becomes the job's
             result = EncodeResult(self.key, hashlib.sha256(outcome.bitstream).hexdigest(), outcome.stats)
-            is_recorded = self._insist(lambda: self._table.finish(claim, result))
+            is_recorded = self._retry(lambda: self._table.finish(claim, result))
         if not is_recorded:
             raise ClaimLostError
         if isinstance(outcome, Encoded):
@@ -145,13 +144,13 @@ class Attempt:
         """
         while True:
             try:
-                self.beating(lambda: self._storage.put(self.key, data))
+                self.renewing_lease(lambda: self._storage.put(self.key, data))
                 return
             except OSError as error:
                 log_seldom(log, "%s cannot be stored yet: %s", self.key, error)
             self.wait()
 
-    def beating(self, work: Callable[[], T]) -> T:
+    def renewing_lease(self, work: Callable[[], T]) -> T:
         """Return the result of work that may be slow, such as a bucket's, and renew the lease meanwhile.
 
         Raises ClaimLostError, and what the work raises.
@@ -168,17 +167,17 @@ class Attempt:
             raise StoppedError
         self.beat()
 
-    def _insist(self, last_word: Callable[[], bool]) -> bool:
+    def _retry(self, record: Callable[[], bool]) -> bool:
         """Retry until the table records the end of the attempt. Raises JobTableError if the worker is stopping."""
         while True:
             try:
-                return last_word()
+                return record()
             except JobTableError as error:
                 log.warning("job %s: its result cannot be recorded yet: %s", self.claim.id, error)
                 if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
                     raise
 
-    def tidy(self) -> None:
+    def remove_leftovers(self) -> None:
         """Remove the image of a job that will not run again, and files of an unsuccessful attempt."""
         if self._showing is not None:
             self._showing.join(PREVIEW_ENDS_S)

@@ -60,7 +60,11 @@ class Worker:
             threads.append(PeriodicThread("webhooks", send, POLL_S, stop))
         for thread in threads:
             thread.start()
-        self._table.dispatch(self._run_next, stop)
+        while not stop.requested:
+            idle_s = PAUSE_AFTER_TROUBLE_S
+            with log_errors("running a job"):
+                idle_s = 0.0 if self.run_one() else self._table.poll_s
+            stop.wait(idle_s)
         for thread in threads[:2]:
             thread.join(THREADS_END_S)
 
@@ -71,13 +75,6 @@ class Worker:
         )
         if swept != Swept(0, 0):
             log.info("removed %d finished jobs and %d files; %d files stay", swept.jobs, swept.files, swept.stuck)
-
-    def _run_next(self) -> bool:
-        """Run run_one(), but log errors of the job table or the storage and wait."""
-        with log_errors("running a job"):  # PostgreSQL's engine would swallow the exception
-            return self.run_one()
-        self._stop.wait(PAUSE_AFTER_TROUBLE_S)
-        return False
 
     def run_one(self) -> bool:
         """Run the next job. Returns False if none waits. Raises JobTableError, OSError."""
@@ -101,7 +98,7 @@ class Worker:
         except OSError:  # such as a storage out of reach: this must not count against the job
             self._table.release(claim)
             raise
-        attempt.tidy()
+        attempt.remove_leftovers()
         return True
 
     def _encode(self, attempt: Attempt) -> Encoded | JobError:
@@ -110,7 +107,7 @@ class Worker:
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
-            source = attempt.beating(functools.partial(self._storage.open, source_key(attempt.claim.id)))
+            source = attempt.renewing_lease(functools.partial(self._storage.open, source_key(attempt.claim.id)))
         except FileNotFoundError:
             return JobError("crashed", "the source image is missing")
         with source, self._sandbox.start(self._task(attempt), source) as running:

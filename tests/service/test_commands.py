@@ -34,9 +34,7 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
     assert verdicts(result) == dict.fromkeys(names, "ok"), result
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
-    assert "there is no job table yet" in result.stdout
-    made = run_command("check", "--set-up", data_dir=tmp_path / "data", database_url=database_url)
-    assert "0 queued, 0 running" in made.stdout
+    assert "0 queued, 0 running" in result.stdout
 
 
 def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> None:
@@ -117,13 +115,8 @@ def test_a_worker_of_this_host_is_alive(
     for shift_s, expected in ((-20, 1), (20, 1), (0, 0)):
         os.utime(ours, 2 * (time.time() + shift_s,))
         assert status() == expected
-    other, gone = (ours.with_name(f"{ours.name}{end}") for end in "01")  # of other hosts
-    ours.rename(other)
-    gone.touch()
-    os.utime(gone, (0, 0))
+    ours.rename(f"{ours}0")  # of another host
     assert status() == 1
-    touch(data)
-    assert sorted(folder.iterdir()) == [ours, other]
     assert not data.exists()
 
 

@@ -102,11 +102,6 @@ def test_slow_headers_delay_no_other_client(eve: httpx2.Client, ann: httpx2.Clie
         assert {attempt.result().status_code for attempt in attack} == {422}
 
 
-def test_a_header_that_takes_much_memory_is_given_up(eve: httpx2.Client) -> None:
-    assert_problem(posted(eve, tiff_of_many_strips(6_000_000)), 422, "exceeds the time limit")
-    assert posted(eve, SMALL).status_code == 202
-
-
 def sent_by_eve(web: Service, bitstream: bytes) -> socket.socket:
     """A connection over which eve has posted a bitstream to be decoded."""
     connection = web.connect()

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from service.api.cache import PictureCache
+from service.api.context import PictureCache
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from tests.support.data import PICTURE

@@ -10,17 +10,15 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from fastapi import FastAPI
 from PIL import Image
 
 import sgmethod
 from service.api import models
-from service.api.app import _document
 from service.api.routes import HOST
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
 from tests.support.processes import TIMEOUT_S, run
-from tests.support.service import FAKE_CODEC, Service, StartService, keys_of
+from tests.support.service import FAKE_CODEC, StartService, keys_of
 
 pytestmark = pytest.mark.thorough
 
@@ -112,12 +110,3 @@ def test_every_operation_has_a_summary_and_a_command_that_works(start_service: S
     assert sgmethod.info((tmp_path / "photo.sg").read_bytes()).width > 0
     pictures = ((tmp_path / name).read_bytes() for name in ("photo.png", "photo.avif", "photo.webp", "small.jpg"))
     assert [Image.open(io.BytesIO(picture)).format for picture in pictures] == ["PNG", "AVIF", "WEBP", "JPEG"]
-
-
-def test_the_document_is_serialised_once(web: Service) -> None:
-    """It took 20 ms of the one loop at each request, without a key."""
-    handler = _document(FastAPI(openapi_url=None))
-    assert handler().body is handler().body
-    answer = web.client.get("/openapi.json")
-    assert answer.headers["content-type"] == "application/json"
-    assert "/encode" in answer.json()["paths"]

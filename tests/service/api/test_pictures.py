@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from service.api.requests import MAX_CACHED_S
+from service.api.files import MAX_CACHED_S
 from service.pictures import as_large, comparison_file
 from sgmethod.view import View
 from tests.support import pictures

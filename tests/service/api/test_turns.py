@@ -8,7 +8,7 @@ import pytest
 
 from service.api.callers import UNKNOWN, address_of
 from service.api.problems import ProblemError
-from service.api.turns import Turns, Waits
+from service.api.turns import Shares, Turns
 
 
 class Clients:
@@ -124,11 +124,12 @@ def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | N
 
 def test_places_to_wait_are_shared() -> None:
     """One client leaves half of them to others."""
-    waits = Waits(4)
+    waits = Shares(4, 2)
     with waits.one("ann"), waits.one("ann"):
-        assert waits.is_full("ann")
+        assert waits.is_full_for("ann")
+        assert not waits.is_full()
         with waits.one("bob"), waits.one("bob"):
-            assert waits.is_full("cat")
-            assert waits.open == 4
-    assert waits.open == 0
-    assert not waits.is_full("ann")
+            assert waits.is_full_for("cat")
+            assert waits.total == 4
+    assert waits.total == 0
+    assert not waits.is_full_for("ann")

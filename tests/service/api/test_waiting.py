@@ -145,12 +145,3 @@ def test_no_body_is_ignored(empty: Service, path: str) -> None:
     answer = empty.client.request(method, path.format(job_id), data={"expires_s": "60"})
     assert_problem(answer, 422, "no body")
     assert empty.job(job_id)["state"] == "queued"
-
-
-def test_an_image_comes_once(web: Service) -> None:
-    image = ("any.png", SMALL)
-    for files in ([("image", (None, "x"))], [("image", image), ("image", (None, "x"))], []):
-        fields = [*files, ("bpp", (None, "1"))]
-        assert_problem(web.client.post("/encode", files=fields), 422, "image is missing")
-    assert_problem(web.client.post("/encode", files=[("image", image), ("image", image)]), 400)
-    assert_problem(web.client.post("/encode?image=x", files=[("image", image)]), 422, "unknown field 'image'")

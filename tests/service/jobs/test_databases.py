@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import psycopg
 import pytest
 
-from service.errors import JobTableError, LimitError, NotSetUpError
-from service.jobs import postgres as postgres_table
-from service.jobs.job import job_of
+from service.errors import JobTableError, LimitError
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import JobTable
-from service.process.loops import StopSignal
 from tests.support.job_table import IMAGE, claimed, new, settings, submitted
 from tests.support.postgres_server import PostgresServer
-from tests.support.processes import TIMEOUT_S, failing
 
 PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
 
@@ -46,38 +38,13 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "data" / "jobs.sqlite3"
 
 
-def assert_delivers(jobs: PostgresJobTable) -> None:
-    """Each job wakes a worker at once; what it was called for and does not find does no harm; it ends when asked."""
-    stop, taken = StopSignal(), threading.Semaphore(0)
-
-    def run_next() -> bool:
-        if jobs.claim("w") is None:
-            return False
-        taken.release()
-        return True
-
-    thread = threading.Thread(target=jobs.dispatch, args=(run_next, stop))
-    thread.start()
-    for _ in range(3):
-        submitted(jobs)
-    for _ in range(3):
-        assert taken.acquire(timeout=TIMEOUT_S)
-    stop.request()
-    thread.join(TIMEOUT_S)
-    assert not thread.is_alive()
-    assert jobs.counts().jobs["running"] == 3
-
-
-def test_delivery(jobs: PostgresJobTable) -> None:
-    assert_delivers(jobs)
-
-
 @pytest.mark.skipif(PGBOUNCER is None, reason="PgBouncer is not installed: sudo apt install pgbouncer")
 def test_behind_a_pooler(postgres: PostgresServer) -> None:
     """One that pools sessions will do. With one that pools transactions, settings of ours would reach others."""
     assert PGBOUNCER is not None
     with postgres.pooled(PGBOUNCER, "session") as url, closing(PostgresJobTable(url, settings())) as jobs:
-        assert_delivers(jobs)
+        submitted(jobs)
+        assert claimed(jobs).attempt == 1
     refused = "SG_DATABASE_URL: the pooler is in transaction mode"
     with postgres.pooled(PGBOUNCER, "transaction") as url, pytest.raises(JobTableError, match=refused):
         PostgresJobTable(url, settings())
@@ -91,28 +58,11 @@ def test_a_database_without_an_encoding(postgres: PostgresServer) -> None:
             submitted(jobs)
 
 
-def tokens(url: str, schema: str = postgres_table.ENGINE_TABLES) -> int:
-    with psycopg.connect(url) as db:
-        return len(db.execute(f"SELECT FROM {schema}.procrastinate_jobs".encode()).fetchall())
-
-
-def test_rule_1_row_and_engine_job_are_one_transaction(
-    url: str, jobs: PostgresJobTable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    submitted(jobs)
-    assert (jobs.queued(), tokens(url)) == (1, 1)
-    broken = failing(job_of, psycopg.OperationalError("broken off"))
-    monkeypatch.setattr("service.jobs.table.job_of", broken)  # the last step of the transaction
-    with pytest.raises(JobTableError, match="broken off"):
-        submitted(jobs)
-    assert (jobs.queued(), tokens(url)) == (1, 1)
-
-
 def test_rule_6_durability_settings_of_postgresql(jobs: PostgresJobTable) -> None:
     with jobs._connection() as db:
         names = ("synchronous_commit", "idle_in_transaction_session_timeout", "search_path")
         values = [next(iter(db.execute(f"SHOW {name}").fetchone().values())) for name in names]
-    assert values == ["on", "10s", f"sgmethod, {postgres_table.ENGINE_TABLES}"]
+    assert values == ["on", "10s", "sgmethod"]
 
 
 def test_rule_6_durability_settings_of_sqlite(path: Path) -> None:
@@ -146,73 +96,6 @@ def test_a_lock_that_is_held_is_no_read_only_disk(path: Path) -> None:
         assert not path.exists()
 
 
-def test_versions_of_the_engine_run_side_by_side(
-    url: str, jobs: PostgresJobTable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The start of another, or its health check, dropped what running processes used."""
-    ours = postgres_table.ENGINE_TABLES
-    first = submitted(jobs)  # on the only connection that it will ever need
-    session = postgres_table.SESSION.replace(postgres_table.ENGINE_TABLES.encode(), b"sgmethod_engine_0_1")
-    monkeypatch.setattr(postgres_table, "ENGINE_TABLES", "sgmethod_engine_0_1")
-    monkeypatch.setattr(postgres_table, "SESSION", session)
-    with closing(PostgresJobTable(url, settings())) as other:
-        second, third = submitted(jobs), submitted(other)
-        for _ in range(2):
-            jobs._top_up()
-            other._top_up()
-        for schema in (ours, "sgmethod_engine_0_1"):
-            assert tokens(url, schema) >= 3  # one too many ends at once
-        assert [claimed(table).id for table in (other, jobs, other)] == [first, second, third]
-
-
-def test_a_look_sets_nothing_up(url: str, path: Path) -> None:
-    for look in (
-        lambda: PostgresJobTable(url, settings(), sets_up=False),
-        lambda: SqliteJobTable(path, settings(), sets_up=False),
-    ):
-        with pytest.raises(NotSetUpError, match="the first start of the service makes it"):
-            look()
-    assert not path.exists()
-    with psycopg.connect(url) as db:
-        found = db.execute("SELECT nspname FROM pg_namespace WHERE nspname LIKE 'sgmethod%'").fetchall()
-    assert found == []
-
-
-def outdate(db: Any, *drops: str) -> None:
-    """Take from a job table what version 3 did not have."""
-    for statement in (*drops, "DROP TABLE stored", "ALTER TABLE jobs DROP COLUMN losses"):
-        db.execute(statement)
-
-
-def assert_upgraded(open_table: Callable[..., JobTable], job_id: str) -> None:
-    with pytest.raises(NotSetUpError, match="of version 3; the next start of the service upgrades it to version 4"):
-        open_table(sets_up=False)
-    for _ in range(2):
-        with closing(open_table()) as table:
-            assert table.counts().jobs == {"queued": 1, "running": 0, "done": 0, "failed": 0}
-            assert table.counts().stored_bytes == IMAGE.size_bytes
-    with closing(open_table()) as table:
-        assert claimed(table).id == job_id
-        assert table.counts().jobs == {"queued": 0, "running": 1, "done": 0, "failed": 0}
-
-
-def test_an_earlier_version_is_upgraded_in_postgresql(url: str, jobs: PostgresJobTable) -> None:
-    job_id = submitted(jobs)
-    with psycopg.connect(url, options="-c search_path=sgmethod") as db:
-        outdate(db, *(f"DROP FUNCTION count_{event} CASCADE" for event in ("insert", "update", "delete")))
-        db.execute("UPDATE version SET version = '3' WHERE part = 'jobs'")
-    assert_upgraded(partial(PostgresJobTable, url, settings()), job_id)
-
-
-def test_an_earlier_version_is_upgraded_in_sqlite(path: Path) -> None:
-    with closing(SqliteJobTable(path, settings())) as table:
-        job_id = submitted(table)
-    with closing(sqlite3.connect(path)) as file:
-        outdate(file, *(f"DROP TRIGGER jobs_{event}" for event in ("come", "go", "change")))
-        file.execute("PRAGMA user_version = 3")
-    assert_upgraded(partial(SqliteJobTable, path, settings()), job_id)
-
-
 def test_counts_and_quotas_take_no_longer_with_many_jobs(path: Path) -> None:
     """Each read the whole table: 0.3 s of a probe without a key, or of a POST with the lock held, at 100,000 jobs."""
     steps: list[int] = []
@@ -239,7 +122,7 @@ def test_counts_and_quotas_take_no_longer_with_many_jobs(path: Path) -> None:
 def test_a_table_of_a_later_version_in_postgresql(url: str, jobs: PostgresJobTable) -> None:
     with psycopg.connect(url) as db:
         db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
-    with pytest.raises(JobTableError, match="of version 99, and this service reads versions 3 and 4"):
+    with pytest.raises(JobTableError, match="has version 99, and this service reads version 4"):
         PostgresJobTable(url, settings())
     assert jobs.queued() == 0
 
@@ -248,7 +131,7 @@ def test_a_table_of_a_later_version_in_sqlite(path: Path) -> None:
     SqliteJobTable(path, settings()).close()
     with closing(sqlite3.connect(path)) as file:
         file.execute("PRAGMA user_version = 99")
-    with pytest.raises(JobTableError, match="of version 99, and this service reads versions 3 and 4"):
+    with pytest.raises(JobTableError, match="has version 99, and this service reads version 4"):
         SqliteJobTable(path, settings())
 
 

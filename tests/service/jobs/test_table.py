@@ -67,8 +67,6 @@ def test_heartbeat_carries_the_trace(table: JobTable) -> None:
     assert table.heartbeat(claim, [], 2)
     assert table.heartbeat(claim, [{"step": 1}, {"step": 2}], 1)  # a point that was sent twice
     assert table.trace(job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
-    assert table.trace(job_id, 2) == [{"step": 2}]
-    assert table.trace(job_id, 3) == []
     assert table.fail(claim, CRASH)
     claimed(table)
     assert table.trace(job_id) == []
@@ -201,7 +199,7 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     assert all(-1 < seconds < 60 for seconds in workers.values())
     table.unregister("two")
     assert list(table.counts().workers) == ["one"]
-    monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
+    monkeypatch.setattr(table_module, "FORGET_AFTER_S", -60)
     table.register("three")  # and workers that were silent for too long are forgotten
     assert table.counts().workers == {}
 

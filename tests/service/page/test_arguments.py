@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pytest
 
 from sgmethod.bitstream.text import to_text
+from tests.service.page.bundled import node
 from tests.support.data import JAVASCRIPT, golden
-from tests.support.processes import run
 
 SCRIPT = """
 const [{ encodePreview }, { dataUri }, { decodePreview }, { decode, info }] = await Promise.all(
@@ -32,13 +31,9 @@ KIND = "must be a Uint8Array, a Uint8ClampedArray or an ArrayBuffer, not"
 
 def outcomes(*calls: str) -> list[str]:
     """What expressions in JavaScript return, as JSON, or throw."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
     data = golden(2)["v2-color"]
     given = [JAVASCRIPT.as_uri(), to_text(data), str(list(data)), ", ".join(f"() => {call}" for call in calls)]
-    done = run("node", "--input-type=module", "--eval", SCRIPT % tuple(given))
-    assert done.status == 0, done.stderr
-    found: list[str] = json.loads(done.stdout)
+    found: list[str] = json.loads(node(SCRIPT % tuple(given)))
     return found
 
 

@@ -10,8 +10,7 @@ import socket
 import subprocess
 import threading
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +25,10 @@ from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 from tests.io.profiles import DISPLAY_P3, rgb
 from tests.service.browser import Page
-from tests.service.page.bundled import install, packed
+from tests.service.page.bundled import install, node, packed, served
 from tests.service.page.test_recipes import blocks, code_of
 from tests.support.data import PHOTOGRAPHS, ROOT
-from tests.support.processes import TIMEOUT_S, Outcome, run, wait_until
+from tests.support.processes import TIMEOUT_S, run, wait_until
 
 pytestmark = pytest.mark.thorough
 
@@ -58,15 +57,9 @@ def site(packages: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def node(folder: Path, script: str) -> Outcome:
-    return run("node", "--input-type=module", "--eval", script, folder=folder)
-
-
 def previews(folder: Path, *tasks: tuple[object, dict[str, Any]]) -> list[Any]:
     """What previewOf() answers: a preview, or the words of an error."""
-    done = node(folder, PREVIEWS.replace("TASKS", json.dumps(tasks)))
-    assert done.status == 0, done.stderr
-    found: list[Any] = json.loads(done.stdout)
+    found: list[Any] = json.loads(node(PREVIEWS.replace("TASKS", json.dumps(tasks)), folder))
     return found
 
 
@@ -180,12 +173,11 @@ def test_eleventy(site: Path) -> None:
     (site / "eleventy.config.mjs").write_text(blocks("Eleventy")[0])
     (site / "photos").mkdir()
     shutil.copy(PARROT, site / "photos" / "door.png")
-    done = node(site, ELEVENTY)
-    assert done.status == 0, done.stderr
+    printed = node(ELEVENTY, site)
     size = 'width="128" height="96" loading="lazy" decoding="async"'
     style = r'style="background:#\w+ url\(data:image/webp;base64,\S+\) center/cover"'
     img = rf'<img src="/photos/door.png" alt="A &quot;red&quot; door" {size} {style}>'
-    found = re.fullmatch(rf'<sg-img preview="(\S+)">{img}</sg-img>\n', done.stdout)
+    found = re.fullmatch(rf'<sg-img preview="(\S+)">{img}</sg-img>\n', printed)
     assert found
     assert len(from_text(found[1])) <= 200
 
@@ -197,15 +189,11 @@ def test_a_page_in_one_script(each_browser: Page, site: Path, document: str) -> 
     (site / "photos").mkdir()
     for name in ("photo.jpg", "photos/photo.jpg"):
         Image.open(PARROT).save(site / name)
-    assert node(site, script).status == 0
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(site))) as server:
-        threading.Thread(target=server.serve_forever).start()
-        try:
-            each_browser.open(f"http://127.0.0.1:{server.server_port}/index.html")
-            wait_until(lambda: [one["loaded"] for one in each_browser.run(SHOWN)] == [128])
-            assert each_browser.run("return Boolean(customElements.get('sg-img'))")
-        finally:
-            server.shutdown()
+    node(script, site)
+    with served(site) as address:
+        each_browser.open(f"{address}index.html")
+        wait_until(lambda: [one["loaded"] for one in each_browser.run(SHOWN)] == [128])
+        assert each_browser.run("return Boolean(customElements.get('sg-img'))")
 
 
 CONFIGURATION = """
@@ -255,19 +243,14 @@ class Held(SimpleHTTPRequestHandler):
         if not self.path.endswith(".png") or self.may.wait(TIMEOUT_S):
             super().do_GET()
 
-    def log_message(self, format: str, *_: Any) -> None:
-        pass
-
 
 @pytest.fixture
 def held(vite_site: Path) -> Iterator[tuple[str, threading.Event]]:
     """The address of what is built, and what lets photographs through."""
     handler = type("OwnHeld", (Held,), {"may": (may := threading.Event())})
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=str(vite_site / "dist"))) as server:
-        threading.Thread(target=server.serve_forever).start()
-        yield f"http://127.0.0.1:{server.server_port}/", may
+    with served(vite_site / "dist", handler) as address:
+        yield address, may
         may.set()
-        server.shutdown()
 
 
 def test_a_build(each_browser: Page, vite_site: Path, held: tuple[str, threading.Event]) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import base64
 import re
 import shutil
-import threading
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from dataclasses import dataclass
+from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from tests.service.browser import Chromium, Page
+from tests.service.page.bundled import served
 from tests.service.page.steps import assert_open_to_all
 from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT, STATIC
 from tests.support.processes import run, wait_until
@@ -41,20 +41,13 @@ STAGE = """
 """
 
 
+@dataclass
 class Site:
-    """The page's files behind a server that counts."""
+    """The page's folder and address, and what was asked for."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.asked = folder, list[str]()
-        site = self
-
-        class Counting(SimpleHTTPRequestHandler):
-            def log_request(self, *_: Any) -> None:
-                site.asked.append(self.path)
-
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Counting, directory=str(folder)))
-        self.url = f"http://127.0.0.1:{self.server.server_port}/"
-        threading.Thread(target=self.server.serve_forever).start()
+    folder: Path
+    url: str
+    asked: list[str]
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +57,14 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("demo")
     done = run("node", "demo/build.mjs", ROOT, folder, folder=PACKAGES)
     assert done.status == 0, done.stderr
-    site = Site(folder)
-    yield site
-    site.server.shutdown()
-    site.server.server_close()
+    asked: list[str] = []
+
+    class Counting(SimpleHTTPRequestHandler):
+        def log_request(self, *_: Any) -> None:
+            asked.append(self.path)
+
+    with served(folder, Counting) as url:
+        yield Site(folder, url, asked)
 
 
 def previewed(page: Page) -> list[str]:

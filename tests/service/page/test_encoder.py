@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import shutil
 import statistics
 from html.parser import HTMLParser
 from itertools import product
@@ -22,8 +21,8 @@ from sgmethod.bitstream.text import from_text
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
+from tests.service.page.bundled import node
 from tests.support.data import JAVASCRIPT, PHOTOGRAPHS
-from tests.support.processes import run
 
 ENCODE = """
 const { encodePreview } = await import("%s");
@@ -88,14 +87,9 @@ console.log(JSON.stringify(await Promise.all(pictures.map(async ([data, width, h
 
 def encoded(folder: Path, *calls: tuple[Pixels, Any], script: str = ENCODE, module: str = "encoder.js") -> list[Any]:
     """What encodePreview() makes of pictures [H, W, 4], each with its options; or what it throws."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
     given = [(base64.b64encode(p.tobytes()).decode(), p.shape[1], p.shape[0], options) for p, options in calls]
     (folder / "pictures.json").write_text(json.dumps(given))
-    script = script.replace("%s", (JAVASCRIPT / "encoder" / module).as_uri())
-    done = run("node", "--input-type=module", "--eval", script, folder=folder)
-    assert done.status == 0, done.stderr
-    found: list[Any] = json.loads(done.stdout)
+    found: list[Any] = json.loads(node(script.replace("%s", (JAVASCRIPT / "encoder" / module).as_uri()), folder))
     return found
 
 
@@ -201,9 +195,8 @@ def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> N
         assert len(from_text(one["text"])) <= options["bytes"]
         assert sgmethod.decode(from_text(one["text"])).shape[:2] == pixels.shape[:2] == (one["height"], one["width"])
     (tmp_path / "texts.json").write_text(json.dumps([one["text"] for one in made]))
-    done = run("node", "--input-type=module", "--eval", DECODE.replace("%s", JAVASCRIPT.as_uri()), folder=tmp_path)
-    assert done.status == 0, done.stderr
-    for (pixels, _), one, found in zip(calls, made, json.loads(done.stdout), strict=True):
+    decoded = json.loads(node(DECODE.replace("%s", JAVASCRIPT.as_uri()), tmp_path))
+    for (pixels, _), one, found in zip(calls, made, decoded, strict=True):
         stream, size = container.parse(from_text(one["text"])), pixels.shape[1::-1]
         assert isinstance(stream, StreamV2)
         expected = [[round(12 * side / max(size)) for side in size], values_of(stream), values_of(stream.alpha)]
@@ -226,13 +219,8 @@ def test_small_photographs(tmp_path: Path) -> None:
 def test_time_follows_the_pixels() -> None:
     """Strips take about as long as other pictures of as many pixels, and 6 megapixels little longer than a quarter of
     one: seen, 1.2 times and 0.1 s. The largest is the one before with 5 x 5 pixels for each."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
-    done = run(
-        "node", "--input-type=module", "--eval", TIMES.replace("%s", (JAVASCRIPT / "encoder" / "encoder.js").as_uri())
-    )
-    assert done.status == 0, done.stderr
-    (square, upright, flat, small, large), colours, *sizes = json.loads(done.stdout)
+    printed = node(TIMES.replace("%s", (JAVASCRIPT / "encoder" / "encoder.js").as_uri()))
+    (square, upright, flat, small, large), colours, *sizes = json.loads(printed)
     assert max(upright, flat) <= 4 * square + 0.5
     assert large <= 2 * small + 1
     assert sizes == [[600, 3000], [400, 2000]]
@@ -287,14 +275,9 @@ try {
 """
 
 
-def test_an_element_as_html(tmp_path: Path) -> None:
+def test_an_element_as_html() -> None:
     """Attributes come out of a parser as they went in, and only a placeholder needs inline styles."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
-    script = ELEMENT % (JAVASCRIPT / "encoder" / "element.js").as_uri()
-    done = run("node", "--input-type=module", "--eval", script, folder=tmp_path)
-    assert done.status == 0, done.stderr
-    made, error = done.stdout.splitlines()
+    made, error = node(ELEMENT % (JAVASCRIPT / "encoder" / "element.js").as_uri()).splitlines()
     tags: list[tuple[str, dict[str, str | None]]] = []
     parser = HTMLParser()
     parser.handle_starttag = lambda tag, attributes: tags.append((tag, dict(attributes)))  # type: ignore

@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import json
 import shutil
-import threading
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +16,7 @@ from PIL import Image
 
 from sgmethod.bitstream.text import to_text
 from tests.service.browser import Page
+from tests.service.page.bundled import served
 from tests.service.page.test_recipes import blocks
 from tests.support.data import JAVASCRIPT, golden
 from tests.support.processes import wait_until
@@ -84,23 +82,12 @@ KINDS = {
 }
 
 
-class Quiet(SimpleHTTPRequestHandler):
-    """Serves files."""
-
-    def log_message(self, format: str, *_: Any) -> None:
-        pass
-
-
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
     """A folder, and the address at which it is served."""
     shutil.copytree(JAVASCRIPT, tmp_path / "sgmethod")
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as server:
-        threading.Thread(target=server.serve_forever).start()
-        try:
-            yield tmp_path, f"http://127.0.0.1:{server.server_port}"
-        finally:
-            server.shutdown()
+    with served(tmp_path) as address:
+        yield tmp_path, address
 
 
 def page_of(kind: str) -> str:
@@ -138,7 +125,7 @@ def assert_own_aspects(page: Page) -> None:
 def test_each_photograph_has_its_own_aspect_ratio(each_browser: Page, site: tuple[Path, str], kind: str) -> None:
     folder, url = site
     (folder / "index.html").write_text(page_of(kind))
-    each_browser.open(f"{url}/index.html")
+    each_browser.open(f"{url}index.html")
     if kind != "alone":
         assert_own_aspects(each_browser)  # as without JavaScript
     each_browser.run("return import('/sgmethod/sg-img.js').then(() => undefined)")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -12,9 +11,10 @@ import pytest
 import sgmethod
 from sgmethod.bitstream.text import from_text, to_text
 from tests.service.browser import Chromium, Page
+from tests.service.page.bundled import node
 from tests.service.page.steps import assert_as_python, assert_open_to_all
 from tests.support.data import JAVASCRIPT, STATIC, golden
-from tests.support.processes import run, wait_until
+from tests.support.processes import wait_until
 from tests.support.service import Service
 
 SIZE = 96  # of the longer side, pixels
@@ -39,15 +39,12 @@ console.log(JSON.stringify(%s.map((text) => {
 
 def test_the_small_decoder_in_node() -> None:
     """The files as Python draws them, within what docs/format.md allows two decoders; and what is bad refused."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
     see_through = np.zeros((12, 16, 4), np.uint8)
     see_through[:, 8:] = (200, 90, 20, 255)
     files = [*SHORT, sgmethod.encode(see_through, bytes=60, tune="psnr", effort=1).data]
     texts = json.dumps([*map(to_text, files), *BAD])
-    done = run("node", "--input-type=module", "--eval", DECODE % ((JAVASCRIPT / "preview.js").as_uri(), texts, SIZE))
-    assert done.status == 0, done.stderr
-    drawn, refused = (found := json.loads(done.stdout))[: len(files)], found[len(files) :]
+    found = json.loads(node(DECODE % ((JAVASCRIPT / "preview.js").as_uri(), texts, SIZE)))
+    drawn, refused = found[: len(files)], found[len(files) :]
     for (width, height, levels), data in zip(drawn, files, strict=True):
         ours = np.frombuffer(base64.b64decode(levels), np.uint8).reshape(height, width, 4).astype(int)
         info = sgmethod.info(data)
@@ -67,8 +64,6 @@ WRONG = [{"widht": 24}, {"scale": 2, "width": 24}]
 
 def test_the_whole_decoder_in_node() -> None:
     """Sizes as Python's, what a file holds, and options that do not exist."""
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
     data = golden(2)["v2-short-alpha"]
     script = f"""
         const {{ decode, info }} = await import("{(JAVASCRIPT / "decoder.js").as_uri()}");
@@ -80,9 +75,7 @@ def test_the_whole_decoder_in_node() -> None:
         }});
         console.log(JSON.stringify([sizes, info(bytes), errors]));
     """
-    done = run("node", "--input-type=module", "--eval", script)
-    assert done.status == 0, done.stderr
-    sizes, found, errors = json.loads(done.stdout)
+    sizes, found, errors = json.loads(node(script))
     file = sgmethod.open(data)
     expected = [file.pixels(**view).shape[1::-1] for view in VIEWS]  # type: ignore[arg-type]
     assert sizes == [list(size) for size in expected]

@@ -8,8 +8,7 @@ import json
 import re
 import shutil
 import threading
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ import sgmethod
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
 from tests.service.browser import Chromium
+from tests.service.page.bundled import served
 from tests.service.page.test_previews import show
 from tests.support.data import JAVASCRIPT, PHOTOGRAPHS, ROOT, golden
 from tests.support.processes import TIMEOUT_S, wait_until
@@ -84,9 +84,6 @@ class Held(SimpleHTTPRequestHandler):
         if self.path != "/photo.png" or self.may.wait(TIMEOUT_S):
             super().do_GET()
 
-    def log_message(self, format: str, *_: Any) -> None:
-        pass
-
 
 @pytest.mark.thorough
 def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium, tmp_path: Path) -> None:
@@ -101,10 +98,9 @@ def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium,
         shown = Image.open(io.BytesIO(page.driver.get_screenshot_as_png())).convert("RGB").crop((0, 0, 384, 288))
         return psnr(np.asarray(shown), photograph)
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Held, directory=str(tmp_path))) as server:
-        threading.Thread(target=server.serve_forever).start()
+    with served(tmp_path, Held) as address:
         try:
-            page.open(f"http://127.0.0.1:{server.server_port}/index.html")
+            page.open(f"{address}index.html")
             wait_until(lambda: likeness() > 17)  # seen: 19.6
             webp = likeness()
             page.run("return import('/sgmethod/sg-img.js').then(() => undefined)")
@@ -116,7 +112,6 @@ def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium,
             assert likeness() > 25
         finally:
             Held.may.set()
-            server.shutdown()
 
 
 def test_fastapi() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from service import logs
 from service.api import app
-from service.keys import KeyRing, digest
+from service.keys import KeyRing
 from service.process.loops import PeriodicThread, StopSignal
 from tests.support.processes import TIMEOUT_S, failing, wait_until
 
@@ -37,28 +37,6 @@ def test_a_line_of_the_log_is_one_line() -> None:
     assert logs._Lines("%(message)s").format(record) == r"job: a\nERROR worker: b\x1b[2Jé"
     record.exc_info = (ValueError, ValueError("no"), None)
     assert logs._Lines("%(message)s").format(record).endswith("é\nValueError: no")
-
-
-def test_keys_are_read_until_they_can_be(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Whatever failed before, which is logged."""
-    wrong = RuntimeError("unexpected"), ValueError("cannot be read"), ValueError("key 1 is none")
-    read_keys = failing(lambda: {digest("a key"): "ann"}, *wrong)
-    monkeypatch.setattr(app, "KEYS_POLL_S", 0.0)
-    ring = KeyRing({})
-    parts: Any = SimpleNamespace(settings=SimpleNamespace(api_keys_file=tmp_path, read_keys=read_keys), keys=ring)
-
-    async def follow() -> None:
-        reloading = asyncio.create_task(app._reload_keys(parts))
-        async with asyncio.timeout(TIMEOUT_S):
-            while not ring and not reloading.done():
-                await asyncio.sleep(0.01)
-        reloading.cancel()
-
-    asyncio.run(follow())
-    assert ring.owner_of("a key") == "ann"
-    assert all(str(error) in caplog.text for error in wrong)
 
 
 def test_a_file_of_keys_that_is_being_written_locks_no_client_out(

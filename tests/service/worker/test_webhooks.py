@@ -159,7 +159,7 @@ def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch
             db.execute("UPDATE deliveries SET due_at = 0, ended_at = ended_at - ?", (pauses[-1],))
     assert [round(pause, -1) for pause in pauses[:4]] == [10, 20, 40, 80]
     assert pauses[-1] == pytest.approx(3600, abs=60)
-    monkeypatch.setattr(outcomes, "KEPT_S", 0.0)
+    monkeypatch.setattr(outcomes, "RETRY_FOR_S", 0.0)
     table.register("w")
     assert table.due_delivery("http://a") is None
     assert table.counts().deliveries == 0
