@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from sgmethod.native import native
+from tests.support import javascript_settings
 from tests.support.data import JAVASCRIPT, ROOT
 
 FILES = 2000  # of each kind
@@ -121,3 +122,8 @@ def test_it_has_the_tables(tmp_path: Path) -> None:
     tables.unlink()
     run_node([str(tmp_path / "javascript" / "tables.mjs")])
     assert tables.read_text() == (JAVASCRIPT / "tables.js").read_text()
+
+
+def test_its_encoder_has_the_settings() -> None:
+    """Those that `python -m tests.support.javascript_settings` writes."""
+    assert javascript_settings.WRITTEN.read_text() == javascript_settings.text()

@@ -1,6 +1,8 @@
 // A worker that makes files of other codecs at our size, and measures the distance from the original.
 
-const [FINE, FINEST] = [0.01, 0.0002]; // steps of quality; 0 to 0.01 changes a WebP by a third
+import { largestWithin } from "../sgmethod/encoder/within.js";
+
+const [STEPS, FINE] = [8192, 64]; // of quality, from 0 to 1; 64 change a WebP by a third
 
 let original = null; // { image, data, width, height }
 
@@ -66,12 +68,15 @@ const answers = {
     if (coarsest.type !== type) return null;
     let [under, over] = coarsest.size <= bytes ? [coarsest, null] : [null, coarsest];
     const isNear = () => under?.size >= least;
-    let [low, high] = [0, 1];
-    while (under && high - low > (isNear() ? FINE : FINEST)) {
-      const quality = (low + high) / 2;
-      const blob = await at(quality);
-      if (blob.size <= bytes) [low, under] = [quality, blob];
-      else [high, over] = [quality, blob];
+    const fits = (blob) => {
+      if (blob.size <= bytes) under = blob;
+      else over = blob;
+      return under === blob;
+    };
+    const between = async (low, high, near) => (await largestWithin((step) => at(step / STEPS), fits, low, high, near))[0];
+    if (under) {
+      let low = await between(0, STEPS, FINE);
+      for (let apart = FINE; apart > 1 && !isNear(); apart /= 2) low = await between(low, low + apart, apart / 2);
     }
     const best = isNear() ? under : (over ?? under);
     const image = await createImageBitmap(best);

@@ -2,9 +2,9 @@
 
 import { decode as decodeBlurHash, encode as encodeBlurHash } from "blurhash";
 import { rgbaToThumbHash, thumbHashToRGBA } from "thumbhash";
+import { JUDGED_SIDE, SIDES } from "../src/encoder/settings.js";
+import { largestWithin } from "../src/encoder/within.js";
 
-const SIDES = [8, 12, 16, 24, 32, 48, 64]; // of a WebP, as dataUri() tries them
-const JUDGED_SIDE = 192; // pixels in which a WebP is compared with the picture
 const HASHED_SIDE = 96; // 100 are the most that ThumbHash takes
 const MOST_COMPONENTS = 9; // of a BlurHash, along a side
 
@@ -52,19 +52,16 @@ async function bare(blob) {
 export async function webp(picture, characters) {
   const judged = reduced(picture, JUDGED_SIDE);
   const { data } = pixelsOf(judged);
+  if ((await judged.convertToBlob({ type: "image/webp" })).type !== "image/webp") return { length: 0 };
   let [best, least] = [{ length: characters }, Infinity];
   for (const side of SIDES) {
     const small = reduced(picture, side);
-    let [blob, low, high] = [null, 0, 100];
-    while (low <= high) {
-      const quality = (low + high) >> 1;
-      const whole = await small.convertToBlob({ type: "image/webp", quality: quality / 100 });
-      if (whole.type !== "image/webp") return { length: 0 };
-      const made = await bare(whole);
-      const fits = base64Length(made.size) <= characters;
-      if (fits) [blob, low] = [made, quality + 1];
-      else high = quality - 1;
-    }
+    const [, blob] = await largestWithin(
+      async (quality) => bare(await small.convertToBlob({ type: "image/webp", quality: quality / 100 })),
+      ({ size }) => base64Length(size) <= characters,
+      -1,
+      101,
+    );
     if (!blob) break; // larger ones are no smaller
     const drawn = pixelsOf(resized(await createImageBitmap(blob), judged.width, judged.height)).data;
     const error = data.reduce((sum, level, i) => sum + (level - drawn[i]) ** 2, 0);

@@ -8,26 +8,24 @@
 // grid.js       their weights, what they leave of the picture, derivatives
 // growing.js    where another one pays
 // refining.js   their integers
+// settings.js   constants that are Python's
 // integers.js   Gaussians and integers
 // writing.js    integers and bytes
 // uri.js        apart from these: a placeholder that needs no script
+// within.js     the largest file within a number of bytes, for that
 
 import { optionsOf } from "../header.js";
 import { COARSE, FINE, expectedIn, fitted, quantumIn } from "./fitting.js";
 import { fiveBits, quantumOf } from "./integers.js";
 import { averaged, pictureOf, reducedSize } from "./reducing.js";
+import { COARSER_ALPHA, DARK, NARROWEST_PX, PIXELS_PER_BYTE, SOFT_BYTES, SOFT_PX } from "./settings.js";
 import { UNSEEN, decodedAlpha, ofAlpha, ofColours } from "./targets.js";
 import { fileOf } from "./writing.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
 
 const [MIN_BYTES, MAX_BYTES] = [16, 1024];
-// As in sgmethod/previews/preview.py, which says why.
-const PIXELS_PER_BYTE = 256;
-const [SOFT_PX, SOFT_BYTES, NARROWEST_PX] = [10, 200, 0.5];
-const DARK = 0.179;
 const BYTES_OF_ALPHA = 1 / 2; // of those for Gaussians, at most
-const COARSER_ALPHA = 6; // quantum, in multiples of the colours': AlphaSettings in sgmethod/settings/rd.py
 
 /** A preview of a picture.
  *

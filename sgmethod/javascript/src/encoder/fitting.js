@@ -1,38 +1,31 @@
 // Gaussians fitted to a picture within a number of bytes: profile rd (sgmethod/rd/encode.py) in fewer steps, and for
-// squared error only. Constants are those of sgmethod/settings/rd.py, which says why, except for STEPS, DENSE_STEPS,
-// COARSE, FINE, FINE_FROM, MAX_SURPLUS, BITS_OF_DROPPED and GROWTH_AT, chosen on 24 photographs at 64, 200 and 1,000
+// squared error only. Constants here, unlike those in settings.js, were chosen on 24 photographs at 64, 200 and 1,000
 // bytes: docs/notebook/service.md.
 
 import { found } from "./growing.js";
 import { differentiate, errorOf, leave } from "./grid.js";
 import { FINEST, codeOf, quantumOf, rounded } from "./integers.js";
 import { refined } from "./refining.js";
+import { BETA1, BETA2, BITS_OF_NEW, BITS_PER_GAUSSIAN, DENSE, EXCESS, EXCESS_FROM } from "./settings.js";
+import { EXCESS_UNTIL, FAINT, FINER_EARLY, LAST_RATE, MIN_GROWN, MIN_USED, NEWTON_STEPS } from "./settings.js";
+import { QUANTUM_PER_SIZE, RATE, RATE_WEIGHT, REACH, REFINE_WEIGHT, SPARSE, STEERING_EXPONENT } from "./settings.js";
+import { STEERING_FROM, STEERING_LIMIT, WORTHLESS_BITS } from "./settings.js";
 import { payloadOf } from "./writing.js";
 
 const { abs, cos, exp, floor, log, max, min, PI, round, sign, sqrt } = Math;
 
-const STEPS = 150;
-const [SPARSE, DENSE, DENSE_STEPS] = [0.01, 0.035, 4]; // Gaussians a pixel, and factor on the steps of dense ones
+const [STEPS, DENSE_STEPS] = [150, 4]; // and a factor on the steps of dense Gaussians
 // Of a picture, as most steps see it, and the last ones and the search for integers: at most so many samples for each
 // Gaussian expected, and so many along the least l1.
 export const COARSE = [100, 2.5];
 export const FINE = [400, 5];
 const FINE_FROM = 0.75; // parts of the steps, as all times are
-const RATE_WEIGHT = 1.7;
 const MAX_SURPLUS = 3; // Gaussians while they grow, in multiples of those expected
 const BITS_OF_DROPPED = 14;
-const BITS_PER_GAUSSIAN = 30;
 const GROWTH_AT = [0, 0.06, 0.12, 0.18, 0.24, 0.3, 0.37, 0.45, 0.55, 0.65];
 const TRIM_AT = [0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97];
-const STEERING_FROM = 0.12;
-const [STEERING_LIMIT, STEERING_EXPONENT] = [1.35, 0.9];
-const [EXCESS, EXCESS_FROM, EXCESS_UNTIL, FINER_EARLY] = [0.5, 0.45, 0.88, 4];
-const [BITS_OF_NEW, BITS_OF_NOTHING, MIN_GROWN] = [20, 4.3, 4];
-const [RATE, LAST_RATE, BETA1, BETA2, NEWTON_STEPS, FAINT] = [0.14, 0.5, 0.9, 0.99, 2, 0.03];
 const CURVATURE = [1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1];
-const REACH = 1.6; // of a centre beyond the picture, in scales
-const REFINE_WEIGHT = 0.35;
-const [TRIES, MIN_USED, QUANTUM_PER_SIZE] = [4, 0.985, 1.4];
+const TRIES = 4;
 
 /** About how many Gaussians a payload holds. */
 export const expectedIn = (bytes) => max(floor((8 * bytes) / BITS_PER_GAUSSIAN), 1);
@@ -175,7 +168,7 @@ export function fitted([coarse, fine], header, limit, least, finest = 0) {
     const grid = at < FINE_FROM ? coarse : fine;
     const grows = GROWTH_AT.some(isNow);
     if (grows || TRIM_AT.some(isNow)) {
-      all = pruned(all, at < GROWTH_AT.at(-1) ? BITS_OF_NOTHING : BITS_OF_DROPPED, quantum);
+      all = pruned(all, at < GROWTH_AT.at(-1) ? WORTHLESS_BITS : BITS_OF_DROPPED, quantum);
       if (at >= STEERING_FROM) quantum = steered(quantum, sizeOf(coded(all, header, quantum)), limit, finest, at);
     }
     if (grows) {

@@ -1,11 +1,9 @@
 // A picture reduced to what a preview can show.
 
 import { bytesOf } from "../header.js";
+import { SHORTEST, THINNEST } from "./settings.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
-
-const THINNEST = 16; // pixels; a thinner strip counts as this thick, because its Gaussians are no smaller along it
-const SHORTEST = 3 / 4; // least shorter side tried for the best aspect ratio, as a part of the longest allowed
 
 /** Size of about this many pixels at most, with the nearest aspect ratio: sgmethod/previews/reducing.py. */
 export function reducedSize(width, height, pixels) {

@@ -2,14 +2,12 @@
 
 import { drawn, newGrid } from "./grid.js";
 import { levelOf } from "./integers.js";
+import { MARGIN, OF_SLOPE, OVERSHOOT } from "./settings.js";
 
 const { abs, floor, max, min } = Math;
 
 export const UNSEEN = 1 / 512; // half a level of 8 bits
 const HIDDEN = 1 / 64; // weight of the average where alpha hides a colour
-// Decoding clamps alpha, so that it may lie beyond 0 and 1, and at steep edges must: MovingTargetSettings in
-// sgmethod/settings/rd.py.
-const [OVERSHOOT, MARGIN, OF_SLOPE] = [0.4, 0.02, 0.3];
 
 /** A grid for the colours of a picture that is averaged(). An error of a colour counts as much as the alpha that is
  * decoded lets it be seen; shown: that alpha, if there is any. What alpha hides counts as average. */
@@ -27,7 +25,7 @@ export function ofColours({ means, columns, rows }, { width, height, background 
   return newGrid(target, columns, rows, width, height, { shown });
 }
 
-/** A grid for a picture's alpha. */
+/** A grid for a picture's alpha. Decoding clamps it, so that it may lie beyond 0 and 1, and at steep edges must. */
 export function ofAlpha({ means, columns, rows }, { width, height, background }) {
   const alpha = means.filter((_, i) => i % 4 === 3);
   const [target, low, high] = [0, 1, 2].map(() => new Float32Array(3 * alpha.length));

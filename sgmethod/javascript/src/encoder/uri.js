@@ -2,12 +2,11 @@
 
 import { crc32, optionsOf } from "../header.js";
 import { averaged, pictureOf } from "./reducing.js";
+import { JUDGED_SIDE, SIDES } from "./settings.js";
+import { largestWithin } from "./within.js";
 
 const { floor, max, min, round } = Math;
 
-// As in sgmethod/previews/still.py, which says why: pixels of the longer side.
-const SIDES = [8, 12, 16, 24, 32, 48, 64];
-const JUDGED_SIDE = 192;
 const PNG_SIDES = [4, 32]; // least and most
 const [COLOURS, PASSES] = [8, 8]; // docs/notebook/service.md
 const OPAQUE = 1 - 1 / 512;
@@ -24,7 +23,7 @@ export async function dataUri(rgba, width, height, options) {
   const prefix = `data:image/${sharp ? "webp" : "png"};base64,`;
   const most = 3 * floor((characters - prefix.length) / 4);
   const file = await (sharp ? bestWebp(picture, most, sharp) : bestPng(picture, most));
-  return file && prefix + btoa(String.fromCharCode(...file));
+  return file ? prefix + btoa(String.fromCharCode(...file)) : "";
 }
 
 const sizeWithin = (width, height, longest) =>
@@ -41,7 +40,7 @@ function reduced({ means, columns, rows }, longest) {
 async function bestWebp(picture, most, sharp) {
   const judged = reduced(picture, JUDGED_SIDE);
   const { width, height } = judged;
-  let [best, least] = ["", Infinity];
+  let [best, least] = [null, Infinity];
   for (const side of SIDES) {
     const file = await finestWebp(reduced(picture, side), most, sharp);
     if (!file) continue;
@@ -53,23 +52,15 @@ async function bestWebp(picture, most, sharp) {
 }
 
 const finestWebp = ({ rgb, width, height }, most, sharp) =>
-  largest(most, [1, 100], (quality) =>
+  largest(most, 1, 100, (quality) =>
     sharp(rgb, { raw: { width, height, channels: 3 } }).webp({ quality, effort: 6 }).toBuffer(),
   );
 
-const bestPng = (picture, most) => largest(most, PNG_SIDES, (side) => pngOf(reduced(picture, side)));
+const bestPng = (picture, most) => largest(most, ...PNG_SIDES, (side) => pngOf(reduced(picture, side)));
 
-/** Bisect for the highest number whose file has at most so many bytes; "" if none has. */
-async function largest(most, [low, high], fileOf) {
-  let best = "";
-  while (low <= high) {
-    const middle = (low + high) >> 1;
-    const file = await fileOf(middle);
-    if (file.length <= most) [best, low] = [file, middle + 1];
-    else high = middle - 1;
-  }
-  return best;
-}
+/** The file of the highest number, from least to highest, that has at most so many bytes; null if none has. */
+const largest = async (most, least, highest, fileOf) =>
+  (await largestWithin(fileOf, (file) => file.length <= most, least - 1, highest + 1))[1];
 
 async function pngOf({ rgb, width, height }) {
   const [palette, nearest] = paletteOf(rgb);
