@@ -1,4 +1,4 @@
-# `make` prints the targets. PYTHON=python3.12 chooses the interpreter of .venv (3.11 or later), and TORCH=torch==2.7.0 the
+# `make` prints the targets. PYTHON=python3.12 chooses the interpreter of .venv (3.11 or later), and TORCH=torch==2.6.0 the
 # build of PyTorch. The set-up is repeated only when pyproject.toml or a C++ source changes.
 PYTHON ?= python3
 TORCH ?= torch==2.13.0

@@ -6,8 +6,6 @@ its level, and its colour there. The kernels compute the same as backend/pairs.p
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import triton
 import triton.language as tl
 
@@ -31,60 +29,6 @@ _MAX_AMPLITUDE, _FAINT = tl.constexpr(native.MAX_AMPLITUDE), tl.constexpr(native
 _COLOR_SCALE, _R_STEP = tl.constexpr(native.COLOR_SCALE), tl.constexpr(native.R_STEP)
 _GREY, _WARM, _GREEN = (tl.constexpr(row[0]) for row in native.COLOR_BASIS)  # times (1, 1, 1), (1, 0, -1), (1, -2, 1)
 _INVERSE_LN2 = tl.constexpr(1.4426950408889634)
-
-
-class Averages(NamedTuple):
-    """Adam's averages of a batch: pointers to first and second moments, and to powers of beta."""
-
-    first: Any
-    second: Any
-    bias: Any
-
-
-class Bits(NamedTuple):
-    """Pointers to the quantum and the price of a bit of each picture."""
-
-    quanta: Any
-    prices: Any
-
-
-class Rates(NamedTuple):
-    """Adam's rates and decays, and how many steps of Gauss-Newton its steps may have, in samples."""
-
-    means: Any
-    factors: Any
-    colors: Any
-    beta1: Any
-    beta2: Any
-    newton: Any
-
-
-class Range(NamedTuple):
-    """Least scale, and the width and height of a picture."""
-
-    least: Any
-    width: Any
-    height: Any
-
-
-class _Ellipse(NamedTuple):
-    """Where Gaussians end: centre and narrowed factor in samples of their level, and sigmas."""
-
-    x: Any
-    y: Any
-    q1: Any
-    q2: Any
-    q3: Any
-    reach: Any
-
-
-class _Samples(NamedTuple):
-    """Samples of a tile: row and column without borders, whether they are in the picture, and offset in a plane."""
-
-    row: Any
-    column: Any
-    here: Any
-    at: Any
 
 
 @triton.jit
@@ -135,9 +79,8 @@ def _levelled(x, y, l1, l2, l3, pyramid: tl.constexpr):
 
 
 @triton.jit
-def _rows(ellipse, border, height):
+def _rows(y, q2, q3, reach, border, height):
     """First and last row of an ellipse; none if last < first."""
-    _, y, _, q2, q3, reach = ellipse
     half = reach * tl.sqrt(q2 * q2 + q3 * q3) + _MARGIN
     low, high = -border.to(tl.float32), (height + border).to(tl.float32)
     first = tl.minimum(tl.maximum(tl.ceil(y - half - 0.5), low), high)
@@ -146,13 +89,12 @@ def _rows(ellipse, border, height):
 
 
 @triton.jit
-def _columns(top, bottom, ellipse, border, width):
+def _columns(top, bottom, x, y, q1, q2, q3, reach, border, width):
     """First and last column in which an ellipse meets the rows top to bottom; none if last < first.
 
     At z = dy / spread it reaches from q1 (sine z - cosine r) to q1 (sine z + cosine r) with r^2 = reach^2 - z^2. That
     is farthest left at z = -reach sine, farthest right at z = reach sine.
     """
-    x, y, q1, q2, q3, reach = ellipse
     spread = tl.sqrt(q2 * q2 + q3 * q3)
     sine, cosine = q2 / spread, q3 / spread
     above = tl.minimum(tl.maximum((top + 0.5 - y) / spread, -reach), reach)
@@ -200,8 +142,7 @@ def place(means, factors, colors, table, levels, records, counts, ends, keys,
     own = table + 5 * tl.maximum(level, 0)
     width, height = tl.load(own + 1), tl.load(own + 2)
     border = tl.minimum(tl.maximum(level, 0), 1)
-    ellipse = _Ellipse(x, y, q1, q2, q3, reach)
-    first_row, last_row = _rows(ellipse, border, height)
+    first_row, last_row = _rows(y, q2, q3, reach, border, height)
     last_row = tl.where(drawn & here, last_row, first_row - 1)
     first, last = (first_row + border) // _TILE, (last_row + border + _TILE) // _TILE - 1
     count = tl.zeros_like(level)
@@ -213,8 +154,8 @@ def place(means, factors, colors, table, levels, records, counts, ends, keys,
         across = tl.load(own + 4)
     for row in range(0, tl.max(last - first, axis=0) + 1):
         top = (first + row) * _TILE - border
-        bottom = tl.minimum(top + _TILE - 1, last_row)
-        left, right = _columns(tl.maximum(top, first_row), bottom, ellipse, border, width)
+        left, right = _columns(tl.maximum(top, first_row), tl.minimum(top + _TILE - 1, last_row),
+                               x, y, q1, q2, q3, reach, border, width)  # fmt: skip
         left, right = (left + border) // _TILE, (right + border + _TILE) // _TILE - 1
         found = tl.where(first + row <= last, tl.maximum(right - left + 1, 0), 0)
         if lists:
@@ -250,14 +191,13 @@ def walk(planes, table, levels, records, ends, sums, each, pictures, capacity, r
     origin = planes + 3 * (tl.load(own).to(tl.int64) * pictures + g // each * area)
     q1, q3 = 1 / i1, 1 / i3
     q2 = shear * q1
-    ellipse = _Ellipse(x, y, q1, q2, q3, reach)
-    first_row, last_row = _rows(ellipse, border, height)
+    first_row, last_row = _rows(y, q2, q3, reach, border, height)
     last_row = tl.where(is_drawn, last_row, first_row - 1)
     zero = tl.zeros([_ROWS, _COLUMNS], tl.float32)
     by_c1, by_c2, by_c3, a1, a2, b11, b12, b22 = zero, zero, zero, zero, zero, zero, zero, zero
     for top in range(first_row, last_row + 1, _ROWS):
         bottom = tl.minimum(top + _ROWS - 1, last_row)
-        first, last = _columns(top, bottom, ellipse, border, width)
+        first, last = _columns(top, bottom, x, y, q1, q2, q3, reach, border, width)
         row = top + tl.arange(0, _ROWS)[:, None]
         dy = row.to(tl.float32) + 0.5 - y
         for left in range(first, last + 1, _COLUMNS):
@@ -295,13 +235,13 @@ def walk(planes, table, levels, records, ends, sums, each, pictures, capacity, r
 
 
 @triton.jit
-def _finished(value, plane, coarse, target, samples, stride, scale, enlarges: tl.constexpr, compares: tl.constexpr):
+def _finished(value, plane, coarse, target, row, column, here, at, stride, scale,
+              enlarges: tl.constexpr, compares: tl.constexpr):  # fmt: skip
     """Complete one channel of a tile and store it; return its squared error.
 
     The plane's own value and the next level, enlarged, are added to the sum of the listed Gaussians. If `compares`, the
     gradient of the error is stored in place of the picture.
     """
-    row, column, here, at = samples
     value += tl.load(plane + at, mask=here, other=0.0)
     if enlarges:
         near = coarse + ((row >> 1) + 1) * stride + (column >> 1) + 1
@@ -348,12 +288,11 @@ def draw(planes, coarse, target, errors, records, keys, starts, tiles, start, ac
     planes += 3 * picture * area
     target += 3 * picture * area
     coarse += 3 * picture * coarse_area
-    samples = _Samples(row, column, here, at)
-    error = _finished(red, planes, coarse, target, samples, stride, scale, enlarges=enlarges, compares=compares)
-    planes, coarse, target = planes + area, coarse + coarse_area, target + area
-    error += _finished(green, planes, coarse, target, samples, stride, scale, enlarges=enlarges, compares=compares)
-    planes, coarse, target = planes + area, coarse + coarse_area, target + area
-    error += _finished(blue, planes, coarse, target, samples, stride, scale, enlarges=enlarges, compares=compares)
+    error = _finished(red, planes, coarse, target, row, column, here, at, stride, scale, enlarges, compares)
+    error += _finished(green, planes + area, coarse + coarse_area, target + area, row, column, here, at, stride, scale,
+                       enlarges, compares)  # fmt: skip
+    error += _finished(blue, planes + 2 * area, coarse + 2 * coarse_area, target + 2 * area, row, column, here, at,
+                       stride, scale, enlarges, compares)  # fmt: skip
     if compares:
         tl.store(errors + picture * tl.num_programs(0) + tile, error)
 
@@ -445,10 +384,8 @@ def _of_bits(l1, l2, l3, c1, c2, c3, quantum, weight):
 
 
 @triton.jit
-def _move(first, second, gradient, here, rate, most, decays, biases):
+def _move(first, second, gradient, here, rate, most, beta1, beta2, bias1, bias2):
     """Update the moments of one value, and return how far it moves."""
-    beta1, beta2 = decays
-    bias1, bias2 = biases
     m1 = beta1 * tl.load(first, mask=here, other=0.0) + (1 - beta1) * gradient
     m2 = beta2 * tl.load(second, mask=here, other=0.0) + (1 - beta2) * gradient * gradient
     tl.store(first, m1, mask=here)
@@ -457,12 +394,10 @@ def _move(first, second, gradient, here, rate, most, decays, biases):
 
 
 @triton.jit(do_not_specialize=["total", "each"])
-def step(means, factors, colors, sums, averages, bits, rates, bounds, total, each, scale, pyramid: tl.constexpr,
+def step(means, factors, colors, sums, first, second, bias, quanta, prices, total, each, scale,
+         mean_rate, factor_rate, color_rate, beta1, beta2, least, newton, width, height, pyramid: tl.constexpr,
          block: tl.constexpr):  # fmt: skip
-    """Add the price of bits to the gradients, take one step of Adam, and keep the values in range (Backend).
-
-    averages: Averages; bits: Bits; rates: Rates; bounds: Range.
-    """
+    """Add the price of bits to the gradients, take one step of Adam, and keep the values in range (Backend)."""
     g = tl.program_id(0) * block + tl.arange(0, block)
     here = g < total
     by_x, by_y, by_l1, by_l2, by_l3, by_c1, by_c2, by_c3 = _chained(
@@ -472,35 +407,34 @@ def step(means, factors, colors, sums, averages, bits, rates, bounds, total, eac
     here = here & (l1 > 0) & (l3 > 0)  # others only fill up a picture
     l1, l3 = tl.where(here, l1, 1.0), tl.where(here, l3, 1.0)
     c1, c2, c3 = _load3(colors, g, here, 0.0)
-    quantum = tl.load(bits.quanta + g // each, mask=here, other=1.0)
-    price = tl.load(bits.prices + g // each, mask=here, other=0.0)
+    quantum = tl.load(quanta + g // each, mask=here, other=1.0)
+    price = tl.load(prices + g // each, mask=here, other=0.0)
     r1, r2, r3, r4, r5, r6 = _of_bits(l1, l2, l3, c1, c2, c3, quantum, price)
     by_l1, by_l2, by_l3, by_c1, by_c2, by_c3 = by_l1 + r1, by_l2 + r2, by_l3 + r3, by_c1 + r4, by_c2 + r5, by_c3 + r6
-    bias1 = rates.beta1 * tl.load(averages.bias + 2 * g, mask=here, other=0.0)
-    bias2 = rates.beta2 * tl.load(averages.bias + 2 * g + 1, mask=here, other=0.0)
-    tl.store(averages.bias + 2 * g, bias1, mask=here)
-    tl.store(averages.bias + 2 * g + 1, bias2, mask=here)
-    of_color = rates.newton / (l1 * l3)
+    bias1 = beta1 * tl.load(bias + 2 * g, mask=here, other=0.0)
+    bias2 = beta2 * tl.load(bias + 2 * g + 1, mask=here, other=0.0)
+    tl.store(bias + 2 * g, bias1, mask=here)
+    tl.store(bias + 2 * g + 1, bias2, mask=here)
+    of_color = newton / (l1 * l3)
     of_shape = of_color / tl.maximum(c1 * c1 + c2 * c2 + c3 * c3, _FAINT)
-    m, s = averages.first + _RECORD * g.to(tl.int64), averages.second + _RECORD * g.to(tl.int64)
-    decays, biases = (rates.beta1, rates.beta2), (bias1, bias2)
-    d1 = _move(m, s, l1 * by_x + l2 * by_y, here, rates.means, 2 * of_shape, decays, biases)
-    d2 = _move(m + 1, s + 1, l3 * by_y, here, rates.means, 2 * of_shape, decays, biases)
-    s1 = _move(m + 2, s + 2, l1 * by_l1 + l2 * by_l2, here, rates.factors, of_shape * (4 / 3), decays, biases)
-    s2 = _move(m + 3, s + 3, l3 * by_l2, here, rates.factors, 4 * of_shape, decays, biases)
-    s3 = _move(m + 4, s + 4, l3 * by_l3, here, rates.factors, of_shape * (4 / 3), decays, biases)
-    c1 += _move(m + 5, s + 5, by_c1, here, rates.colors, of_color, decays, biases)
-    c2 += _move(m + 6, s + 6, by_c2, here, rates.colors, of_color, decays, biases)
-    c3 += _move(m + 7, s + 7, by_c3, here, rates.colors, of_color, decays, biases)
+    m, s = first + _RECORD * g.to(tl.int64), second + _RECORD * g.to(tl.int64)
+    d1 = _move(m, s, l1 * by_x + l2 * by_y, here, mean_rate, 2 * of_shape, beta1, beta2, bias1, bias2)
+    d2 = _move(m + 1, s + 1, l3 * by_y, here, mean_rate, 2 * of_shape, beta1, beta2, bias1, bias2)
+    s1 = _move(m + 2, s + 2, l1 * by_l1 + l2 * by_l2, here, factor_rate, of_shape * (4 / 3), beta1, beta2, bias1, bias2)
+    s2 = _move(m + 3, s + 3, l3 * by_l2, here, factor_rate, 4 * of_shape, beta1, beta2, bias1, bias2)
+    s3 = _move(m + 4, s + 4, l3 * by_l3, here, factor_rate, of_shape * (4 / 3), beta1, beta2, bias1, bias2)
+    c1 += _move(m + 5, s + 5, by_c1, here, color_rate, of_color, beta1, beta2, bias1, bias2)
+    c2 += _move(m + 6, s + 6, by_c2, here, color_rate, of_color, beta1, beta2, bias1, bias2)
+    c3 += _move(m + 7, s + 7, by_c3, here, color_rate, of_color, beta1, beta2, bias1, bias2)
     x = tl.load(means + 2 * g, mask=here, other=0.0) + l1 * d1
     y = tl.load(means + 2 * g + 1, mask=here, other=0.0) + l2 * d1 + l3 * d2
     l2 = l2 * tl.exp(s1) + l3 * s2
-    l1 = tl.minimum(tl.maximum(l1 * tl.exp(s1), bounds.least), _MAX_SCALE)
-    l3 = tl.minimum(tl.maximum(l3 * tl.exp(s3), bounds.least), _MAX_SCALE)
+    l1 = tl.minimum(tl.maximum(l1 * tl.exp(s1), least), _MAX_SCALE)
+    l3 = tl.minimum(tl.maximum(l3 * tl.exp(s3), least), _MAX_SCALE)
     l2 = tl.minimum(tl.maximum(l2, -_MAX_SLANT * l3), _MAX_SLANT * l3)
     margin = _REACH * tl.sqrt(l1 * l3)
-    x = tl.minimum(tl.maximum(x, -margin), bounds.width + margin)
-    y = tl.minimum(tl.maximum(y, -margin), bounds.height + margin)
+    x = tl.minimum(tl.maximum(x, -margin), width + margin)
+    y = tl.minimum(tl.maximum(y, -margin), height + margin)
     tl.store(means + 2 * g, x, mask=here)
     tl.store(means + 2 * g + 1, y, mask=here)
     _store3(factors, g, here, l1, l2, l3)

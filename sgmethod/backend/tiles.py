@@ -24,7 +24,7 @@ from torch import Tensor
 from sgmethod.backend import tile_kernels
 from sgmethod.backend.pairs import MAX_LEVEL
 from sgmethod.backend.protocol import Descent, Frame
-from sgmethod.backend.tile_kernels import RECORD, TILE, Averages, Bits, Range, Rates
+from sgmethod.backend.tile_kernels import RECORD, TILE
 
 PAIRS = 8  # tiles listed per Gaussian, on average; a round one meets at most 4 on its level
 ALIGNED = 16  # samples: pointers to levels are alike, so that kernels are compiled once
@@ -82,24 +82,10 @@ class Tiles:
         """Backpropagate a gradient by the pictures to means, factors and colours."""
         planes = self._new(self._batch * 3 * self._samples)
         self._plane(planes, 0).copy_(by_image)
-        means, factors, colors = self._values
-        by_means, by_factors, by_colors = (torch.empty_like(values) for values in self._values)
-        self._launch(
-            tile_kernels.gradients,
-            self._blocks(),
-            means=means,
-            factors=factors,
-            colors=colors,
-            sums=self._sums(planes),
-            by_means=by_means,
-            by_factors=by_factors,
-            by_colors=by_colors,
-            total=self._total,
-            scale=self._scale,
-            pyramid=self._frame.pyramid,
-            block=BLOCK,
-        )
-        return by_means, by_factors, by_colors
+        sums, out = self._sums(planes), tuple(torch.empty_like(values) for values in self._values)
+        values = *self._values, sums, *out, self._total, self._scale, self._frame.pyramid
+        self._launch(tile_kernels.gradients, self._blocks(), *values, BLOCK)
+        return out  # type: ignore[return-value]
 
     def step(
         self, moments: Sequence[Tensor], bits: Sequence[Tensor], target: Tensor, descent: Descent, rate: float
@@ -125,7 +111,8 @@ class Tiles:
     ) -> None:
         s = descent.settings
         means, factors, colors = self._values
-        newton = s.newton_steps * descent.values / (2 * math.pi)
+        first, second, bias = moments
+        quanta, prices = bits
         self._launch(
             tile_kernels.step,
             self._blocks(),
@@ -133,13 +120,23 @@ class Tiles:
             factors=factors,
             colors=colors,
             sums=self._sums(planes),
-            averages=Averages(*moments),
-            bits=Bits(*bits),
-            rates=Rates(rate * s.mean_rate, rate * s.factor_rate, rate * s.color_rate, s.beta1, s.beta2, newton),
-            bounds=Range(s.min_scale_px, float(descent.width), float(descent.height)),
+            first=first,
+            second=second,
+            bias=bias,
+            quanta=quanta,
+            prices=prices,
             total=self._total,
             each=self._each,
             scale=self._scale,
+            mean_rate=rate * s.mean_rate,
+            factor_rate=rate * s.factor_rate,
+            color_rate=rate * s.color_rate,
+            beta1=s.beta1,
+            beta2=s.beta2,
+            least=s.min_scale_px,
+            newton=s.newton_steps * descent.values / (2 * math.pi),
+            width=float(descent.width),
+            height=float(descent.height),
             pyramid=self._frame.pyramid,
             block=BLOCK,
         )
@@ -154,31 +151,11 @@ class Tiles:
         for k, level in reversed([*enumerate(self._levels)]):
             compares, enlarges = target is not None and k == 0, k + 1 < len(self._levels)
             above = k + 1 if enlarges else k
-            coarse, here = self._levels[above], self._plane(planes, k)
-            self._launch(
-                tile_kernels.draw,
-                (level.tiles, self._batch),
-                planes=here,
-                coarse=self._plane(planes, above),
-                target=here if target is None else target,
-                errors=errors,
-                records=self._records,
-                keys=self._keys,
-                starts=starts,
-                tiles=self._tiles,
-                start=level.tile,
-                across=level.across,
-                width=level.width,
-                height=level.height,
-                border=level.border,
-                stride=coarse.width,
-                area=level.area,
-                coarse_area=coarse.area,
-                floor=self._floor,
-                scale=2 / (3 * finest.area),
-                enlarges=enlarges,
-                compares=compares,
-            )
+            coarse, here, coarser = self._levels[above], self._plane(planes, k), self._plane(planes, above)
+            tensors = here, coarser, here if target is None else target, errors, self._records, self._keys, starts
+            sizes = level.across, level.width, level.height, level.border, coarse.width, level.area, coarse.area
+            numbers = self._tiles, level.tile, *sizes, self._floor, 2 / (3 * finest.area)
+            self._launch(tile_kernels.draw, (level.tiles, self._batch), *tensors, *numbers, enlarges, compares)
         return (self._plane(planes, 0) if target is None else planes), errors
 
     def _list(self) -> Tensor:
@@ -190,29 +167,9 @@ class Tiles:
         return torch.searchsorted(self._keys, torch.arange(self._batch * self._tiles + 1, device=self._device) << 32)
 
     def _place(self, lists: bool) -> None:
-        means, factors, colors = self._values
-        self._launch(
-            tile_kernels.place,
-            self._blocks(),
-            means=means,
-            factors=factors,
-            colors=colors,
-            table=self._table,
-            levels=self._level,
-            records=self._records,
-            counts=self._counts,
-            ends=self._ends,
-            keys=self._keys,
-            total=self._total,
-            each=self._each,
-            tiles=self._tiles,
-            capacity=len(self._keys),
-            reach=self._reach,
-            scale=self._scale,
-            pyramid=self._frame.pyramid,
-            lists=lists,
-            block=BLOCK,
-        )
+        tensors = *self._values, self._table, self._level, self._records, self._counts, self._ends, self._keys
+        numbers = self._total, self._each, self._tiles, len(self._keys), self._reach, self._scale
+        self._launch(tile_kernels.place, self._blocks(), *tensors, *numbers, self._frame.pyramid, lists, BLOCK)
 
     def _sums(self, planes: Tensor) -> Tensor:
         """Sum over each Gaussian's samples, given planes with the gradient by the pictures."""
@@ -225,23 +182,9 @@ class Tiles:
         return sums
 
     def _walk(self, planes: Tensor, sums: Tensor, draws: bool) -> None:
-        self._launch(
-            tile_kernels.walk,
-            (self._total,),
-            planes=planes,
-            table=self._table,
-            levels=self._level,
-            records=self._records,
-            ends=self._ends,
-            sums=sums,
-            each=self._each,
-            pictures=self._batch,
-            capacity=len(self._keys),
-            reach=self._reach,
-            floor=self._floor,
-            draws=draws,
-            num_warps=1,
-        )
+        tensors = planes, self._table, self._level, self._records, self._ends, sums
+        numbers = self._each, self._batch, len(self._keys), self._reach, self._floor
+        self._launch(tile_kernels.walk, (self._total,), *tensors, *numbers, draws, num_warps=1)
 
     def _plane(self, planes: Tensor, k: int) -> Tensor:
         """Samples [B, 3, height, width] of a level."""
