@@ -83,6 +83,14 @@ class Deadline:
         self._coding_s[:] = [self.clock.seconds() - began_s]
         return found
 
+    def grown(self, times: float) -> None:
+        """Expect that the next coding takes so many times as long as the last."""
+        self._coding_s[:] = [times * one for one in self._coding_s]
+
+    def has_time_for_codings(self, codings: float) -> bool:
+        """Whether there is time for so many codings, as far as is known."""
+        return self.left_s() > codings * sum(self._coding_s)
+
     def tries(self, most: int) -> Iterator[int]:
         """Yield 0, 1, ... while there is time for another try as long as the longest so far; 0 in any case."""
         max_s = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.bitstream.texture import Codes, pack
@@ -17,10 +17,12 @@ from sgmethod.bitstream.v2 import (
     alpha_bytes,
 )
 from sgmethod.errors import BudgetError
-from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
+from sgmethod.rd.rate_control import Coded, Fitted, RateControl, Tries, excess
 from sgmethod.settings.rd import RdSettings, Times
 
 PRECISION = 1e-3  # of a quantum, as a part
+QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
+OCTAVES = 64  # more than there are quanta
 LONG_FILE, ITS_ALPHA = 20, 12  # bytes that certainly hold a header that is not short, and what alpha adds
 
 
@@ -105,22 +107,32 @@ class ByteBudget(ByteLimit):
         ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Iterable[int]) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Tries) -> float:
         """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
 
         Bisection, at the place where the line through both ends meets the limit. The end that stays counts half each
-        time (Illinois), so that both move.
+        time (Illinois), so that both move. If time is over before the limit lies between both ends, a guess has to do.
         """
 
         def beyond(log_quantum: float) -> float:
             return math.log(max(payload(math.exp(log_quantum)), 1) / max(limit, 1))
 
         low, high = math.log(0.9 * quantum), math.log(1.02 * quantum)
-        while (above := beyond(high)) > 0 and high < math.log(MAX_QUANTUM):
+        above, octaves = beyond(high), tries(OCTAVES)
+        for _ in octaves:
+            if above <= 0 or high >= math.log(MAX_QUANTUM):
+                break
             low, high = high, high + math.log(2)
-        while (below := beyond(low)) < 0 and low > math.log(MIN_QUANTUM):
+            above = beyond(high)
+        else:
+            return math.exp(high + 1.5 * max(above, 0.0))  # bytes fall as about the power of -2/3
+        below = beyond(low)
+        for _ in octaves:
+            if below >= 0 or low <= math.log(MIN_QUANTUM):
+                break
             low, high, above = low - math.log(2), low, below
-        for _ in tries:
+            below = beyond(low)
+        for _ in tries(QUANTUM_TRIES):
             if high - low < PRECISION:
                 break
             middle = low + (high - low) * min(max(below / max(below - above, 1e-9), 0.02), 0.98)

@@ -64,6 +64,7 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     if level.values > MANY_VALUES:
         release_memory()
     gaussians = state.gaussians.with_more(new)
+    plan.request.deadline.grown(len(gaussians) / max(n, 1))
     size = state.size * len(gaussians) // max(n, 1)
     moments = state.moments.with_more(len(new))
     grown = replace(state, gaussians=gaussians, moments=moments, size=size, saturated_price=saturated)

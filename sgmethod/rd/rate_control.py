@@ -55,6 +55,9 @@ def excess(times: Times, at: float) -> float:
     return 1 + times.excess * surplus(times, at)
 
 
+Tries = Callable[[int], Iterable[int]]  # from the most tries to as many as there is time for, at least one
+
+
 class Measured(Protocol):
     """A coded picture, or a fit that could be coded: its PSNR, and its SSIMULACRA 2 as ssimulacra2_db() counts it."""
 
@@ -157,11 +160,8 @@ class RateControl:
         """Whether the file may hold a texture."""
         return True
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Iterable[int]) -> float:
-        """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload.
-
-        tries: as many as there is time for.
-        """
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Tries) -> float:
+        """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload."""
         return self.quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:

@@ -16,8 +16,8 @@ from sgmethod.rd.plan import MANY_VALUES, Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
+TEXTURE_CODINGS = 3.0  # those of a search that has no time, and one for the texture
 FEW_BYTES = 32  # of payload: their Gaussians may gain less than the mean colour alone
-QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
@@ -43,8 +43,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
 
     report = partial(_report, plan, state, rounds, fit_error)
     report(0, rate.usual_tries)
-    is_late = request.deadline.left_s() == 0
-    texture = None if is_late else request.objective.texture(coded(state.quantum))
+    has_time = request.deadline.has_time_for_codings(TEXTURE_CODINGS)
+    texture = request.objective.texture(coded(state.quantum)) if has_time else None
     if texture is not None and not rate.affords(texture):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
@@ -52,7 +52,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     refined = partial(_refined, plan, target, texture)
 
     tried: list[Coded] = []
-    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, request.deadline.tries(QUANTUM_TRIES))
+    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, request.deadline.tries)
     for _ in request.deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break

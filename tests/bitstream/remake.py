@@ -1,7 +1,7 @@
 """Write what depends on the kernels' tables again: python -m tests.bitstream.remake.
 
 That is models.json, the golden files of version 2 and vectors.json: the same Gaussians, in other bytes. Build the
-kernels first.
+kernels first. It reads the old files with the new code, so it serves for other tables and not for another header.
 """
 
 from __future__ import annotations

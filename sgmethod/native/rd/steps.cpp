@@ -40,7 +40,8 @@ SG_CLONES void add_together(float quantum, float scale, int count, const float* 
     const float m = std::sqrt(square);
     const float inverse_m = 1 / m, inverse_l3 = 1 / l[2];
     const float v = 0.5f * logs[i], r = l[1] * inverse_l3;
-    // bits = sum log2(1 + |axis|) + log2(1 + |v| m) + log2(1 + |r| m / 2) + 3 log2(1 + m)
+    // bits = sum log2(1 + |axis|) + log2(1 + |v| m) + log2(1 + |r| m / 2) + 3 log2(1 + m): colours, shape (v and r), and
+    // size, x and y
     const float d_v = scale / (1 + std::abs(v) * m), d_r = scale / (1 + std::abs(r) * m / kUnitR) / kUnitR;
     const float d_m = d_v * std::abs(v) + d_r * std::abs(r) + 3 * scale / (1 + m);
     float d_log_size = 0;  // axis and m grow with sqrt(l1 l3)
