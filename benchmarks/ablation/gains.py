@@ -5,7 +5,8 @@
 
 whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
 numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
-optimiser  GaussianImage's own optimiser, shapes and colours, on the middle 64x64: random, fixed and dynamic
+optimiser  GaussianImage's own optimiser, shapes and colours, on the middle 64x64: random, fixed and dynamic, and
+           regularisation
 
 Numbers of Gaussians are for 768x512 pixels; smaller pictures have as many for each pixel, and n_0 and N_t with them.
 All pictures of a row are fitted at once on a GPU.
@@ -20,6 +21,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress, product
 from multiprocessing import get_context
 from pathlib import Path
@@ -81,6 +83,10 @@ PLAIN = replace(PAPER, lambda_g=0.0, fit_steps=3000)
 THEIRS = replace(PLAIN, fit_steps=50_000)
 
 
+# Equation 11 divides by HW alone: as printed, channels are summed, which is three times their mean.
+REGULARISED = {"": 0.0, " + regularisation": PAPER.lambda_g, " + regularisation as printed": 3 * PAPER.lambda_g}
+
+
 def starts_of(n: int) -> tuple[str, ...]:
     """The starts that differ with so many Gaussians: the dynamic ratio begins as the fixed one."""
     return ("random", "fixed", "dynamic") if n > 30_000 else ("random", "dynamic")
@@ -94,9 +100,10 @@ TABLES: dict[str, list[Row]] = {
         for start in ("random", "dynamic")
     ],
     "optimiser": [
-        Row(n, start, starting(THEIRS, start), (64, 64), theirs=True)
+        Row(n, f"{start}{name}", replace(starting(THEIRS, start), lambda_g=weight), (64, 64), theirs=True)
         for n in (70_000, 30_000)
-        for start in starts_of(n)
+        for name, weight in REGULARISED.items()
+        for start in (starts_of(n) if weight == 0 else ("dynamic",))
     ],
     "numbers": [
         Row(n, start, starting(PLAIN, start), (384, 256))
@@ -133,7 +140,8 @@ def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
     clock = Clock()
     level = paper.level_of(pixels, Kernels())
     if row.theirs:
-        return fit_by_adan(start, level.image(), AdanSettings(), row.settings.fit_steps)
+        gradient_of = partial(by_clamped, lambda_g=row.settings.lambda_g)
+        return fit_by_adan(start, torch.from_numpy(level.image()), AdanSettings(), row.settings.fit_steps, gradient_of)
     return paper.fit(level, start, row.settings, Recorder(clock), Deadline.from_limit(clock, None))[0]
 
 
@@ -162,16 +170,19 @@ def on_gpu(
         if time.monotonic() > ends:
             raise TimeoutError(f"no time is left after {step} steps")
         tiles = Tiles(frame, *values)
-        drawn = tiles.draw()
-        by_image = by_picture(drawn, target, s.lambda_g)
+        by_image = (by_clamped if row.theirs else by_picture)(tiles.draw(), target, s.lambda_g)
         if row.theirs:
-            by_image *= (drawn >= 0) & (drawn <= 1)  # it clamps the picture before its loss
             adan.step(values, tiles.gradients(by_image))
             values[1][nowhere] = 0
         else:
             tiles.step_by(by_image, moments, descent, cosine(s.optimiser.final_rate, step / s.fit_steps))
     found = [of.cpu().numpy() for of in values]
     return [Gaussians(*(of[k, : len(one)].copy() for of in found)) for k, one in enumerate(starts)]
+
+
+def by_clamped(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
+    """The same where the picture is clamped to 0..1 before the loss, as GaussianImage does."""
+    return by_picture(drawn.clamp(0, 1), target, lambda_g) * ((drawn >= 0) & (drawn <= 1))
 
 
 def by_picture(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:

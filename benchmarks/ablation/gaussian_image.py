@@ -6,18 +6,18 @@ a gradient stands as far above Adan's eps as it does there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 
+GradientOf = Callable[[Tensor, Tensor], Tensor]  # of pictures [B, 3, H, W] and their targets, by the pictures
 INSIDE = 1 - 1e-6  # farthest place from the middle: at 1, atanh is infinite
 WHOLE = (768, 512)  # width and height of the photographs of Kodak
 
@@ -72,15 +72,16 @@ def shaped(start: Gaussians, rng: np.random.Generator) -> Gaussians:
     return replace(start, factors=factors.astype(np.float32), colors=colors.astype(np.float32))
 
 
-def fit(start: Gaussians, target: NDArray[np.float32], settings: AdanSettings, steps: int) -> Gaussians:
-    """Fit to a target [3, H, W] by Adan on the CPU, with the error of the picture clamped to 0..1."""
-    gaussians, out, (height, width) = start.copy(), Gaussians.empty(len(start)), target.shape[1:]
-    values, gradient = ([torch.from_numpy(one) for one in of.arrays] for of in (gaussians, out))
-    adan, drawn = Adan(settings, width, height), np.empty_like(target)
+def fit(start: Gaussians, target: Tensor, settings: AdanSettings, steps: int, gradient_of: GradientOf) -> Gaussians:
+    """Fit to a target [3, H, W] by Adan on the CPU."""
+    gaussians, by = start.copy(), Gaussians.empty(len(start))
+    (height, width), drawn = target.shape[1:], np.empty(target.shape, np.float32)
+    values, gradient = ([torch.from_numpy(one) for one in of.arrays] for of in (gaussians, by))
+    adan = Adan(settings, width, height)
     for _ in range(steps):
         raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, CUTOFF_V1, pyramid=False)
         raster.render(gaussians.colors, drawn)
-        by_picture = np.where((drawn >= 0) & (drawn <= 1), drawn - target, np.float32(0)) * np.float32(2 / drawn.size)
-        raster.backward(gaussians.colors, by_picture, *out.arrays)
+        by_picture = gradient_of(torch.from_numpy(drawn)[None], target[None])[0]
+        raster.backward(gaussians.colors, by_picture.contiguous().numpy(), *by.arrays)
         adan.step(values, gradient)
     return gaussians

@@ -39,7 +39,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
     "ablation gains": (
         "--images {small} --tables optimiser,numbers --numbers 10000,30000 --steps 20",
         "setting",
-        ["random", "dynamic"],
+        ["random", "dynamic", "dynamic + regularisation", "dynamic + regularisation as printed"],
     ),
     "robustness stiff": ("--pictures pixel-1x1,row-300x1 --seeds 1 --only bpp", "value", [0.1, 0.3, 1, 2, 4, 8]),
     "robustness extremes": (
