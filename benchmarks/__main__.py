@@ -1,6 +1,6 @@
 """A small set of measurements, in ten minutes at most, or what docs/results shows.
 
-    python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,speed] [--report]
+    python -m benchmarks [--full --images KODAK --unseen UNSEEN --weights FOLDER] [--only rd,speed] [--report]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; --report, or python -m benchmarks.report, then makes the
@@ -43,6 +43,8 @@ SMALL = {
 }
 FULL = {
     "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --baselines",
+    "rd/unseen": "rd --images {unseen} --weights {weights} --bpp 0.1,0.15,0.25,0.4 --seen-bpp 0.25 "
+    "--baselines 'avif tune=psnr 10 bits' 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits' heic webp",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
@@ -93,6 +95,7 @@ def main() -> None:
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
     parser.add_argument("--only", type=some_of(COMMANDS, "command"), default=",".join(COMMANDS), help="commands")
     parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
+    parser.add_argument("--unseen", type=Path, help="the folder of that name of benchmarks.perceptual.photographs")
     parser.add_argument("--report", action="store_true", help="then make tables and plots from the results")
     options = parser.parse_args()
     lines = dict(FULL if options.full else SMALL)
@@ -106,8 +109,11 @@ def main() -> None:
         parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
     if options.full and any(KODAK in line for line in lines.values()) and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
+    if any("{unseen}" in line for line in lines.values()) and not options.unseen:
+        parser.error("--full needs --unseen: python -m benchmarks.perceptual.photographs FOLDER fetches them")
+    folders = {"images": options.images, "unseen": options.unseen, "weights": options.weights}
     for name, line in lines.items():
-        words = [word.format(images=options.images, weights=options.weights) for word in shlex.split(line)]
+        words = [word.format(**folders) for word in shlex.split(line)]
         run(name, words, RESULTS if options.full else RUNS)
     if options.report:
         subprocess.run([sys.executable, "-m", "benchmarks.report"], cwd=ROOT, check=False)

@@ -28,6 +28,8 @@ FIGURE = re.compile(r"(\S*)<!-- ([\w-]+\.[\w.-]+) -->")
 TABLES: dict[str, Callable[[], str]] = {
     "readme": rate.readme_table,
     "rate": rate.codecs_table,
+    "headline": rate.headline_table,
+    "headline-eye": rate.eye_table,
     "quoted": rate.quoted_table,
     "speed": speed.sizes_table,
     "within-small": partial(speed.within_table, 0.4),

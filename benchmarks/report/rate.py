@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,7 @@ from benchmarks.rd.report import (
 from benchmarks.report import results
 from benchmarks.report.plots import style
 from benchmarks.report.results import load
-from benchmarks.tables import MISSING, number, table
+from benchmarks.tables import MISSING, mean, number, standard_error, table
 
 NAMES = {
     "rd": "`rd`, tuned for PSNR",
@@ -56,6 +58,15 @@ ANCHOR = "GaussianImage"
 # Published codecs, and their names in marks. Cool-Chic is compared picture by picture.
 QUOTED = {"vtm": "VTM", "elic": "ELIC", "cheng": "Cheng 2020, attention", "hm": "HM", "av1": "AV1 (libaom)"}
 QUOTED |= {"lottery-codec": "LotteryCodec"}
+
+# The headline: photographs that chose nothing, and Kodak's beside them; against whom, and over which rates.
+HEADLINE_SETS = {"rd/unseen": "photographs that chose nothing", "rd/kodak": "Kodak"}
+HEADLINE_AGAINST = {"avif tune=psnr 10 bits": "AVIF, 10 bits", "heic": "HEIC", "webp": "WebP"}
+HEADLINE_RATES = {
+    "0.1 to 0.4 bpp": (0.1, 0.15, 0.25, 0.4),
+    "0.1 to 0.25 bpp": (0.1, 0.15, 0.25),
+    "0.15 to 0.4 bpp": (0.15, 0.25, 0.4),
+}
 
 RANGES = ("over pictures", "over bits per pixel")  # titles of differences()
 
@@ -113,6 +124,49 @@ def codecs_table() -> str:
     return table(" | ".join([*titles, f"bits for the same PSNR, against {NAMES[anchor]}", *RANGES]), lines)
 
 
+def headline_table() -> str:
+    """The bits of `rd` tuned for PSNR at equal PSNR, by set of photographs and range of rates."""
+    lines = []
+    for name, title in HEADLINE_SETS.items():
+        every = [Row(**row) for row in results.rows(name)]
+        for anchor, other in HEADLINE_AGAINST.items():
+            within = [[row for row in every if row.max_bpp in rates] for rates in HEADLINE_RATES.values()]
+            found = [against(part, "rd", anchor) for part in within]
+            count = f" ({found[0].pictures})" if found[0] else ""
+            lines.append([f"{title}{count}", other, *(differences(rate)[0] for rate in found)])
+    return table(" | ".join(["photographs", "against", *HEADLINE_RATES]), lines)
+
+
+def eye_table() -> str:
+    """The default beside AVIF for the eye at BPP: means, and the mean difference picture by picture."""
+    lines = []
+    for name, title in HEADLINE_SETS.items():
+        found = {
+            (row.codec, row.image): row for row in (Row(**row) for row in results.rows(name)) if row.max_bpp == BPP
+        }
+        for (figure, form), anchor in product(SEEN.items(), AVIF_VISUAL):
+            pairs = [
+                (ours, theirs)
+                for (codec, image), row in found.items()
+                if codec == "rd visual"
+                and (anchor, image) in found
+                and (ours := getattr(row, figure)) is not None
+                and (theirs := getattr(found[anchor, image], figure)) is not None
+            ]
+            if pairs:
+                lines.append([title, TITLES[figure], NAMES[anchor], *_beside(pairs, form, figure == "ssimulacra2")])
+    return table("photographs | figure | AVIF | ours | AVIF's | difference | ours is better on", lines)
+
+
+def _beside(pairs: Sequence[tuple[float, float]], form: str, more_is_better: bool) -> list[str]:
+    """The cells of two files' figures, by picture."""
+    apart = [ours - theirs for ours, theirs in pairs]
+    better = sum((one > 0) is more_is_better and one != 0 for one in apart)
+    means_of_both = [number(mean([pair[k] for pair in pairs]), form) for k in (0, 1)]
+    difference = f"{number(mean(apart), f'+{form}')} ± {number(standard_error(apart), form)}"
+    return [*means_of_both, difference, f"{better} of {len(pairs)}"]
+
+
 def quoted_table() -> str:
     """The bits of profile rd for the same PSNR against published figures, most first."""
     names = QUOTED | {"cool-chic": "Cool-Chic 5.0.1", "gaussianimage": ANCHOR}
@@ -153,6 +207,12 @@ def figures() -> dict[str, float | None]:
     others = {"avif": avif(), "avif-8-bits": "avif tune=psnr", "heic": "heic", "webp": "webp"}
     for mark, codec in others.items():  # at equal PSNR
         found |= of_rate(mark, against(rows(), "rd", codec))
+    for mark, rates in {
+        "avif-low": HEADLINE_RATES["0.1 to 0.25 bpp"],
+        "avif-high": HEADLINE_RATES["0.15 to 0.4 bpp"],
+    }.items():
+        found |= of_rate(mark, against([row for row in rows() if row.max_bpp in rates], "rd", avif()))
+    found["rate.dists-worse"] = dists_worse()
     for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif("lpips"))}.items():
         found |= of_rate(mark, rate)
     found["rate.psnr-lpips"] = average()["rd", BPP]["lpips"]
@@ -168,6 +228,13 @@ def figures() -> dict[str, float | None]:
     found["rate.gaussianimage-from-db"], found["rate.gaussianimage-to-db"] = shared(theirs, curve(average(), "rd"))
     found["rate.times-gaussianimage"] = 100 / (100 + (found["rate.more-than-gaussianimage"] or 0))
     return found
+
+
+def dists_worse() -> int:
+    """On how many pictures the file tuned for PSNR has a worse DISTS than AVIF's, tuned likewise."""
+    at_bpp = {(row.codec, row.image): row.dists for row in rows() if row.max_bpp == BPP and row.dists is not None}
+    images = [image for codec, image in at_bpp if codec == "rd" and (avif(), image) in at_bpp]
+    return sum(at_bpp["rd", image] > at_bpp[avif(), image] for image in images)
 
 
 def quoted() -> dict[str, BdRate | None]:
