@@ -32,7 +32,7 @@ from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
 from tests.rd.short import shortened
-from tests.support.data import ROOT, golden_path
+from tests.support.data import ROOT, code_in, golden_path
 from tests.support.pictures import photo
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
@@ -421,8 +421,7 @@ def test_stdout_is_full() -> None:
 
 
 def commands_of(document: str) -> list[str]:
-    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / document).read_text(), re.MULTILINE | re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if line.startswith("sgmethod ")]
+    return [line for block in code_in(document, "sh") for line in block.splitlines() if line.startswith("sgmethod ")]
 
 
 @pytest.mark.parametrize("command", ["encode", "decode"])
@@ -484,8 +483,7 @@ def test_commands_of_the_help(run: Run) -> None:
 
 def test_python_of_the_readme() -> None:
     Image.open("photo.png").save("photo.jpg", quality=95)
-    examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    (example,) = examples
+    (example,) = code_in("README.md", "python")
     exec(compile(example, "README.md", "exec"), {})
     assert names() >= {"photo.sg", "photo.png"}
     assert np.array_equal(np.asarray(Image.open("photo.png")), decode(Path("photo.sg").read_bytes()))

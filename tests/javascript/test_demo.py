@@ -6,10 +6,7 @@ import base64
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
-from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +16,8 @@ import sgmethod
 from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from tests.service.browser import Chromium, Page
-from tests.service.page.bundled import served
-from tests.service.page.steps import assert_open_to_all
+from tests.javascript.site import Site, served
+from tests.support.browser import Chromium, Page, assert_open_to_all
 from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT, STATIC
 from tests.support.processes import run, wait_until
 
@@ -41,15 +37,6 @@ STAGE = """
 """
 
 
-@dataclass
-class Site:
-    """The page's folder and address, and what was asked for."""
-
-    folder: Path
-    url: str
-    asked: list[str]
-
-
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     if shutil.which("node") is None or not (PACKAGES / "node_modules" / "thumbhash").exists():
@@ -57,14 +44,8 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("demo")
     done = run("node", "demo/build.mjs", ROOT, folder, folder=PACKAGES)
     assert done.status == 0, done.stderr
-    asked: list[str] = []
-
-    class Counting(SimpleHTTPRequestHandler):
-        def log_request(self, *_: Any) -> None:
-            asked.append(self.path)
-
-    with served(folder, Counting) as url:
-        yield Site(folder, url, asked)
+    with served(folder) as site:
+        yield site
 
 
 def previewed(page: Page) -> list[str]:
