@@ -30,7 +30,6 @@ from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
-from sgmethod.view import View
 from tests.rd.short import shortened
 from tests.support.data import ROOT, code_in, golden_path
 from tests.support.pictures import photo
@@ -129,18 +128,17 @@ def test_encode_and_decode(run: Run) -> None:
 @pytest.mark.parametrize(
     ("line", "view"),
     [
-        ("--scale 0.25", View(0.25)),
-        ("--region 3,5,20,11", View(region=(3, 5, 20, 11))),
-        ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", View(2.5, (3, 5, 20, 11), 0.5)),
-        ("--prefix 0.3", View(prefix=0.3)),
-        ("--no-texture", View(texture=False)),
+        ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", {"scale": 2.5, "region": (3, 5, 20, 11), "prefix": 0.5}),
+        ("--no-texture", {"texture": False}),
+        ("--width 20 --height 9", {"width": 20, "height": 9}),
+        ("--height 111", {"height": 111}),
+        ("--region 4,6,10,20 --width 40", {"region": (4, 6, 10, 20), "width": 40}),
     ],
 )
-def test_views(run: Run, line: str, view: View) -> None:
-    data = golden_path("v2-color.sg").read_bytes()
-    Path("rd.sg").write_bytes(data)
-    assert run("decode", "rd.sg", "out.png", "--quiet", *line.split()) == Ran(0, "", "")
-    assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
+def test_views(run: Run, line: str, view: dict[str, Any]) -> None:
+    path = golden_path("v2-texture.sg")
+    assert run("decode", str(path), "out.png", "--quiet", *line.split()) == Ran(0, "", "")
+    assert np.array_equal(np.asarray(Image.open("out.png")), sgmethod.open(path).pixels(**view))
 
 
 def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
