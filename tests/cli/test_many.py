@@ -17,10 +17,8 @@ from PIL import Image
 from sgmethod import decode, encode
 from sgmethod.cli import naming
 from sgmethod.cli.several import pace_of
-from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, on_terminal, run, start
+from tests.cli.conftest import PHOTO, Run, assert_refused, on_terminal, start
 from tests.io.odd_files import tiff
-
-__all__ = ["in_folder", "run"]  # fixtures
 
 GOLDEN = "picture.sg"  # 40 x 56
 
