@@ -25,7 +25,10 @@ RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes without --out
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 UNKNOWN = "unknown"  # the commit where git knows none
 # What measures: not its results, the pages made of them, the list of what to measure, and what browsers get.
-NOT_CODE = "benchmarks/results benchmarks/report benchmarks/__main__.py service/page sgmethod/javascript"
+NOT_CODE = (
+    "benchmarks/results benchmarks/report benchmarks/__main__.py service/page sgmethod/javascript"
+    " tests/support/browser.py tests/support/node.py"
+)
 CODE = ("sgmethod", "service", "benchmarks", "tests/support", *(f":!{path}" for path in NOT_CODE.split()))
 
 

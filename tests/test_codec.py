@@ -91,13 +91,12 @@ def test_more_bytes_give_a_better_picture(profile: str) -> None:
     assert quality == sorted(quality)
 
 
-@pytest.mark.parametrize("profile", SLOWLY)
-def test_a_number_of_gaussians_is_met(profile: str) -> None:
+def test_a_number_of_gaussians_is_met() -> None:
+    """Profile rd adds one only where it pays (tests/rd/test_rd.py)."""
     for n in (1, 2, 50):
-        encoded = encode(SMALL, Budget("gaussians", n), profile)
+        encoded = encode(SMALL, Budget("gaussians", n), "paper")
         assert_true_figures(encoded, SMALL)
-        assert encoded.stats.gaussians <= n
-        assert encoded.stats.gaussians == n or profile == "rd"  # which adds one only where it pays
+        assert encoded.stats.gaussians == n
 
 
 def test_as_many_gaussians_as_pixels() -> None:
@@ -340,12 +339,12 @@ def test_the_seed_decides(profile: str) -> None:
     assert one != other
 
 
-@pytest.mark.parametrize("profile", SLOWLY)
-def test_the_file_does_not_depend_on_threads(profile: str, set_threads: Callable[[int], None]) -> None:
+def test_the_file_does_not_depend_on_threads(set_threads: Callable[[int], None]) -> None:
+    """Nor does that of profile rd (tests/rd/test_reproducible.py)."""
     files = []
     for threads in (1, 3):
         set_threads(threads)
-        files.append(encode(SMALL, Budget("bytes", 400), profile).data)
+        files.append(encode(SMALL, Budget("bytes", 400), "paper").data)
     assert files[0] == files[1]
 
 

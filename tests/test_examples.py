@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from tests.support import processes
 from tests.support.data import PHOTOGRAPHS, ROOT
 from tests.support.service import Service
 
@@ -25,19 +26,16 @@ pytestmark = pytest.mark.thorough  # each imports and encodes in a process of it
 
 def run(folder: Path, name: str, *arguments: object) -> str:
     """What an example prints."""
-    command = [sys.executable, str(ROOT / "examples" / name), *map(str, arguments)]
-    ended = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stderr == ""
+    ended = processes.run(sys.executable, ROOT / "examples" / name, *arguments, folder=folder)
+    assert (ended.status, ended.stderr) == (0, "")
     return ended.stdout
 
 
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
 def test_usage(example: Path) -> None:
     for arguments in ([], ["--help"]):
-        command = [sys.executable, str(example), *arguments]
-        ended = subprocess.run(command, check=False, capture_output=True, text=True)
-        assert (ended.returncode, ended.stdout) == (1, "")
+        ended = processes.run(sys.executable, example, *arguments)
+        assert (ended.status, ended.stdout) == (1, "")
         assert re.fullmatch(rf"usage: python {example.name} [A-Z].*\n", ended.stderr)
 
 
@@ -84,7 +82,7 @@ def test_django(tmp_path: Path) -> None:
         print(site["index"](None).content.decode())
     """
     program = "\n".join(line.strip() for line in ask.splitlines())
-    ended = subprocess.run([sys.executable, "-c", program], check=False, cwd=tmp_path, capture_output=True, text=True)
+    ended = processes.run(sys.executable, "-c", program, folder=tmp_path)
     assert ended.stdout.count("<sg-img preview=") == len(NAMES), ended.stderr
 
 

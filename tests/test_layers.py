@@ -123,16 +123,6 @@ RULES = {
         IMPORT + r"sgmethod\.native",
         "",
     ),
-    "profile rd needs no torch": (
-        "sgmethod/rd sgmethod/fitting sgmethod/codec.py sgmethod/backend/protocol.py sgmethod/backend/kernels.py",
-        IMPORT + "torch",
-        "",
-    ),
-    "few know what a file is tuned for": (
-        "sgmethod/rd sgmethod/fitting sgmethod/codec.py",
-        r"\btune\b",
-        "sgmethod/codec.py sgmethod/rd/picture.py sgmethod/fitting/objective.py",
-    ),
     "only a test of a benchmark imports one": ("tests", IMPORT + "benchmarks", "tests/benchmarks/"),
     "benchmarks and what tests share import no test": (
         "benchmarks tests/support tests/definitions",
@@ -143,11 +133,6 @@ RULES = {
         "benchmarks",
         IMPORT + r"benchmarks\.report",
         "benchmarks/report/",
-    ),
-    "a step changes nothing that another owns": (
-        "sgmethod/rd sgmethod/fitting sgmethod/settings",
-        r"^@dataclass(?!\(.*\bfrozen=True)",
-        "",
     ),
 }
 

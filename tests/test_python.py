@@ -32,12 +32,9 @@ GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 
 
 @pytest.fixture(autouse=True)
-def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder with photo.jpg, photo.png and picture.sg in it, and encodes of less than a second."""
-    monkeypatch.chdir(tmp_path)
-    PHOTO.save("photo.png")
-    PHOTO.save("photo.jpg", quality=95)
-    Path("picture.sg").write_bytes(GOLDEN)
+def in_folder(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """photo.jpg too, and encodes of less than a second."""
+    PHOTO.save(files / "photo.jpg", quality=95)
     monkeypatch.setitem(PROFILES, "rd", short(60))
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
 
-from tests.support.data import ROOT
+from tests.support.data import code_in
 
 PAGES = "python.md", "datasets.md"
 USES = """
@@ -77,8 +76,7 @@ def test_a_users_files_under_strict_rules(tmp_path: Path) -> None:
     """A comment that ignores an error which does not occur is an error too."""
     (tmp_path / "uses.py").write_text(USES)
     for page in PAGES:
-        examples = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
-        (tmp_path / f"{Path(page).stem}_examples.py").write_text("".join(examples))
+        (tmp_path / f"{Path(page).stem}_examples.py").write_text("".join(code_in(f"docs/{page}", "python")))
     # Examples leave out annotations; torch and scikit-image have functions without.
     untyped = ["--allow-untyped-defs", "--allow-untyped-calls"]
     command = [sys.executable, "-m", "mypy", "--strict", *untyped, *sorted(tmp_path.glob("*.py"))]

@@ -11,8 +11,8 @@ import torch
 
 from benchmarks.perceptual.local import FIGURES, Pixels, local_statistics
 from benchmarks.perceptual.wasserstein import SPREAD, Wasserstein, distance, statistics
+from tests.benchmarks.test_perceptual import VGG
 
-VGG = (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
 BOARD = torch.from_numpy(np.indices((2, 24, 24)).sum(0) % 2 * 2.0 - 1)  # of -1 and 1
 
 

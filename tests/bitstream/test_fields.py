@@ -1,8 +1,6 @@
-"""Headers: what Python reads and writes, and the same tables in the text and in JavaScript."""
+"""Headers: what Python reads and writes, and the same tables in the text."""
 
 from __future__ import annotations
-
-import re
 
 import pytest
 
@@ -11,12 +9,10 @@ from sgmethod.bitstream import v1, v2
 from sgmethod.bitstream.fields import BitField, BitReader, Header, write_bits
 from sgmethod.bitstream.stream import SIGNATURE_BYTES
 from tests.bitstream.test_format_v1 import table
-from tests.support.data import JAVASCRIPT
 
 pytestmark = pytest.mark.thorough
 
 BIT_FIELDS = (*v2.HEADER, *v2.ALPHA_HEADER)
-SCRIPT = (JAVASCRIPT / "header.js").read_text()
 
 
 @pytest.mark.parametrize(
@@ -61,16 +57,3 @@ def test_the_text_has_the_tables_of_bits() -> None:
     flags = {v2.FLAG_GREY: "grey", v2.FLAG_UPRIGHT: "upright", v2.FLAG_TEXTURE: "texture"}
     for flag, word in {**flags, v2.FLAG_ALPHA: "alpha", v2.FLAG_SHORT: "short"}.items():
         assert f"{flag}: {word}" in meaning
-
-
-def test_javascript_has_the_tables() -> None:
-    for name, header in {"HEADER": v2.HEADER, "ALPHA_HEADER": v2.ALPHA_HEADER}.items():
-        part = SCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
-        rows = re.findall(r"\[(\d+), (\d+), (true|false)\], // (\w+)", part)
-        found = tuple(BitField(name, int(bits), int(short), more == "true") for bits, short, more, name in rows)
-        assert found == header
-    flags = {"GREY": v2.FLAG_GREY, "UPRIGHT": v2.FLAG_UPRIGHT, "TEXTURE": v2.FLAG_TEXTURE}
-    for name, flag in {**flags, "ALPHA": v2.FLAG_ALPHA}.items():
-        assert f"const {name} = {flag};" in SCRIPT
-    assert v2.FLAG_SHORT << 3 == 128  # it looks at the whole byte
-    assert "isShort = bytes[2] > 127;" in SCRIPT

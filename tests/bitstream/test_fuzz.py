@@ -20,9 +20,8 @@ from hypothesis import given, settings, strategies as st
 import sgmethod
 from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.fields import write_bits
 from sgmethod.bitstream.stream import Limits
-from sgmethod.bitstream.v2 import BACKGROUND, FLAGS, QUANTUM, SIZE, StreamV2
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.view import View
 from tests.backend.cases import single
 from tests.support.data import SIGNATURES, damaged, golden, with_checksum
@@ -165,21 +164,6 @@ def test_damage_seen_in_part() -> None:
     seen = explore([*golden(2).values(), CROWDED, HUGE, *needles], VERSION_2, views)
     assert seen["drawn"] > settings().max_examples / 5
     assert min(seen["limit"], seen["overlap"], seen["than the data"], seen["other"]) > 0
-
-
-@given(
-    st.binary(max_size=400),
-    numbers,
-    st.integers(0, 31).map(lambda flags: flags & 19),  # neither texture nor alpha
-    st.sampled_from([0, 255, 1024, 3328, 4095]),
-)
-def test_any_payload(payload: bytes, number: int, flags: int, quantum: int) -> None:
-    fields = [(FLAGS, flags), *zip(SIZE, (1 + number % 500, 1 + number // 500 % 500), strict=True)]
-    is_short = flags > 15
-    fields += [(QUANTUM, QUANTUM.value(quantum >> 4) if is_short else quantum)]
-    fields += [(field, 0) for field in BACKGROUND[: 1 if flags & 1 else 3]]
-    data = SIGNATURES[1] + write_bits(fields, is_short) + payload + bytes(4)
-    outcome(with_checksum(data), View(prefix=0.5 if number % 3 == 0 else 1.0))
 
 
 @given(st.integers(0, 255), st.integers(0, 8), st.integers(0, 8), st.binary(max_size=400), st.sampled_from([1.0, 0.5]))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import base64
-import json
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from sgmethod.native import native
 from tests.support import javascript_settings
 from tests.support.data import JAVASCRIPT, ROOT
+from tests.support.node import answer_of, node
 
 FILES = 2000  # of each kind
 SIDES = [1, 2, 7, 16, 33, 64, 300, 4096, 65_535]
@@ -22,29 +20,17 @@ NATIVE = ROOT / "sgmethod" / "native" / "rd"
 
 Header = dict[str, Any]
 DECODE = """
-import {{ readFileSync }} from "node:fs";
-const {{ readGaussians }} = await import("{folder}/payload.js");
-const {{ SgError }} = await import("{folder}/header.js");
-console.log(JSON.stringify(JSON.parse(readFileSync(0)).map(([header, payload]) => {{
-  try {{
+const { readGaussians } = await import(`${src}/payload.js`);
+const { SgError } = await import(`${src}/header.js`);
+console.log(JSON.stringify(given.map(([header, payload]) => {
+  try {
     const values = readGaussians(header, new Uint8Array(Buffer.from(payload, "base64")));
     return Buffer.from(values.buffer).toString("base64");
-  }} catch (error) {{
+  } catch (error) {
     return error instanceof SgError ? null : String(error.stack);
-  }}
-}})));
+  }
+})));
 """
-
-
-def run_node(arguments: list[str], given: str = "") -> str:
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
-    command = ["node", "--no-warnings", *arguments]
-    return subprocess.run(command, input=given, capture_output=True, text=True, check=True, timeout=120).stdout
-
-
-def in_node(script: str, given: str = "") -> Any:
-    return json.loads(run_node(["--input-type=module", "--eval", script], given))
 
 
 def parameters(header: Header) -> Any:
@@ -107,8 +93,7 @@ def test_it_decodes_and_refuses_the_same() -> None:
     files = whole + [(header, damaged(payload, random)) for header, payload in whole]
     expected = [decoded(*file) for file in files]
     assert all(values is not None for values in expected[: len(whole)])
-    given = json.dumps([(header, base64.b64encode(payload).decode()) for header, payload in files])
-    answers = in_node(DECODE.format(folder=JAVASCRIPT.as_uri()), given)
+    answers = answer_of(DECODE, [(header, base64.b64encode(payload).decode()) for header, payload in files])
     assert answers == [None if values is None else base64.b64encode(values).decode() for values in expected]
     accepted = sum(values is not None for values in expected[len(whole) :])
     assert FILES / 5 < accepted < FILES  # so that both are tried
@@ -120,7 +105,7 @@ def test_it_has_the_tables(tmp_path: Path) -> None:
     shutil.copytree(NATIVE, tmp_path / "native" / "rd")
     tables = tmp_path / "javascript" / "src" / "tables.js"
     tables.unlink()
-    run_node([str(tmp_path / "javascript" / "tables.mjs")])
+    node(f'await import("{(tmp_path / "javascript" / "tables.mjs").as_uri()}")')
     assert tables.read_text() == (JAVASCRIPT / "tables.js").read_text()
 
 

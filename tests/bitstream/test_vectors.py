@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,8 @@ from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.remake import maps_of, refusals, row_of
 from tests.bitstream.test_format_v1 import rows
-from tests.support.data import JAVASCRIPT, ROOT
+from tests.support.data import ROOT
+from tests.support.node import answer_of
 
 VECTORS = json.loads((ROOT / "docs" / "format" / "vectors.json").read_text())
 FILES = {one["name"]: one for one in VECTORS["files"]}
@@ -129,29 +128,29 @@ def test_our_decoder_draws_the_same(name: str) -> None:
 
 
 SCRIPT = """
-const {{ SgError, decode }} = await import("{folder}/decoder.js");
-const {{ countInPart, readFile }} = await import("{folder}/file.js");
+const { SgError, decode } = await import(`${src}/decoder.js`);
+const { countInPart, readFile } = await import(`${src}/file.js`);
 const bytesOf = (hex) => Uint8Array.from(hex.match(/../g), (byte) => parseInt(byte, 16));
-const files = {files}.map(([hex, views]) => {{
+const files = given.files.map(([hex, views]) => {
   const bytes = bytesOf(hex);
-  const {{ width, height, quantum, background, values, alpha }} = readFile(bytes);
+  const { width, height, quantum, background, values, alpha } = readFile(bytes);
   const pixels = views.map((view) => Buffer.from(decode(bytes, view).data).toString("hex"));
-  const header = {{ width, height, quantum, background }};
-  return {{ header, values: [...values], alpha: [...(alpha?.values ?? [])], pixels }};
-}});
-const parts = {parts}.map((of) => {{
+  const header = { width, height, quantum, background };
+  return { header, values: [...values], alpha: [...(alpha?.values ?? [])], pixels };
+});
+const parts = given.parts.map((of) => {
   const file = readFile(bytesOf(of.bytes));
   return of.parts.map(([k]) => [k, countInPart(file, Math.max(k - 0.5, 0) / file.payloadBytes)]);
-}});
-const accepted = {refuse}.filter((of) => {{
-  try {{
+});
+const accepted = given.refuse.filter((of) => {
+  try {
     decode(bytesOf(of.bytes));
     return true;
-  }} catch (error) {{
+  } catch (error) {
     return !(error instanceof SgError);
-  }}
-}});
-console.log(JSON.stringify({{ files, parts, accepted }}));
+  }
+});
+console.log(JSON.stringify({ files, parts, accepted }));
 """
 
 
@@ -161,18 +160,12 @@ def drawn(of: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def test_the_decoder_in_javascript_does_the_same() -> None:
-    if shutil.which("node") is None:
-        pytest.skip("Node is not installed: sudo apt install nodejs")
     asked = [
         [of["bytes"], [{key: one[key] for key in one.keys() & {"scale", "region"}} for one in drawn(of)]]
         for of in FILES.values()
     ]
     parted = [of for of in VECTORS["parts"] if all(n is not None for _, n in of["parts"])]
-    parts, refuse = json.dumps(parted), json.dumps(VECTORS["refuse"])
-    script = SCRIPT.format(folder=JAVASCRIPT.as_uri(), files=json.dumps(asked), parts=parts, refuse=refuse)
-    command = ["node", "--input-type=module", "--no-warnings"]
-    done = subprocess.run(command, input=script, capture_output=True, text=True, check=True, timeout=60)
-    answers = json.loads(done.stdout)
+    answers = answer_of(SCRIPT, {"files": asked, "parts": parted, "refuse": VECTORS["refuse"]})
     assert answers["accepted"] == []
     assert answers["parts"] == [of["parts"] for of in parted]
     for answer, of in zip(answers["files"], FILES.values(), strict=True):

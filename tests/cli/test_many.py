@@ -14,13 +14,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sgmethod import Budget, codec, decode, encode
+from sgmethod import decode, encode
 from sgmethod.cli import naming
 from sgmethod.cli.several import pace_of
-from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, on_terminal, run, start
+from tests.cli.conftest import PHOTO, Run, assert_refused, on_terminal, start
 from tests.io.odd_files import tiff
-
-__all__ = ["in_folder", "run"]  # fixtures
 
 GOLDEN = "picture.sg"  # 40 x 56
 
@@ -113,34 +111,6 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     assert re.fullmatch(rf"a\.sg -> out/a\.png: .* bytes\n{after}", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
-
-
-@pytest.mark.parametrize(
-    ("line", "size"),
-    [
-        ("--width 20", (20, 28)),
-        ("--height 111", (79, 111)),
-        ("--width 20 --height 20", (14, 20)),  # the picture stays within both
-        ("--region 4,6,10,20 --width 40", (40, 80)),
-    ],
-)
-def test_width_and_height(run: Run, line: str, size: tuple[int, int]) -> None:
-    assert run("decode", GOLDEN, "out.png", "--quiet", *line.split()) == (0, "", "")
-    assert size_of("out.png") == size
-
-
-@pytest.mark.parametrize(("text", "size"), [("0.7k", 700), ("1.001kB", 1001), ("0.0015 MB", 1500), ("1KiB", 1024)])
-def test_sizes_as_people_type_them(run: Run, monkeypatch: pytest.MonkeyPatch, text: str, size: int) -> None:
-    real, budgets = codec.encode, []
-
-    def spy(pixels: object, budget: Budget, *arguments: object, **named: object) -> codec.Encoded:
-        budgets.append(budget)
-        return real(pixels, budget, *arguments, **named)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(codec, "encode", spy)
-    assert run("encode", "photo.png", "-o", "out.sg", "--quiet", "--bytes", text) == (0, "", "")
-    assert budgets == [Budget("bytes", size)]
-    assert Path("out.sg").stat().st_size <= size
 
 
 def test_short_options_and_names_between_options(run: Run) -> None:

@@ -13,9 +13,7 @@ import sgmethod
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.previewing import _print_in_turn
 from sgmethod.many.run import Tally
-from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, run
-
-__all__ = ["in_folder", "run"]  # fixtures
+from tests.cli.conftest import PHOTO, Run, assert_refused
 
 FIELDS = ["text", "width", "height", "color", "dark"]
 

@@ -30,9 +30,7 @@ from sgmethod.many import processes
 from sgmethod.many.run import Tally
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
-from tests.cli.test_cli import PHOTO, Ran, Run, in_folder, names, on_terminal, run, start, start_interruptible
-
-__all__ = ["in_folder", "run"]  # fixtures
+from tests.cli.conftest import PHOTO, Ran, Run, names, on_terminal, start, start_interruptible
 
 GOLDEN = "picture.sg"
 SRGB_ALREADY = (60, 120, 200)

@@ -163,11 +163,6 @@ def test_a_picture_refines() -> None:
     assert psnr(sgmethod.decode(refined), PIXELS) > psnr(sgmethod.decode(plain), PIXELS) + 0.3
 
 
-def test_what_no_pixel_sees_is_left_out() -> None:
-    far = single([[-900, 3], [30, 20]], [[2, 0, 2], [2, 0, 2]], [[1, 1, 1], [1, 1, 1]])
-    assert sgmethod.info(sgmethod.pack(far, *SIZE, quantum=0.1)).gaussians == 1
-
-
 def test_the_first_that_no_file_holds_is_named() -> None:
     some = within_reach(scattered(200, 2, SIZE))
     for place in (150, 41):

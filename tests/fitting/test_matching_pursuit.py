@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 
 from sgmethod.fitting.matching_pursuit import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.native import native
+from tests.support.pictures import noise
 
 FloatArray = NDArray[np.float32]
 ALL_COARSER = len(BLURS_PX)  # sizes of the picture, at most
-
-
-def noise(height: int, width: int) -> FloatArray:
-    return np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
 
 
 def found_in(

@@ -11,6 +11,8 @@ import numpy as np
 import pillow_heif
 from PIL import Image
 
+from tests.support.attacks import png_chunk as chunk
+
 Tags = Mapping[int, "int | tuple[int, ...]"]
 SHORT, LONG = 3, 4  # TIFF 6.0, section 2
 
@@ -29,10 +31,6 @@ def png(
     return b"".join(
         (b"\x89PNG\r\n\x1a\n", header, *before, chunk(b"IDAT", zlib.compress(rows)), *after, chunk(b"IEND"))
     )
-
-
-def chunk(name: bytes, body: bytes = b"") -> bytes:
-    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
 
 
 def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: bool = False) -> bytes:

@@ -17,6 +17,7 @@ from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
 from tests.io.odd_files import chunk, png, tiff
+from tests.support import pictures
 from tests.support.pictures import photo
 
 pillow_heif.register_heif_opener()
@@ -27,9 +28,7 @@ ROUNDED = 0.501  # levels, worst seen 0.4999; in single precision what lies besi
 
 
 def saved(kind: str, picture: Image.Image = PHOTO, **options: object) -> bytes:
-    file = io.BytesIO()
-    picture.save(file, kind, **options)
-    return file.getvalue()
+    return pictures.saved(picture, kind, **options)
 
 
 def png_of(samples: np.ndarray, colour: int, *before: bytes, after: tuple[bytes, ...] = ()) -> bytes:
@@ -123,14 +122,6 @@ def test_the_header_is_read_without_pixels(kind: str, monkeypatch: pytest.Monkey
     assert read_header(KINDS[kind]).width == 48
     with pytest.raises(ImageError, match="decodes pixels"):
         read_image_8_bit(KINDS[kind])
-
-
-@pytest.mark.parametrize("size", [(1, 1), (1, 4096), (4096, 1)])
-@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "TIFF", "BMP"])
-def test_thin_pictures(kind: str, size: tuple[int, int]) -> None:
-    pixels = read_image_8_bit(saved(kind, Image.new("RGB", size, (255, 255, 255))))
-    assert pixels.shape == (size[1], size[0], 3)
-    assert np.all(pixels == 255)
 
 
 TURNS = {

@@ -21,6 +21,7 @@ from sgmethod.io.image import read_header, read_image_8_bit
 from tests.io import profiles
 from tests.io.odd_files import chunk, png, tiff
 from tests.io.test_image import exif_with
+from tests.support import pictures
 from tests.support.data import golden_path
 from tests.support.pictures import photo
 
@@ -45,9 +46,7 @@ class Odd(NamedTuple):
 
 
 def saved(kind: str, picture: Image.Image = PLAIN, **options: object) -> bytes:
-    file = io.BytesIO()
-    picture.save(file, kind, **options)
-    return file.getvalue()
+    return pictures.saved(picture, kind, **options)
 
 
 def heic(picture: Image.Image = PLAIN, **options: object) -> bytes:

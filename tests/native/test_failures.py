@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.data import ROOT
+from tests.support.processes import run
 
 SHIMS = Path(__file__).parent / "shims"
-TIMEOUT_S = 300  # of a process that may hang
 Preload = Callable[[str], Path]
 
 
@@ -33,11 +32,10 @@ def preload(tmp_path_factory: pytest.TempPathFactory) -> Preload:
     return compiled
 
 
-def run(*arguments: str, **environment: str) -> str:
+def python(*arguments: str, **environment: object) -> str:
     """What a Python process prints, which must end well."""
-    command, whole = [sys.executable, *arguments], {**os.environ, **environment}
-    done = subprocess.run(command, cwd=ROOT, env=whole, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    assert done.returncode == 0, f"status {done.returncode}: {done.stderr[-2000:]}"
+    done = run(sys.executable, *arguments, **environment)
+    assert done.status == 0, f"status {done.status}: {done.stderr[-2000:]}"
     return done.stdout
 
 
@@ -48,7 +46,7 @@ def test_any_allocation_may_fail(preload: Preload, whose: str) -> None:
 
     Slow: every allocation of every kernel fails once.
     """
-    lines = run("-m", "tests.native.failing", whose, LD_PRELOAD=str(preload("allocations"))).splitlines()
+    lines = python("-m", "tests.native.failing", whose, LD_PRELOAD=preload("allocations")).splitlines()
     assert len(lines) == {"kernels": 6, "workers": 5}[whose]
     if whose == "kernels":
         for scenario, errors, right in map(str.split, lines):
@@ -83,7 +81,7 @@ print("right")
 
 
 def test_threads_that_cannot_be_created_are_done_without(preload: Preload) -> None:
-    assert run("-c", FEWER_THREADS, LD_PRELOAD=str(preload("threads"))) == "right\n"
+    assert python("-c", FEWER_THREADS, LD_PRELOAD=preload("threads")) == "right\n"
 
 
 def test_cores_and_threads_from_outside() -> None:
@@ -91,4 +89,4 @@ def test_cores_and_threads_from_outside() -> None:
     script = "from sgmethod.native import native; print(native.thread_count() == {}, native.available_cores() >= 1)"
     cores = "native.available_cores()"
     for text, count in (("3", "3"), ("1000", "256"), ("0", f"min(256, {cores})"), ("x", cores)):
-        assert run("-c", script.format(count), SG_THREADS=text) == "True True\n"
+        assert python("-c", script.format(count), SG_THREADS=text) == "True True\n"

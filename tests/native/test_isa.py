@@ -16,8 +16,8 @@ GOLDEN = golden_path("v2-color.sg")
 CODED = """
 import hashlib, numpy
 from sgmethod.native import native
-from tests.native.test_codec import scattered
-parameters, whole = native.RdParameters(700, 500, 0.05), scattered(3000, (700, 500))
+from tests.backend.cases import scattered
+parameters, whole = native.RdParameters(700, 500, 0.05), scattered(3000, 0, (700, 500))
 coded = native.rd_encode(parameters, *whole.arrays)
 decoded = native.rd_decode(parameters, coded, False)
 print(hashlib.sha256(coded + b"".join(array.tobytes() for array in decoded)).hexdigest())

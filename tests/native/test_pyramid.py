@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
+from tests.backend.cases import single
 from tests.definitions import drawing
-from tests.native.test_codec import gaussians
 
 CUTOFF = native.CUTOFF_V2
 ISAS = range(native.best_isa() + 1)
@@ -36,14 +36,14 @@ def scattered(size: Size, n: int, widest: float, seed: int) -> Gaussians:
     means = rng.uniform(-0.2, 1.2, (n, 2)) * size
     scale, stretch = np.exp(rng.uniform(np.log(0.4), np.log(widest), n)), np.exp(rng.uniform(-1, 1, n))
     l1, l3 = np.maximum(scale * stretch, 0.3), np.maximum(scale / stretch, 0.3)
-    return gaussians(means, np.stack([l1, rng.uniform(-1, 1, n) * scale, l3], 1), rng.uniform(-1, 1, (n, 3)))
+    return single(means, np.stack([l1, rng.uniform(-1, 1, n) * scale, l3], 1), rng.uniform(-1, 1, (n, 3)))
 
 
 def of_every_level(size: Size) -> Gaussians:
     scale = 1.5 * drawing.NARROWEST * np.repeat(2.0 ** np.arange(drawing.MAX_LEVEL + 1), 3)
     rng, n = np.random.default_rng(1), len(scale)
     factors = np.stack([scale, rng.uniform(-0.2, 0.2, n) * scale, scale], 1)
-    return gaussians(rng.uniform(-0.2, 1.2, (n, 2)) * size, factors, rng.uniform(-1, 1, (n, 3)))
+    return single(rng.uniform(-0.2, 1.2, (n, 2)) * size, factors, rng.uniform(-1, 1, (n, 3)))
 
 
 def at_thresholds() -> Gaussians:
@@ -54,7 +54,7 @@ def at_thresholds() -> Gaussians:
         for side in (1 - 1e-6, 1 + 1e-6):
             factors += [[minor * side, 0, minor * side], turned(5 * minor, minor * side)]
     means = np.random.default_rng(0).uniform(0, 60, (len(factors), 2))
-    return gaussians(means, factors, np.full((len(factors), 3), 0.7))
+    return single(means, factors, np.full((len(factors), 3), 0.7))
 
 
 def turned(major: float, minor: float) -> list[float]:
@@ -194,7 +194,7 @@ def test_a_pyramid_is_near_the_plain_sum() -> None:
     for level in range(1, 6):
         minor = drawing.NARROWEST * 2**level * 1.001
         for factor in ([minor, 0, minor], turned(5 * minor, minor)):
-            c = case_of(gaussians([[40.3, 30.7]], [factor], [[1, 1, 1]]), (80, 60))
+            c = case_of(single([[40.3, 30.7]], [factor], [[1, 1, 1]]), (80, 60))
             plain = np.empty_like(c.upstream)
             native.Rasterization(c.values.means, c.values.factors, *c.size, CUTOFF).render(c.values.colors, plain)
             assert np.abs(native_picture(c, 0) - plain).max() < 0.03  # worst seen 0.021
@@ -206,7 +206,7 @@ def needles(size: Size) -> Gaussians:
     l3 = np.exp(rng.uniform(np.log(0.3), 0, n))
     l2 = rng.choice([-1, 1], n) * 2048 * l3
     l1 = np.abs(l2) * np.exp(rng.uniform(-1, 1, n))
-    return gaussians(rng.uniform(0.1, 0.9, (n, 2)) * size, np.stack([l1, l2, l3], 1), rng.uniform(-1, 1, (n, 3)))
+    return single(rng.uniform(0.1, 0.9, (n, 2)) * size, np.stack([l1, l2, l3], 1), rng.uniform(-1, 1, (n, 3)))
 
 
 def in_frame(factors: FloatArray, by_mean: FloatArray, by_factor: FloatArray) -> NDArray[np.float64]:

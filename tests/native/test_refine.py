@@ -16,7 +16,8 @@ from sgmethod.backend.protocol import Target
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
-from tests.native.test_codec import encoded, gaussians, rows, scattered
+from tests.backend.cases import scattered, single
+from tests.native.test_codec import encoded, rows
 
 CUTOFF = native.CUTOFF_V2
 
@@ -59,7 +60,7 @@ def error(parameters: native.RdParameters, payload: bytes, target: Target) -> fl
 
 def scene(seed: int = 0, n: int = 150) -> tuple[Gaussians, Target]:
     """Gaussians, and a target that they meet but for some noise."""
-    values = scattered(n, SIZE, seed)
+    values = scattered(n, seed, SIZE)
     noise = np.random.default_rng(seed).normal(0, 0.005, (3, SIZE[1], SIZE[0]))
     return values, target_of(picture(values) + noise)
 
@@ -71,7 +72,7 @@ def wide_scene(seed: int) -> tuple[Gaussians, Target]:
     rng, n = np.random.default_rng(seed), 80
     factors = np.exp(rng.uniform(0.5, 4.5, (n, 1)) + rng.normal(0, 0.5, (n, 3)))
     factors[:, 1] *= rng.choice([-1, 0, 1], n)
-    values = gaussians(scattered(n, SIZE, seed).means, factors, rng.normal(0, 0.2, (n, 3)))
+    values = single(scattered(n, seed, SIZE).means, factors, rng.normal(0, 0.2, (n, 3)))
     assert {drawing.level_of(*factor) for factor in values.factors.tolist()} >= set(range(5))
     return values, target_of(picture(values) + rng.normal(0, 0.005, (3, SIZE[1], SIZE[0])))
 
@@ -104,7 +105,7 @@ def test_the_same_for_every_number_of_threads(
     size: tuple[int, int], n: int, set_threads: Callable[[int], None]
 ) -> None:
     """On the larger one many cells are refined at once."""
-    values = scattered(n, size, 0)
+    values = scattered(n, 0, size)
     target = target_of(picture(values, size) + np.random.default_rng(0).normal(0, 0.005, (3, size[1], size[0])))
     parameters = native.RdParameters(*size, 0.3)
     before, price = encoded(parameters, values), 0.01
@@ -122,7 +123,7 @@ def test_the_same_for_every_number_of_threads(
 @pytest.mark.parametrize("size", [(1, 1), (16, 1), (1, 40), (17, 65)])
 @pytest.mark.parametrize("quantum", [MIN_QUANTUM, 0.2, MAX_QUANTUM])
 def test_odd_sizes_and_steps(size: tuple[int, int], quantum: float) -> None:
-    values = scattered(size[0] * size[1] // 2 + 1, size)
+    values = scattered(size[0] * size[1] // 2 + 1, 0, size)
     target = target_of(picture(values, size))
     parameters = native.RdParameters(*size, quantum)
     payload = refined(parameters, values, target, price=1e-9)
@@ -163,7 +164,7 @@ def test_one_step_of_any_integer_is_found(direction: int, size: float, seen: boo
         by[direction // 2] = change if direction % 2 else -change
         x, y, u, v, r = by
         l1, l3 = 1.2 * size * math.exp(u + v), size * math.exp(u - v)
-        one = gaussians([[70 + size * x, 35 + size * y]], [[l1, (0.4 + r) * l3, l3]], [[0.3, 0.2, 0.4]])
+        one = single([[70 + size * x, 35 + size * y]], [[l1, (0.4 + r) * l3, l3]], [[0.3, 0.2, 0.4]])
         return Gaussians(*native.rd_decode(parameters, encoded(parameters, one)))
 
     before = decoded()

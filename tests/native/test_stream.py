@@ -11,10 +11,11 @@ import pytest
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import Limits
-from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2, quantum_code, quantum_of
+from sgmethod.bitstream.v2 import StreamV2
+from tests.backend.cases import scattered, single
 from tests.bitstream.plain_encoder_v2 import Wanted, write_payload
 from tests.bitstream.remake import header_of
-from tests.native.test_codec import gaussians, rows, scattered
+from tests.native.test_codec import rows
 from tests.support.data import golden_path
 
 
@@ -26,7 +27,7 @@ def busy() -> StreamV2:
 
 
 def short() -> StreamV2:
-    return StreamV2.from_gaussians(scattered(300, (120, 90)), (120, 90), 0.05, (0, 8, 255), False, is_short=True)
+    return StreamV2.from_gaussians(scattered(300, 0, (120, 90)), (120, 90), 0.05, (0, 8, 255), False, is_short=True)
 
 
 STREAMS = pytest.mark.parametrize("stream", [busy(), short()], ids=["busy", "short"])
@@ -46,7 +47,7 @@ def test_prefix_of_a_stream(stream: StreamV2) -> None:
 
 def test_exact_bytes() -> None:
     """Values well within their steps, so that no machine's logarithm matters."""
-    values = gaussians(
+    values = single(
         [[10.3, 20.4], [40.6, 5.2], [40.7, 5.3], [1.1, 46.2]],
         [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
         [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
@@ -62,16 +63,9 @@ def test_exact_bytes() -> None:
     assert stream.payload == write_payload(header_of(stream), wanted)
 
 
-def test_quantum_is_monotone() -> None:
-    found = [quantum_of(quantum_code(q)) for q in np.geomspace(MIN_QUANTUM / 2, 32, 20_000)]
-    assert found == sorted(found)
-    assert len(set(found)) == 14 * 256
-    assert all(quantum_code(quantum_of(code)) == code for code in range(13 * 256 + 1))
-
-
 def test_flags_of_a_stream() -> None:
     for grey, shear in itertools.product((False, True), (0, 1)):
-        values = scattered(40, (70, 50))
+        values = scattered(40, 0, (70, 50))
         values.factors[:, 1] *= shear
         stream = StreamV2.from_gaussians(values, (70, 50), 0.1, (9, 9, 9) if grey else (9, 8, 7), grey)
         assert (stream.grey, stream.upright) == (grey, not shear)
@@ -86,14 +80,3 @@ def test_a_limit_of_gaussians(stream: StreamV2) -> None:
         most = len(stream.gaussians(prefix)) - 1
         with pytest.raises(BitstreamError, match=rf"limit of {most} Gaussians$"):
             stream.gaussians(prefix, Limits(max_gaussians=most))
-
-
-@STREAMS
-def test_limits_of_parse(stream: StreamV2) -> None:
-    data, pixels = container.serialise(stream), stream.width * stream.height
-    assert container.parse(data, Limits(max_pixels=pixels)).width == stream.width
-    with pytest.raises(BitstreamError, match=f"limit of {pixels - 1}"):
-        container.parse(data, Limits(max_pixels=pixels - 1))
-    for length in range(len(data) - len(stream.payload)):
-        with pytest.raises(BitstreamError):
-            container.parse(data[:length])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import io
 import json
@@ -9,12 +10,15 @@ import os
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
+import httpx2
 import numpy as np
 import pytest
 from PIL import Image
 
 import sgmethod
+from sgmethod.bitstream.text import from_text
 from sgmethod.errors import BitstreamError, BudgetError, ImageError
 from sgmethod.io.image import ImageLimits
 from sgmethod.metrics import psnr
@@ -23,7 +27,7 @@ from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short
-from tests.support.data import ROOT
+from tests.support.data import ROOT, code_in
 from tests.support.pictures import photo, saved
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
@@ -194,3 +198,22 @@ def test_bytes_that_no_preview_has(asked: object) -> None:
         sgmethod.preview(PHOTO, asked)  # type: ignore[arg-type]
     with pytest.raises(ImageError, match="too large"):
         sgmethod.preview(saved(LARGE, "PNG"), limits=ImageLimits(max_pixels=1000))
+
+
+def test_the_recipe_for_fastapi() -> None:
+    (block,) = code_in("docs/previews.md", heading="FastAPI")
+    names: dict[str, Any] = {"__name__": "recipe"}
+    exec(compile(block, "recipe", "exec"), names)
+
+    async def upload(data: bytes) -> httpx2.Response:
+        transport = httpx2.ASGITransport(app=names["app"])
+        async with httpx2.AsyncClient(transport=transport, base_url="http://recipe") as client:
+            return await client.post("/photos", content=data)
+
+    answer = asyncio.run(upload(saved(PHOTO)))
+    assert answer.status_code == 200
+    photo = answer.json()
+    assert (photo["width"], photo["height"]) == (128, 96)
+    assert len(from_text(photo["preview"])) <= 200
+    answer = asyncio.run(upload(b"text"))
+    assert (answer.status_code, answer.json()["detail"][:15]) == (422, "the file is not")

@@ -52,13 +52,6 @@ def assert_sound(encoded: Encoded, pixels: FloatArray) -> None:
     assert all(math.isfinite(point.psnr) for point in encoded.trace)
 
 
-@pytest.mark.parametrize("max_bytes", [120, 700])
-def test_a_size_is_kept_and_used(max_bytes: int) -> None:
-    encoded = encode(CROP, Budget("bytes", max_bytes))
-    assert_sound(encoded, CROP)
-    assert 0.97 * max_bytes <= len(encoded.data) <= max_bytes
-
-
 @pytest.mark.parametrize("max_bytes", [SMALLEST_FILE, 41, 100])
 @pytest.mark.parametrize("picture", [lambda: quadrants(400), lambda: CROP, lambda: noise(30, 40)])
 def test_a_few_bytes_are_never_exceeded(picture: Callable[[], FloatArray], max_bytes: int) -> None:

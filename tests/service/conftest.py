@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any
 
 import pytest
 
 from service.__main__ import main
 from service.jobs.table import JobTable
+from tests.conftest import missing
 from tests.service.s3_server import S3Server
 from tests.support import nginx, postgres_server
 from tests.support.data import PICTURE
@@ -24,21 +24,11 @@ from tests.support.postgres_server import PostgresServer, find_binaries
 from tests.support.processes import Outcome
 from tests.support.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, StartService
 
-if TYPE_CHECKING:
-    from tests.service.browser import Chromium, Firefox, Page
-
-
-def _missing(required: str, hint: str) -> NoReturn:
-    """Skip, or fail where the environment says that the program is required."""
-    if os.environ.get(required) == "required":
-        pytest.fail(hint)
-    pytest.skip(hint)
-
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[PostgresServer]:
     """A PostgreSQL server for all tests that need one."""
-    server = PostgresServer(find_binaries() or _missing(postgres_server.REQUIRED, postgres_server.HINT))
+    server = PostgresServer(find_binaries() or missing(postgres_server.REQUIRED, postgres_server.HINT))
     yield server
     server.close()
 
@@ -57,30 +47,6 @@ def own_s3(tmp_path: Path) -> Iterator[S3Server]:
     server = S3Server(tmp_path / "s3")
     yield server
     server.stop()
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Chromium]:
-    """A browser for all tests that need one."""
-    from tests.service import browser as drivers  # not above: .ci/versions installs no selenium
-
-    if not (drivers.CHROMIUM and drivers.CHROMEDRIVER):
-        _missing(drivers.REQUIRED, drivers.HINT)
-    browser = drivers.Chromium()
-    yield browser
-    browser.close()
-
-
-@pytest.fixture(scope="session")
-def firefox() -> Iterator[Firefox]:
-    """The other browser."""
-    from tests.service import browser as drivers
-
-    if not drivers.FIREFOX:
-        _missing(drivers.REQUIRED, drivers.FIREFOX_HINT)
-    browser = drivers.Firefox()
-    yield browser
-    browser.close()
 
 
 @pytest.fixture
@@ -146,7 +112,7 @@ def table(open_job_table: OpenTable) -> JobTable:
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A certificate for this machine, which clients trust, beside its key."""
     if nginx.NGINX is None:
-        _missing(nginx.REQUIRED, nginx.HINT)
+        missing(nginx.REQUIRED, nginx.HINT)
     file = nginx.make_certificate(tmp_path_factory.mktemp("tls"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SSL_CERT_FILE", str(file))
@@ -249,21 +215,3 @@ def keeping(start_for_all: StartService) -> Service:
 def done(web: Service) -> str:
     """The id of a job that is done."""
     return web.published(PICTURE)
-
-
-@pytest.fixture
-def page(browser: Chromium) -> Iterator[Chromium]:
-    """The browser, which has nothing to complain of yet, and is elsewhere afterwards, in a window of its usual size."""
-    browser.complaints()
-    yield browser
-    browser.tell("Emulation.clearDeviceMetricsOverride")
-    browser.open("about:blank")
-
-
-@pytest.fixture(params=["browser", pytest.param("firefox", marks=pytest.mark.thorough)])
-def each_browser(request: pytest.FixtureRequest) -> Iterator[Page]:
-    """The same for tests that run in both."""
-    browser: Page = request.getfixturevalue(request.param)
-    browser.complaints()
-    yield browser
-    browser.open("about:blank")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from pathlib import Path
 
@@ -21,6 +22,14 @@ def golden_path(name: str) -> Path:
     """Where a golden file lies, or the picture of one: "v2-color.sg", "v1-paper.png"."""
     version, _, rest = name.partition("-")
     return DATA / version / rest
+
+
+def code_in(document: str, language: str = r"\w+", heading: str = "") -> list[str]:
+    """The blocks of code in a document, or below one of its headings."""
+    text = (ROOT / document).read_text()
+    if heading:
+        (text,) = re.findall(rf"^##+ {heading}$(.*?)(?=^##+ |\Z)", text, re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
 PICTURE = golden_path("v2-color.sg").read_bytes()  # 48 x 40 pixels, which are drawn at once

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import pytest
@@ -13,7 +12,7 @@ import sgmethod.torch
 from sgmethod.metrics import psnr
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short
-from tests.support.data import ROOT
+from tests.support.data import ROOT, code_in
 
 PAGE = (ROOT / "docs" / "python.md").read_text()
 
@@ -21,7 +20,7 @@ PAGE = (ROOT / "docs" / "python.md").read_text()
 def ran(page: str) -> tuple[int, dict[str, Any]]:
     """The number of a page's examples, and the names that they leave."""
     names: dict[str, Any] = {}
-    examples = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+    examples = code_in(f"docs/{page}", "python")
     for example in examples:
         exec(compile(example, f"docs/{page}", "exec"), names)
     return len(examples), names

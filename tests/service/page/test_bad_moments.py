@@ -11,9 +11,10 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from tests.service.browser import Chromium, bytes_of
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER
+from tests.support.browser import Chromium, assert_open_to_all, bytes_of
 from tests.support.data import golden
+from tests.support.node import assert_as_python
 from tests.support.pictures import SMALL, saved
 from tests.support.processes import wait_until
 from tests.support.service import Service

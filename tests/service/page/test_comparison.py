@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, PHOTOGRAPH
+from tests.support.browser import Chromium, bytes_of
 from tests.support.pictures import SLOW, SMALL
 from tests.support.processes import wait_until
 from tests.support.service import Service

@@ -12,9 +12,10 @@ import pytest
 
 from service.keys import digest
 from sgmethod.budget import DEFAULT_BUDGET
-from tests.service.browser import Chromium, Page
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, assert_as_python, assert_open_to_all
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER
+from tests.support.browser import Chromium, Page, assert_open_to_all
 from tests.support.data import golden_path
+from tests.support.node import assert_as_python
 from tests.support.pictures import SLOW, SMALL
 from tests.support.processes import encoder_of, wait_until
 from tests.support.service import Service, StartService

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from tests.service.browser import Chromium, bytes_of
 from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
+from tests.support.browser import Chromium, bytes_of
 from tests.support.data import golden
 from tests.support.pictures import page_of_text
 from tests.support.processes import wait_until

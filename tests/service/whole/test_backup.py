@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.s3_server import S3Server
-from tests.support.data import ROOT
+from tests.support.data import ROOT, code_in
 from tests.support.postgres_server import PostgresServer
 from tests.support.service import Service
 
@@ -21,13 +21,6 @@ pytestmark = [
     pytest.mark.thorough,
     pytest.mark.skipif(shutil.which("sqlite3") is None, reason="sqlite3 is not installed: sudo apt install sqlite3"),
 ]
-
-
-def documented(heading: str) -> list[str]:
-    """The blocks of commands beneath a heading of the document."""
-    text = (ROOT / "docs" / "deploy.md").read_text()
-    section = re.split(r"^##+ ", text.split(f"# {heading}\n")[1], maxsplit=1, flags=re.MULTILINE)[0]
-    return re.findall(r"^```sh\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
 
 
 def run(commands: str, folder: Path, environment: Mapping[str, str]) -> None:
@@ -54,8 +47,8 @@ def bitstream_of(service: Service, job_id: str) -> bytes:
 
 def test_backup_move_and_backup_again(tmp_path: Path, moving: Service, postgres: PostgresServer, s3: S3Server) -> None:
     """A job is still there after each, its file has the same bytes, and new jobs are encoded."""
-    back_up, restore, back_up_stores, restore_stores, *_ = documented("Backup, restore, upgrade")
-    places, move = documented("The move from one machine")
+    back_up, restore, back_up_stores, restore_stores, *_ = code_in("docs/deploy.md", "sh", "Backup, restore, upgrade")
+    places, move = code_in("docs/deploy.md", "sh", "The move from one machine")
     service = moving
     kept = service.accepted()
     job, bitstream = service.wait(kept), bitstream_of(service, kept)

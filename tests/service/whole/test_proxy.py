@@ -18,8 +18,8 @@ import pytest
 import sgmethod
 from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
-from tests.service.browser import Chromium
 from tests.service.s3_server import S3Server
+from tests.support.browser import Chromium
 from tests.support.nginx import Nginx
 from tests.support.pictures import SMALL, noisy_png
 from tests.support.postgres_server import PostgresServer

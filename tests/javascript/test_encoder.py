@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import statistics
 from html.parser import HTMLParser
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,13 +19,14 @@ from sgmethod.bitstream.text import from_text
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
-from tests.service.page.bundled import node
-from tests.support.data import JAVASCRIPT, PHOTOGRAPHS
+from tests.support.data import PHOTOGRAPHS
+from tests.support.node import answer_of
+from tests.support.pictures import photo
 
+PHOTOS = [photo(path.stem) for path in sorted(PHOTOGRAPHS.glob("*.png"))]
 ENCODE = """
-const { encodePreview } = await import("%s");
-const pictures = JSON.parse((await import("node:fs")).readFileSync("pictures.json"));
-console.log(JSON.stringify(pictures.map(([data, width, height, options]) => {
+const { encodePreview } = await import(`${src}/encoder/encoder.js`);
+console.log(JSON.stringify(given.map(([data, width, height, options]) => {
   try {
     const { bytes, ...made } = encodePreview(new Uint8Array(Buffer.from(data, "base64")), width, height, options);
     return { ...made, file: Buffer.from(bytes).toString("base64") };
@@ -39,10 +38,9 @@ console.log(JSON.stringify(pictures.map(([data, width, height, options]) => {
 
 
 DECODE = """
-const { decodePreview } = await import("%s/preview.js");
-const { readFile } = await import("%s/file.js");
-const texts = JSON.parse((await import("node:fs")).readFileSync("texts.json"));
-console.log(JSON.stringify(texts.map((text) => {
+const { decodePreview } = await import(`${src}/preview.js`);
+const { readFile } = await import(`${src}/file.js`);
+console.log(JSON.stringify(given.map((text) => {
   const { width, height } = decodePreview(text, 12);
   const { values, alpha } = readFile(Uint8Array.of(0xd3, ...Buffer.from(text, "base64url")));
   return [[width, height], [...values], alpha && [...alpha.values]];
@@ -50,7 +48,7 @@ console.log(JSON.stringify(texts.map((text) => {
 """
 
 TIMES = """
-const { encodePreview } = await import("%s");
+const { encodePreview } = await import(`${src}/encoder/encoder.js`);
 const picture = (width, height, side = 1, alpha = 255) => Uint8Array.from({ length: 4 * width * height }, (_, i) => {
   const [x, y] = [i / 4 % width / side | 0, i / 4 / width / side | 0];
   return [x * 7 + y, y * 5, 40 + x, alpha][i % 4] & 255;
@@ -69,15 +67,14 @@ console.log(JSON.stringify([seconds, ...["color", "width", "height"].map((name) 
 """
 
 URIS = """
-const { dataUri } = await import("%s");
-const pictures = JSON.parse((await import("node:fs")).readFileSync("pictures.json"));
+const { dataUri } = await import(`${src}/encoder/uri.js`);
 const webp = ({ quality }) => ({ toBuffer: async () => new Uint8Array(4 * quality) });
 const resize = (width, height) => {
   const toBuffer = async () => new Uint8Array(3 * width * height);
   const image = { removeAlpha: () => image, raw: () => image, toBuffer };
   return image;
 };
-console.log(JSON.stringify(await Promise.all(pictures.map(async ([data, width, height, { isSharp, ...options }]) => {
+console.log(JSON.stringify(await Promise.all(given.map(async ([data, width, height, { isSharp, ...options }]) => {
   const sharp = isSharp && (() => ({ webp, resize }));
   const rgba = new Uint8Array(Buffer.from(data, "base64"));
   return dataUri(rgba, width, height, { ...options, sharp }).catch((error) => `${error.name}: ${error.message}`);
@@ -85,11 +82,10 @@ console.log(JSON.stringify(await Promise.all(pictures.map(async ([data, width, h
 """
 
 
-def encoded(folder: Path, *calls: tuple[Pixels, Any], script: str = ENCODE, module: str = "encoder.js") -> list[Any]:
+def encoded(*calls: tuple[Pixels, Any], script: str = ENCODE) -> list[Any]:
     """What encodePreview() makes of pictures [H, W, 4], each with its options; or what it throws."""
     given = [(base64.b64encode(p.tobytes()).decode(), p.shape[1], p.shape[0], options) for p, options in calls]
-    (folder / "pictures.json").write_text(json.dumps(given))
-    found: list[Any] = json.loads(node(script.replace("%s", (JAVASCRIPT / "encoder" / module).as_uri()), folder))
+    found: list[Any] = answer_of(script, given)
     return found
 
 
@@ -103,13 +99,12 @@ def shown(text: str, size: tuple[int, int]) -> Pixels:
     return np.asarray(Image.fromarray(file.pixels()).resize(size, Image.Resampling.BICUBIC), np.uint8)
 
 
-def test_photographs_are_about_as_good_as_from_python(tmp_path: Path) -> None:
+def test_photographs_are_about_as_good_as_from_python() -> None:
     """At most 0.4 dB below in the mean, and 1 dB for one of them; 0.15 and 0.5 were seen."""
-    photographs = [np.asarray(Image.open(path).convert("RGB")) for path in sorted(PHOTOGRAPHS.glob("*.png"))]
-    calls = [(pixels, most) for pixels in photographs for most in (64, 200)]
+    calls = [(pixels, most) for pixels in PHOTOS for most in (64, 200)]
     given = [(opaque(pixels), {"bytes": most}) for pixels, most in calls]
     behind = []
-    for (pixels, most), made in zip(calls, encoded(tmp_path, *given), strict=True):
+    for (pixels, most), made in zip(calls, encoded(*given), strict=True):
         expected, size = sgmethod.preview(pixels, most), (pixels.shape[1], pixels.shape[0])
         assert 0.8 * most <= len(from_text(made["text"])) <= most
         assert base64.b64decode(made["file"]) == from_text(made["text"])
@@ -122,7 +117,7 @@ def test_photographs_are_about_as_good_as_from_python(tmp_path: Path) -> None:
     assert statistics.fmean(behind) <= 0.4
 
 
-def test_transparency_grey_and_small_pictures(tmp_path: Path) -> None:
+def test_transparency_grey_and_small_pictures() -> None:
     y, x = np.mgrid[:60, :90]
     round_logo = np.dstack([np.full((60, 90, 3), (200, 30, 60)), 255 * (np.hypot(x - 45, y - 30) < 25)]).astype(
         np.uint8
@@ -130,7 +125,7 @@ def test_transparency_grey_and_small_pictures(tmp_path: Path) -> None:
     slope = opaque(np.repeat((2 * x + y)[..., None], 3, axis=2).astype(np.uint8))
     plain, one = np.full((40, 30, 4), (9, 99, 200, 255), np.uint8), np.full((1, 1, 4), 255, np.uint8)
     strip = opaque(np.repeat((x[:1] * 2)[..., None], 3, axis=2).astype(np.uint8))
-    made = encoded(tmp_path, *((picture, {}) for picture in (round_logo, slope, plain, one, strip)))
+    made = encoded(*((picture, {}) for picture in (round_logo, slope, plain, one, strip)))
     logo, grey, *others = (sgmethod.open(from_text(one["text"])) for one in made)
     alpha = logo.pixels()[..., 3]
     assert made[0]["color"] == "#c81e3c"
@@ -148,18 +143,18 @@ def over_black_and_white(pixels: Pixels) -> Pixels:
     return np.rint(np.hstack([colours * alpha + ground * (1 - alpha) for ground in (0, 255)])).astype(np.uint8)
 
 
-def test_partial_transparency_is_kept_as_from_python(tmp_path: Path) -> None:
+def test_partial_transparency_is_kept_as_from_python() -> None:
     """Plain alpha to 4 levels of Python's; what fades, and logos, to 0.75 dB, over black and white."""
     y, x = np.mgrid[:64, :96]
     plain = [np.dstack([2 * x, x * 0 + 80, 3 * y, x * 0 + level]).astype(np.uint8) for level in (12, 25, 64, 204, 230)]
-    photograph = np.asarray(Image.open(sorted(PHOTOGRAPHS.glob("*.png"))[0]).convert("RGB").resize((96, 64)), np.uint8)
+    photograph = np.asarray(Image.fromarray(PHOTOS[0]).resize((96, 64)), np.uint8)
     disc = 255 * np.clip(24.5 - np.hypot(x - 47.5, y - 31.5), 0, 1)
     fades = [
         np.dstack([photograph, alpha]).astype(np.uint8)
         for alpha in (x * 255 / 95, np.maximum(y * 5 - 64, 0) % 256, disc)
     ]
     pictures = [*plain, *fades]
-    made = encoded(tmp_path, *((picture, {"bytes": 200}) for picture in pictures))
+    made = encoded(*((picture, {"bytes": 200}) for picture in pictures))
     ours = [sgmethod.decode(from_text(one["text"])) for one in made]
     theirs = [sgmethod.decode(sgmethod.preview(picture, 200).data) for picture in pictures]
     for one, other in zip(ours[: len(plain)], theirs, strict=False):
@@ -179,7 +174,7 @@ def values_of(stream: StreamV2 | None) -> list[float] | None:
 
 
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.thorough)], ids=["in turns", "each"])
-def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> None:
+def test_pictures_of_few_pixels_can_be_decoded(every: bool) -> None:
     """Noise of any size, opaque or not, in JavaScript and in Python, to the same Gaussians: no more than pixels. every:
     all limits for each size."""
     random = np.random.default_rng(3)
@@ -190,12 +185,11 @@ def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> N
             if len(calls) % 2:
                 pixels[..., 3] = 255
             calls.append((pixels, {"bytes": most}))
-    made = encoded(tmp_path, *calls)
+    made = encoded(*calls)
     for (pixels, options), one in zip(calls, made, strict=True):
         assert len(from_text(one["text"])) <= options["bytes"]
         assert sgmethod.decode(from_text(one["text"])).shape[:2] == pixels.shape[:2] == (one["height"], one["width"])
-    (tmp_path / "texts.json").write_text(json.dumps([one["text"] for one in made]))
-    decoded = json.loads(node(DECODE.replace("%s", JAVASCRIPT.as_uri()), tmp_path))
+    decoded = answer_of(DECODE, [one["text"] for one in made])
     for (pixels, _), one, found in zip(calls, made, decoded, strict=True):
         stream, size = container.parse(from_text(one["text"])), pixels.shape[1::-1]
         assert isinstance(stream, StreamV2)
@@ -203,11 +197,10 @@ def test_pictures_of_few_pixels_can_be_decoded(tmp_path: Path, every: bool) -> N
         assert found == expected
 
 
-def test_small_photographs(tmp_path: Path) -> None:
+def test_small_photographs() -> None:
     """At most 1 dB below Python in the mean; 0.4 was seen."""
-    photographs = [np.asarray(Image.open(path).convert("RGB")) for path in sorted(PHOTOGRAPHS.glob("*.png"))]
-    small = [np.asarray(Image.fromarray(one).resize((24, 16), Image.Resampling.BOX), np.uint8) for one in photographs]
-    made = encoded(tmp_path, *((opaque(pixels), {"bytes": 200}) for pixels in small))
+    small = [np.asarray(Image.fromarray(one).resize((24, 16), Image.Resampling.BOX), np.uint8) for one in PHOTOS]
+    made = encoded(*((opaque(pixels), {"bytes": 200}) for pixels in small))
     behind = [
         psnr(sgmethod.decode(sgmethod.preview(pixels, 200).data), pixels)
         - psnr(sgmethod.decode(from_text(one["text"])), pixels)
@@ -219,18 +212,16 @@ def test_small_photographs(tmp_path: Path) -> None:
 def test_time_follows_the_pixels() -> None:
     """Strips take about as long as other pictures of as many pixels, and 6 megapixels little longer than a quarter of
     one: seen, 1.2 times and 0.1 s. The largest is the one before with 5 x 5 pixels for each."""
-    printed = node(TIMES.replace("%s", (JAVASCRIPT / "encoder" / "encoder.js").as_uri()))
-    (square, upright, flat, small, large), colours, *sizes = json.loads(printed)
+    (square, upright, flat, small, large), colours, *sizes = answer_of(TIMES)
     assert max(upright, flat) <= 4 * square + 0.5
     assert large <= 2 * small + 1
     assert sizes == [[600, 3000], [400, 2000]]
     assert colours[0] == colours[1]
 
 
-def test_data_uris(tmp_path: Path) -> None:
+def test_data_uris() -> None:
     """A PNG of the photograph that fits, and the largest of a stand-in for sharp."""
-    photographs = [np.asarray(Image.open(path).convert("RGB")) for path in sorted(PHOTOGRAPHS.glob("*.png"))]
-    calls = [(opaque(pixels), {"characters": most}) for pixels in photographs for most in (300, 400)]
+    calls = [(opaque(pixels), {"characters": most}) for pixels in PHOTOS for most in (300, 400)]
     clear, plain = np.zeros((8, 8, 4), np.uint8), np.full((1, 3, 4), 255, np.uint8)
     others = [
         (calls[0][0], {"characters": 90}),
@@ -239,7 +230,7 @@ def test_data_uris(tmp_path: Path) -> None:
         (calls[0][0], {"isSharp": True}),
         (plain, {"c": 1}),
     ]
-    answers = encoded(tmp_path, *calls, *others, script=URIS, module="uri.js")
+    answers = encoded(*calls, *others, script=URIS)
     qualities = []
     for (pixels, options), uri in zip(calls, answers, strict=False):
         assert 0.8 * options["characters"] < len(uri) <= options["characters"]
@@ -257,7 +248,7 @@ def test_data_uris(tmp_path: Path) -> None:
 
 
 ELEMENT = """
-const { elementOf } = await import("%s");
+const { elementOf } = await import(`${src}/encoder/element.js`);
 const preview = { text: "woOAaA", width: 30, height: 20, color: "#102030", dark: true, bytes: new Uint8Array(3) };
 const all = [
   { src: "a.jpg" },
@@ -266,22 +257,21 @@ const all = [
 const own = { ...preview, src: "b.jpg", uri: "data:,", script: "/sg-img.js" };
 const made = all.map((attributes) => elementOf(preview, attributes));
 made.push(elementOf(own), elementOf(own, { uri: "", script: "" }));
-console.log(JSON.stringify(made));
 try {
   elementOf("woOAaA", { src: "a.jpg" });
 } catch (error) {
-  console.log(error.name);
+  console.log(JSON.stringify([made, error.name]));
 }
 """
 
 
 def test_an_element_as_html() -> None:
     """Attributes come out of a parser as they went in, and only a placeholder needs inline styles."""
-    made, error = node(ELEMENT % (JAVASCRIPT / "encoder" / "element.js").as_uri()).splitlines()
+    made, error = answer_of(ELEMENT)
     tags: list[tuple[str, dict[str, str | None]]] = []
     parser = HTMLParser()
     parser.handle_starttag = lambda tag, attributes: tags.append((tag, dict(attributes)))  # type: ignore
-    for html in json.loads(made):
+    for html in made:
         parser.feed(html)
     outer = ("sg-img", {"preview": "woOAaA"})
     plain = {"src": "a.jpg", "alt": "", "width": "30", "height": "20", "loading": "lazy", "decoding": "async"}

@@ -1,4 +1,4 @@
-"""Real browsers for the tests of the page: Chromium, driven by selenium, and Firefox, driven by Mozilla's Marionette.
+"""Real browsers for the tests of pages: Chromium, driven by selenium, and Firefox, driven by Mozilla's Marionette.
 
 Debian has no geckodriver, through which selenium would drive Firefox.
 """
@@ -12,16 +12,22 @@ import tempfile
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
+from tests.support.data import ROOT
+from tests.support.node import install
 from tests.support.processes import TIMEOUT_S, wait_until
-from tests.support.service import Service
+
+if TYPE_CHECKING:
+    from tests.support.service import Service
 
 CHROMIUM, CHROMEDRIVER, FIREFOX = (shutil.which(name) for name in ("chromium", "chromedriver", "firefox-esr"))
 HINT = "Chromium is not installed, so the page was not tested: sudo apt install chromium chromium-driver"
@@ -35,6 +41,7 @@ OPTIONS = (
     "--disable-dev-shm-usage",
     "--window-size=1000,1000",
 )
+AXE_VERSION = "4.14.1"
 
 T = TypeVar("T")
 
@@ -253,3 +260,30 @@ class Firefox(Page):
         self.driver.quit(in_app=False)
         self.driver.cleanup()
         self._folder.cleanup()
+
+
+@cache
+def axe() -> str:
+    """axe-core, which looks for what on a page shuts people out. From npm's registry, once for all runs."""
+    installed = ROOT / "build" / f"axe-core-{AXE_VERSION}"
+    if not installed.exists():
+        installed.parent.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=installed.parent) as folder:  # in the same file system
+            install(Path(folder), f"axe-core@{AXE_VERSION}")
+            with suppress(OSError):  # another test was faster
+                (Path(folder) / "node_modules" / "axe-core").rename(installed)
+    return (installed / "axe.min.js").read_text()
+
+
+def assert_open_to_all(page: Chromium, place: str = "document", at_least: int = 10, found: str = "violations") -> None:
+    """No finding of axe, with all parts of a place open, neither by day nor by night."""
+    page.run("for (const one of document.querySelectorAll('details')) one.open = true")
+    page.run(axe())
+    for scheme in ("light", "dark"):
+        page.tell("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        passed, findings = page.run(f"""
+            return axe.run({place}).then(({{ passes, violations, incomplete }}) => [passes.length, {found}
+                .map(({{ id, nodes }}) => [id, ...nodes.map(({{ target }}) => target.join(" "))])]);
+        """)
+        assert passed > at_least
+        assert findings == []

@@ -6,19 +6,15 @@ photographs.
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
 
 from sgmethod.bitstream.text import to_text
-from tests.service.browser import Page
-from tests.service.page.bundled import served
-from tests.service.page.test_recipes import blocks
-from tests.support.data import JAVASCRIPT, golden
+from tests.javascript.site import Site
+from tests.support.browser import Page
+from tests.support.data import code_in, golden
 from tests.support.processes import wait_until
 
 SIZES = [
@@ -82,28 +78,19 @@ KINDS = {
 }
 
 
-@pytest.fixture
-def site(tmp_path: Path) -> Iterator[tuple[Path, str]]:
-    """A folder, and the address at which it is served."""
-    shutil.copytree(JAVASCRIPT, tmp_path / "sgmethod")
-    with served(tmp_path) as address:
-        yield tmp_path, address
-
-
-def page_of(kind: str) -> str:
-    """Each layout with all photographs, which do not exist yet."""
-    rules = blocks("Plain HTML")[1]
-    html = f"<!doctype html><meta charset=utf-8><style>{rules} figure {{ margin: 0 }}"
-    sections = ""
+def page_of(kind: str) -> tuple[str, str]:
+    """Rules, and each layout with all photographs, which do not exist yet."""
+    rules = code_in("docs/previews.md", heading="Plain HTML")[1] + " figure { margin: 0 }"
+    html = "<!doctype html><meta charset=utf-8><link rel=stylesheet href=style.css>"
     for number, (title, (outer, inner, crop)) in enumerate(LAYOUTS.items()):
-        html += f" #a{number} {{ {outer} }} #a{number} {'sg-img' if crop else '> *'} {{ {inner} }}"
+        rules += f" #a{number} {{ {outer} }} #a{number} {'sg-img' if crop else '> *'} {{ {inner} }}"
         photographs = ""
         for i, (width, height) in enumerate(SIZES):
             known = f'src="{i}.jpg" width="{width}" height="{height}" alt=""'
             one = KINDS[kind].format(text=TEXT, known=known)
             photographs += f"<figure>{one}<figcaption>A caption</figcaption></figure>" if "figures" in title else one
-        sections += f'<section id="a{number}" title="{title}">{photographs}</section>'
-    return f"{html}</style>{sections}"
+        html += f'<section id="a{number}" title="{title}">{photographs}</section>'
+    return rules, html
 
 
 def assert_own_aspects(page: Page) -> None:
@@ -122,17 +109,17 @@ def assert_own_aspects(page: Page) -> None:
 @pytest.mark.parametrize(
     "kind", ["img", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("picture", "alone"))]
 )
-def test_each_photograph_has_its_own_aspect_ratio(each_browser: Page, site: tuple[Path, str], kind: str) -> None:
-    folder, url = site
-    (folder / "index.html").write_text(page_of(kind))
-    each_browser.open(f"{url}index.html")
+def test_each_photograph_has_its_own_aspect_ratio(each_browser: Page, site: Site, kind: str) -> None:
+    for name, text in zip(("style.css", "index.html"), page_of(kind), strict=True):
+        (site.folder / name).write_text(text)
+    each_browser.open(site.url)
     if kind != "alone":
         assert_own_aspects(each_browser)  # as without JavaScript
     each_browser.run("return import('/sgmethod/sg-img.js').then(() => undefined)")
     wait_until(lambda: each_browser.run(DRAWN))
     assert_own_aspects(each_browser)
     for i, size in enumerate(SIZES):
-        Image.new("RGB", size, (90, 40 * i % 256, 90)).save(folder / f"{i}.jpg")
+        Image.new("RGB", size, (90, 40 * i % 256, 90)).save(site.folder / f"{i}.jpg")
     each_browser.run(LOAD)
     wait_until(lambda: each_browser.run(LOADED))
     assert_own_aspects(each_browser)

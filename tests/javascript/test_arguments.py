@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
+import base64
 
 import pytest
 
 from sgmethod.bitstream.text import to_text
-from tests.service.page.bundled import node
-from tests.support.data import JAVASCRIPT, golden
+from tests.support.data import golden
+from tests.support.node import answer_of
 
 SCRIPT = """
 const [{ encodePreview }, { dataUri }, { decodePreview }, { decode, info }] = await Promise.all(
-  ["encoder/encoder", "encoder/uri", "preview", "decoder"].map((name) => import(`%s/${name}.js`)));
+  ["encoder/encoder", "encoder/uri", "preview", "decoder"].map((name) => import(`${src}/${name}.js`)));
 const vm = await import("node:vm");
-const [text, file] = ["%s", new Uint8Array(%s)];
+const { text } = given;
+const file = Uint8Array.from(Buffer.from(given.file, "base64"));
 const outcome = async (call) => {
   try {
     return JSON.stringify(await call());
@@ -32,8 +33,8 @@ KIND = "must be a Uint8Array, a Uint8ClampedArray or an ArrayBuffer, not"
 def outcomes(*calls: str) -> list[str]:
     """What expressions in JavaScript return, as JSON, or throw."""
     data = golden(2)["v2-color"]
-    given = [JAVASCRIPT.as_uri(), to_text(data), str(list(data)), ", ".join(f"() => {call}" for call in calls)]
-    found: list[str] = json.loads(node(SCRIPT % tuple(given)))
+    given = {"text": to_text(data), "file": base64.b64encode(data).decode()}
+    found: list[str] = answer_of(SCRIPT % ", ".join(f"() => {call}" for call in calls), given)
     return found
 
 
@@ -78,4 +79,6 @@ def test_texts_and_files_that_are_refused() -> None:
         found = outcomes(*(f"{function}({one})" for one in kinds))
         assert found == [f"TypeError: bytes {KIND} {kind}" for kind in kinds.values()]
     assert outcomes("decode(file, 2)", "decode(file, null)") == ["TypeError: options must be an object"] * 2
+    wrong = outcomes("decode(file, { widht: 24 })", "decode(file, { scale: 2, width: 24 })")
+    assert [one.partition(":")[0] for one in wrong] == ["TypeError"] * 2
     assert outcomes("decode(file, { region: 5 })") == ["TypeError: region must be [x, y, width, height]"]

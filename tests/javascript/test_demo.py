@@ -6,10 +6,7 @@ import base64
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
-from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +16,8 @@ import sgmethod
 from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from tests.service.browser import Chromium, Page
-from tests.service.page.bundled import served
-from tests.service.page.steps import assert_open_to_all
+from tests.javascript.site import Site, served
+from tests.support.browser import Chromium, Page, assert_open_to_all
 from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT, STATIC
 from tests.support.processes import run, wait_until
 
@@ -41,15 +37,6 @@ STAGE = """
 """
 
 
-@dataclass
-class Site:
-    """The page's folder and address, and what was asked for."""
-
-    folder: Path
-    url: str
-    asked: list[str]
-
-
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     if shutil.which("node") is None or not (PACKAGES / "node_modules" / "thumbhash").exists():
@@ -57,14 +44,8 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("demo")
     done = run("node", "demo/build.mjs", ROOT, folder, folder=PACKAGES)
     assert done.status == 0, done.stderr
-    asked: list[str] = []
-
-    class Counting(SimpleHTTPRequestHandler):
-        def log_request(self, *_: Any) -> None:
-            asked.append(self.path)
-
-    with served(folder, Counting) as url:
-        yield Site(folder, url, asked)
+    with served(folder) as site:
+        yield site
 
 
 def previewed(page: Page) -> list[str]:
@@ -73,6 +54,14 @@ def previewed(page: Page) -> list[str]:
     wait_until(lambda: all(page.run(CHARACTERS)))
     captions: list[str] = page.run(CHARACTERS)
     return captions
+
+
+@pytest.fixture
+def shown(each_browser: Page, demo: Site) -> Page:
+    """The page with previews of its own photograph."""
+    each_browser.open(demo.url)
+    previewed(each_browser)
+    return each_browser
 
 
 def text_of(page: Page) -> str:
@@ -128,13 +117,8 @@ def test_a_photograph_becomes_previews_and_a_file(each_browser: Page, demo: Site
     refused = "return fetch('http://127.0.0.1:9/').then(() => 'sent', (error) => error.name)"
     assert each_browser.complaints() == []
     assert each_browser.run(refused) == "TypeError"
-    assert (
-        each_browser.run(
-            "return new Promise((done) => { const img = new Image(); img.onerror = () => done(1); "
-            "img.onload = () => done(0); img.src = 'http://127.0.0.1:9/a.png'; })"
-        )
-        == 1
-    )
+    image = "img.onerror = () => done('refused'); img.src = 'http://127.0.0.1:9/a.png';"
+    assert each_browser.run(f"return new Promise((done) => {{ const img = new Image(); {image} }})") == "refused"
     each_browser.complaints()
 
 
@@ -142,50 +126,43 @@ def decoded(text: str) -> np.ndarray:
     return sgmethod.open(from_text(text)).pixels(width=128)
 
 
-def test_sizes_snippets_and_zoom_by_keyboard(each_browser: Page, demo: Site) -> None:
-    each_browser.open(demo.url)
-    previewed(each_browser)
-    given(each_browser, PARROT, "parrot.png")
-    previewed(each_browser)
+def test_sizes_snippets_and_zoom_by_keyboard(shown: Page) -> None:
+    given(shown, PARROT, "parrot.png")
+    previewed(shown)
     for size, most in ((0, 64), (8, 1000)):
-        before = text_of(each_browser)
-        each_browser.choose("bytes", size)
-        wait_until(lambda: text_of(each_browser) != before)  # noqa: B023
-        assert 0.8 * most <= len(from_text(text_of(each_browser))) <= most
-        assert each_browser.text("#size-words").startswith(f"{most:,} bytes")
+        before = text_of(shown)
+        shown.choose("bytes", size)
+        wait_until(lambda: text_of(shown) != before)  # noqa: B023
+        assert 0.8 * most <= len(from_text(text_of(shown))) <= most
+        assert shown.text("#size-words").startswith(f"{most:,} bytes")
     for option, word in (
         ("sveltekit", "$lib/door.jpg?preview"),
         ("django", "models.CharField"),
         ("plain-html", "<sg-img"),
     ):
-        each_browser.choose("framework", option)
-        assert word in each_browser.text(f"#{option}")
-        assert (
-            each_browser.run("return [...document.querySelectorAll('.snippet')].filter((one) => !one.hidden).length")
-            == 1
-        )
-    each_browser.run("document.querySelector('[data-sample=coffee]').click()")
-    wait_until(lambda: f"{COFFEE.stat().st_size:,} bytes" in each_browser.text("#file-words"))
-    seen = [each_browser.run(STAGE)]
+        shown.choose("framework", option)
+        assert word in shown.text(f"#{option}")
+        assert shown.run("return [...document.querySelectorAll('.snippet')].filter((one) => !one.hidden).length") == 1
+    shown.run("document.querySelector('[data-sample=coffee]').click()")
+    wait_until(lambda: f"{COFFEE.stat().st_size:,} bytes" in shown.text("#file-words"))
+    seen = [shown.run(STAGE)]
     for key in ("+", "+", "ArrowDown", "-", "0"):  # or "-" would already show the whole
-        each_browser.press("stage", key)
-        wait_until(lambda: each_browser.run(STAGE) != seen[-1])
-        seen.append(each_browser.run(STAGE))
-    each_browser.click("#compare")
-    assert each_browser.run(STAGE) != seen[-1]
-    each_browser.click("#compare")
-    assert each_browser.complaints() == []
+        shown.press("stage", key)
+        wait_until(lambda: shown.run(STAGE) != seen[-1])
+        seen.append(shown.run(STAGE))
+    shown.click("#compare")
+    assert shown.run(STAGE) != seen[-1]
+    shown.click("#compare")
+    assert shown.complaints() == []
 
 
-def test_what_cannot_be_read_is_said(each_browser: Page, demo: Site) -> None:
-    each_browser.open(demo.url)
-    previewed(each_browser)
-    each_browser.give("drop", b"no picture", "photo.jpg")
-    each_browser.says("no picture that your browser can read", "#trouble")
-    each_browser.give("drop", b"no file", "photo.sg")
-    each_browser.says("no .sg file", "#trouble")
-    each_browser.give("drop", PICTURE, "photo.sg")
-    each_browser.says("photo.sg", "#file-words")
+def test_what_cannot_be_read_is_said(shown: Page) -> None:
+    shown.give("drop", b"no picture", "photo.jpg")
+    shown.says("no picture that your browser can read", "#trouble")
+    shown.give("drop", b"no file", "photo.sg")
+    shown.says("no .sg file", "#trouble")
+    shown.give("drop", PICTURE, "photo.sg")
+    shown.says("photo.sg", "#file-words")
 
 
 @pytest.mark.parametrize("width", [390, 1280])
@@ -200,14 +177,12 @@ def test_it_is_open_to_all(page: Chromium, demo: Site, width: int) -> None:
     assert_open_to_all(page)
 
 
-def test_photographs_are_upright(each_browser: Page, demo: Site, tmp_path: Path) -> None:
-    each_browser.open(demo.url)
-    previewed(each_browser)
+def test_photographs_are_upright(shown: Page, tmp_path: Path) -> None:
     rotated = Image.Exif()
     rotated[0x112] = 6  # a quarter turn
     with Image.open(PHOTOGRAPHS / "kodim23-crop.png") as parrot:
         parrot.convert("RGB").save(tmp_path / "rotated.jpg", exif=rotated, quality=95)
-    text = given(each_browser, (tmp_path / "rotated.jpg").read_bytes(), "rotated.jpg")
-    assert previewed(each_browser)[0].startswith("96 × 128")
+    text = given(shown, (tmp_path / "rotated.jpg").read_bytes(), "rotated.jpg")
+    assert previewed(shown)[0].startswith("96 × 128")
     upright = read_image_8_bit((tmp_path / "rotated.jpg").read_bytes())
     assert psnr(sgmethod.open(from_text(text)).pixels(width=96), upright) > 19  # seen: 20.1

@@ -8,9 +8,7 @@ import re
 import shutil
 import socket
 import subprocess
-import threading
 from collections.abc import Iterator
-from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +22,29 @@ from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.scene import Pixels
 from tests.io.profiles import DISPLAY_P3, rgb
-from tests.service.browser import Page
-from tests.service.page.bundled import install, node, packed, served
-from tests.service.page.test_recipes import blocks, code_of
-from tests.support.data import PHOTOGRAPHS, ROOT
-from tests.support.processes import TIMEOUT_S, run, wait_until
+from tests.javascript.site import Site, served
+from tests.support.browser import Page
+from tests.support.data import PHOTOGRAPHS, ROOT, code_in
+from tests.support.node import answer_of, install, node
+from tests.support.processes import run, wait_until
 
 pytestmark = pytest.mark.thorough
 
 PARROT = PHOTOGRAPHS / "kodim23-crop.png"
 PREVIEWS = """
 import { elementOf, previewOf } from "sgmethod/node";
-const answers = await Promise.all(TASKS.map(([photograph, options]) =>
+const answers = await Promise.all(given.map(([photograph, options]) =>
   previewOf(photograph, options).catch((error) => `${error.name}: ${error.message}`)));
 console.log(JSON.stringify(answers));
 """
+
+
+def packed() -> Path:
+    """The package as npm installs it."""
+    files = sorted((ROOT / "dist").glob("sgmethod-*.tgz"))
+    if not files:
+        pytest.skip("the npm package is not built: make npm, which needs Node and npm")
+    return files[-1]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +65,7 @@ def site(packages: Path, tmp_path: Path) -> Path:
 
 def previews(folder: Path, *tasks: tuple[object, dict[str, Any]]) -> list[Any]:
     """What previewOf() answers: a preview, or the words of an error."""
-    found: list[Any] = json.loads(node(PREVIEWS.replace("TASKS", json.dumps(tasks)), folder))
+    found: list[Any] = answer_of(PREVIEWS, tasks, folder)
     return found
 
 
@@ -170,10 +176,10 @@ configure({ addPassthroughCopy() {}, addShortcode });
 
 
 def test_eleventy(site: Path) -> None:
-    (site / "eleventy.config.mjs").write_text(blocks("Eleventy")[0])
+    (site / "eleventy.config.mjs").write_text(code_in("docs/previews.md", heading="Eleventy")[0])
     (site / "photos").mkdir()
     shutil.copy(PARROT, site / "photos" / "door.png")
-    printed = node(ELEVENTY, site)
+    printed = node(ELEVENTY, folder=site)
     size = 'width="128" height="96" loading="lazy" decoding="async"'
     style = r'style="background:#\w+ url\(data:image/webp;base64,\S+\) center/cover"'
     img = rf'<img src="/photos/door.png" alt="A &quot;red&quot; door" {size} {style}>'
@@ -185,13 +191,13 @@ def test_eleventy(site: Path) -> None:
 @pytest.mark.parametrize("document", ["docs/previews.md", "sgmethod/javascript/README.md"])
 def test_a_page_in_one_script(each_browser: Page, site: Path, document: str) -> None:
     """The first steps of the documents."""
-    (script,) = [code for code in code_of((ROOT / document).read_text()) if "writeFileSync(" in code]
+    (script,) = [code for code in code_in(document) if "writeFileSync(" in code]
     (site / "photos").mkdir()
     for name in ("photo.jpg", "photos/photo.jpg"):
         Image.open(PARROT).save(site / name)
-    node(script, site)
-    with served(site) as address:
-        each_browser.open(f"{address}index.html")
+    node(script, folder=site)
+    with served(site) as here:
+        each_browser.open(here.url)
         wait_until(lambda: [one["loaded"] for one in each_browser.run(SHOWN)] == [128])
         assert each_browser.run("return Boolean(customElements.get('sg-img'))")
 
@@ -230,34 +236,18 @@ def vite_site(site: Path) -> Path:
     return site
 
 
-class Held(SimpleHTTPRequestHandler):
-    """Serves files with a policy, and photographs only once they may be."""
-
-    may: threading.Event
-
-    def end_headers(self) -> None:
-        self.send_header("Content-Security-Policy", POLICY)
-        super().end_headers()
-
-    def do_GET(self) -> None:
-        if not self.path.endswith(".png") or self.may.wait(TIMEOUT_S):
-            super().do_GET()
-
-
 @pytest.fixture
-def held(vite_site: Path) -> Iterator[tuple[str, threading.Event]]:
-    """The address of what is built, and what lets photographs through."""
-    handler = type("OwnHeld", (Held,), {"may": (may := threading.Event())})
-    with served(vite_site / "dist", handler) as address:
-        yield address, may
-        may.set()
+def built(vite_site: Path) -> Iterator[Site]:
+    """What is built, with photographs held back."""
+    with served(vite_site / "dist", POLICY) as site:
+        site.may.clear()
+        yield site
 
 
-def test_a_build(each_browser: Page, vite_site: Path, held: tuple[str, threading.Event]) -> None:
+def test_a_build(each_browser: Page, vite_site: Path, built: Site) -> None:
     """With a strict policy, previews are there before the photographs. The second build makes none."""
-    address, may = held
     assert run("npx", "vite", "build", folder=vite_site).status == 0
-    each_browser.open(address)
+    each_browser.open(built.url)
     wait_until(lambda: [one["drawn"] for one in each_browser.run(SHOWN)] == [True, True])
     first, second = each_browser.run(SHOWN)
     assert (first["alt"], second["alt"]) == ("A parrot of 128", "Again")
@@ -266,7 +256,7 @@ def test_a_build(each_browser: Page, vite_site: Path, held: tuple[str, threading
     assert second["uri"] == ""
     assert first["display"] == "block"
     assert first["loaded"] == 0
-    may.set()
+    built.may.set()
     wait_until(lambda: all(one["loaded"] == 128 and not one["drawn"] for one in each_browser.run(SHOWN)))
     assert each_browser.complaints() == []
     cached = list((vite_site / "node_modules" / ".vite" / "sgmethod").iterdir())
