@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -163,7 +164,12 @@ class SgFile:
 
 def _read(file: File) -> bytes:
     """Return the bytes of an .sg file, given its path or bytes, which may also hold its text."""
-    return file_of(bytes_of(file, BitstreamError, "an .sg file"))
+    try:
+        return file_of(bytes_of(file, BitstreamError, "an .sg file"))
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise BitstreamError("no file has so long a name; sgmethod.from_text() reads a text") from error
+        raise
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:
