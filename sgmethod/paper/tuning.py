@@ -87,8 +87,8 @@ class Tuner:
             groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
         self.optimiser = torch.optim.Adam(groups, betas=(s.optimiser.beta1, s.optimiser.beta2), eps=1e-15)
         self.moments = Moments.none(self.n)
-        self.best, self._kept = math.inf, self._state()
         self.fit_budget()
+        self.best, self._kept = math.inf, (self._state(), self.shift)
 
     def _widen(self) -> None:
         """Keep every range at least MIN_SPAN_PX wide, because a range of zero or negative width has no step."""
@@ -158,15 +158,15 @@ class Tuner:
         elif self.file_bytes() > self.max_bytes:
             return
         if mse < self.best:
-            self.best, self._kept, self._kept_shift = mse, [one.clone() for one in self._state()], self.shift
+            self.best, self._kept = mse, ([one.clone() for one in self._state()], self.shift)
 
     def _restore_best(self) -> None:
         """Return to the best state, as GaussianImage does."""
         with torch.no_grad():
             self._keep_if_best(self.loss(self.quantised()[0].numpy())[0])
-            for one, kept in zip(self._state(), self._kept, strict=True):
+            state, self.shift = self._kept
+            for one, kept in zip(self._state(), state, strict=True):
                 one.copy_(kept)
-        self.shift = self._kept_shift
 
     def _move(
         self, grads: tuple[Tensor, Tensor, Tensor], others: list[Tensor], coded_colors: Tensor, rate: float
