@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, TEXTURE_CELL, TEXTURE_OCTAVES, TEXTURE_STRENGTHS, Target
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.fitting.bands import Rows, bands
@@ -158,13 +159,9 @@ def _share(where: NDArray[np.bool_]) -> Plane:
     return _plane(cv2.resize(_plane(where), None, fx=1 / BLOCK, fy=1 / BLOCK, interpolation=cv2.INTER_AREA))
 
 
-def _halved(plane: Plane) -> Plane:
-    return _plane(cv2.resize(plane, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-
-
 def _detail(plane: Plane, coarse: Plane | None = None) -> Plane:
     """Detail of a plane with even sides that half the size cannot show. coarse: the plane at half the size."""
-    coarse = _halved(plane) if coarse is None else coarse
+    coarse = halved(plane) if coarse is None else coarse
     return _plane(plane - cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR))
 
 
@@ -182,7 +179,7 @@ def _by_cell(blocks: NDArray[Value]) -> NDArray[Value]:
 def _energies(plane: Plane) -> Iterator[Plane]:
     """Energy of each octave of detail in each block."""
     for octave in range(TEXTURE_OCTAVES):
-        coarse = _halved(plane)
+        coarse = halved(plane)
         yield _energy(_detail(plane, coarse), BLOCK >> octave)
         plane = coarse
 
