@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.arguments import numbers
-from benchmarks.machine import RUNS
+from benchmarks.machine import ROOT
 from benchmarks.pictures import pictures_in
 from sgmethod import encode_many, open as open_sg, write_npz
 from sgmethod.many.processes import usual_jobs
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--bpp", type=numbers, default="0.1,0.25,0.5")
     parser.add_argument("--tune", default="psnr")
     parser.add_argument("--jobs", type=int)
-    parser.add_argument("--out", type=Path, default=RUNS.parent / "fits")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "fits")
     options = parser.parse_args()
     pictures = pictures_in(options.images)
     if not pictures:

@@ -21,7 +21,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import compress, product
 from multiprocessing import get_context
 from pathlib import Path
@@ -113,6 +113,7 @@ TABLES: dict[str, list[Row]] = {
 }
 
 
+@cache  # of several rows and seeds
 def pixels_of(path: Path, middle: tuple[int, int] | None) -> Pixels:
     """A picture or its middle; turned where it is upright, so that all have one size."""
     pixels = read_image_8_bit(path.read_bytes())
@@ -180,11 +181,6 @@ def on_gpu(
     return [Gaussians(*(of[k, : len(one)].copy() for of in found)) for k, one in enumerate(starts)]
 
 
-def by_clamped(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
-    """The same where the picture is clamped to 0..1 before the loss, as GaussianImage does."""
-    return by_picture(drawn.clamp(0, 1), target, lambda_g) * ((drawn >= 0) & (drawn <= 1))
-
-
 def by_picture(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
     """The gradient [B, 3, H, W] of MSE + lambda_g L_g by each picture drawn."""
     left = drawn - target
@@ -199,6 +195,11 @@ def by_picture(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
         loss = (planes.square().sum() + lambda_g * (wanted * conv2d(planes, kernels).square()).sum()) / numel
         (found,) = torch.autograd.grad(loss, planes)
     return found.view_as(left)
+
+
+def by_clamped(drawn: Tensor, target: Tensor, lambda_g: float) -> Tensor:
+    """The same as by_picture() where the picture is clamped to 0..1 before the loss, as GaussianImage does."""
+    return by_picture(drawn.clamp(0, 1), target, lambda_g) * ((drawn >= 0) & (drawn <= 1))
 
 
 def judged(pixels: Pixels, gaussians: Gaussians) -> dict[str, Any]:

@@ -124,14 +124,18 @@ def codecs_table() -> str:
     return table(" | ".join([*titles, f"bits for the same PSNR, against {NAMES[anchor]}", *RANGES]), lines)
 
 
+def within(every: Sequence[Row], rates: str) -> list[Row]:
+    """The rows of one of HEADLINE_RATES."""
+    return [row for row in every if row.max_bpp in HEADLINE_RATES[rates]]
+
+
 def headline_table() -> str:
     """The bits of `rd` tuned for PSNR at equal PSNR, by set of photographs and range of rates."""
     lines = []
     for name, title in HEADLINE_SETS.items():
         every = [Row(**row) for row in results.rows(name)]
         for anchor, other in HEADLINE_AGAINST.items():
-            within = [[row for row in every if row.max_bpp in rates] for rates in HEADLINE_RATES.values()]
-            found = [against(part, "rd", anchor) for part in within]
+            found = [against(within(every, rates), "rd", anchor) for rates in HEADLINE_RATES]
             count = f" ({found[0].pictures})" if found[0] else ""
             lines.append([f"{title}{count}", other, *(differences(rate)[0] for rate in found)])
     return table(" | ".join(["photographs", "against", *HEADLINE_RATES]), lines)
@@ -207,11 +211,8 @@ def figures() -> dict[str, float | None]:
     others = {"avif": avif(), "avif-8-bits": "avif tune=psnr", "heic": "heic", "webp": "webp"}
     for mark, codec in others.items():  # at equal PSNR
         found |= of_rate(mark, against(rows(), "rd", codec))
-    for mark, rates in {
-        "avif-low": HEADLINE_RATES["0.1 to 0.25 bpp"],
-        "avif-high": HEADLINE_RATES["0.15 to 0.4 bpp"],
-    }.items():
-        found |= of_rate(mark, against([row for row in rows() if row.max_bpp in rates], "rd", avif()))
+    for mark, rates in {"avif-low": "0.1 to 0.25 bpp", "avif-high": "0.15 to 0.4 bpp"}.items():
+        found |= of_rate(mark, against(within(rows(), rates), "rd", avif()))
     found["rate.dists-worse"] = dists_worse()
     for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif("lpips"))}.items():
         found |= of_rate(mark, rate)

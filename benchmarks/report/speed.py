@@ -63,6 +63,12 @@ def at(megapixels: float, method: str, setting: str) -> dict[str, float] | None:
     return found | {"psnr_error": standard_error(apart) or 0.0}
 
 
+def every_setting(megapixels: float, method: str) -> list[dict[str, float]]:
+    """Means of each setting of a method, in the order in which they were measured."""
+    settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
+    return [m for setting in settings if (m := at(megapixels, method, setting))]
+
+
 def sizes_table() -> str:
     """A line for each method, a column for each size."""
     lines = []
@@ -123,12 +129,9 @@ def median(value: float | list[float]) -> float:
 
 def draw(axes: Any, megapixels: float) -> None:
     """PSNR against seconds at one size."""
-    of_size: list[Row] = rows(SIZES[megapixels])
     lows = []
     for k, method in enumerate(DRAWN):
-        settings = dict.fromkeys(row["setting"] for row in of_size if row["method"] == method)
-        found = [m for setting in settings if (m := at(megapixels, method, setting))]
-        points = sorted((m["seconds"], m["psnr"], m["psnr_error"]) for m in found)
+        points = sorted((m["seconds"], m["psnr"], m["psnr_error"]) for m in every_setting(megapixels, method))
         look = {"linestyle": "none"} if method in ("webp", "jpeg") else {}
         seconds_, db, error = zip(*points, strict=True)
         axes.errorbar(seconds_, db, error, capsize=2, **style(k) | look | {"label": LABELS.get(method, method)})
@@ -141,8 +144,7 @@ def within_table(megapixels: float) -> str:
     """The best PSNR of each method whose encode takes at most so many seconds, means over the pictures of one size."""
     lines = []
     for method, name in WITHIN.items():
-        settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
-        found = [m for setting in settings if (m := at(megapixels, method, setting))]
+        found = every_setting(megapixels, method)
         best = [max((m["psnr"] for m in found if m["seconds"] <= s), default=None) for s in SECONDS[megapixels]]
         lines.append([name, *(number(psnr, ".1f") for psnr in best)])
     return table(" | ".join(["", *(f"{s:g} s" for s in SECONDS[megapixels])]), lines)
@@ -152,8 +154,7 @@ def reached_table(megapixels: float, figure: str) -> str:
     """The seconds after which each method reaches a PSNR or a SSIMULACRA 2: of the quickest setting whose mean does."""
     goals, lines = REACHED[megapixels][figure], []
     for method, name in WITHIN.items():
-        settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
-        means = [m for setting in settings if (m := at(megapixels, method, setting))]
-        best = [min((m["seconds"] for m in means if m[figure] >= goal), default=None) for goal in goals]
+        found = every_setting(megapixels, method)
+        best = [min((m["seconds"] for m in found if m[figure] >= goal), default=None) for goal in goals]
         lines.append([name, *(MISSING if s is None else f"{seconds(s)} s" for s in best)])
     return table(" | ".join(["", *(UNITS[figure].format(goal) for goal in goals)]), lines)
