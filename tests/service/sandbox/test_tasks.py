@@ -7,6 +7,8 @@ import io
 import os
 import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -58,6 +60,25 @@ def taken_over() -> Iterator[Sandbox]:
 def asked(tasks: Sandbox, what: Task, data: bytes) -> Result:
     with file_of(data) as file:
         return asyncio.run(tasks.ask(what, file))
+
+
+def test_a_warm_sandbox_has_all_that_an_encode_imports() -> None:
+    """Tasks can open no file. What the tiny encodes reach depends on the picture, so the list has to be whole."""
+    program = """
+import sys
+import sgmethod
+from service.sandbox import tasks
+from tests.support.pictures import photo
+picture = photo()
+tasks.tiny_encode = lambda *_: b""
+tasks.warm_up()
+before = set(sys.modules)
+for tune in ("psnr", "visual"):
+    sgmethod.encode(picture, bytes=2000, tune=tune, effort=2)
+print(*sorted(set(sys.modules) - before))
+"""
+    command = [sys.executable, "-c", program]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout.split() == []
 
 
 @pytest.mark.parametrize("kind", ["png", "jpg", "webp", "avif"])

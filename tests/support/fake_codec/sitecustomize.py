@@ -26,7 +26,7 @@ def encode(
     _budget: Any = None,
     profile: str = "rd",
     *,
-    time_limit_s: float = 0.0,
+    time_limit_s: float | None = None,
     on_progress: Callable[[Any], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
     **_more: Any,
@@ -40,12 +40,13 @@ def encode(
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
 
+    limit_s = time_limit_s or 0.0
     pixels = read_input(image, keep_alpha=True)
     for step in range(STEPS + 1):
-        seconds = time_limit_s * step / STEPS
+        seconds = limit_s * step / STEPS
         on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint", step / STEPS))
         if step < STEPS:
-            _sleep(time_limit_s / STEPS, stop)
+            _sleep(limit_s / STEPS, stop)
         if stop():
             break
     height, width = pixels.shape[:2]
@@ -53,7 +54,7 @@ def encode(
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
     data = container.serialise(StreamV2.from_gaussians(one, (width, height), 0.5, (0, 0, 0), False))
     bpp = 8 * len(data) / (width * height)
-    figures = {"bytes": len(data), "bpp": bpp, "psnr": 24.0, "gaussians": 1, "steps": STEPS, "seconds": time_limit_s}
+    figures = {"bytes": len(data), "bpp": bpp, "psnr": 24.0, "gaussians": 1, "steps": STEPS, "seconds": limit_s}
     figures |= {"width": width, "height": height, "profile": profile, "tune": "psnr", "effort": 5, "warnings": []}
     figures |= dict.fromkeys(("ms_ssim", "ssimulacra2", "psnr_missed_db", "quality_missed"))
     return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, to_dict=lambda: figures))
