@@ -27,11 +27,14 @@ from tests.support.data import PHOTOGRAPHS
 KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
+EIGHT = "--images {unseen} --most 8 --megapixels 0.4"
+EIGHT_LARGE = "--images {unseen}/../large --most 8 --megapixels 12"
+OURS_AND_OTHERS = "--methods 'rd,rd visual,paper,jpeg,webp,jpegxl'"
 NO_BASELINES = "--methods 'rd,rd visual,paper'"
-# The JSON of each command, and the command.
+# The JSON of each command, and the command, or several that write to it.
 SMALL = {
     "rd/kodak": f"rd {KODAK} --bpp 0.5",
-    "convergence/kodak": f"convergence {KODAK} --bpp 0.5 --most 1 --megapixels 0.1 --seconds 6 --limits 0.5 "
+    "convergence/0.4-megapixels": f"convergence {KODAK} --bpp 0.5 --most 1 --megapixels 0.1 --seconds 6 --limits 0.5 "
     "--paper-limits 2 --few",
     "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
     "stability": "robustness extremes --sets kernels,fits --seeds 3 --generations 4",
@@ -44,7 +47,7 @@ SMALL = {
 FULL = {
     "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --baselines",
     "rd/unseen": "rd --images {unseen} --weights {weights} --bpp 0.1,0.15,0.25,0.4 --seen-bpp 0.25 "
-    "--baselines 'avif tune=psnr 10 bits' 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits' heic webp",
+    "--baselines 'avif tune=psnr 10 bits' 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits' heic webp jpegxl jpeg",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
@@ -52,9 +55,9 @@ FULL = {
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
-    "convergence/kodak": f"convergence {KODAK} --most 3 --megapixels 0.4 --few --paper-limits 3,10",
-    "convergence/2-megapixels": f"convergence {KODAK} --most 2 --megapixels 2 --few --paper-limits 10",
-    "convergence/12-megapixels": f"convergence {KODAK} --most 1 --megapixels 12 --few --limits 2,8 --paper-limits 30",
+    "convergence/0.4-megapixels": f"convergence {EIGHT} --few {OURS_AND_OTHERS} --seconds 30 --paper-limits 3,10 "
+    f"+ convergence {EIGHT} --methods avif --seconds 30",
+    "convergence/12-megapixels": f"convergence {EIGHT_LARGE} --few --limits 2,8 --seconds 30 --paper-limits 10",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
@@ -73,7 +76,19 @@ FULL = {
 }
 # Measured by one thread: their times are those of a processor, or do not matter, and several may run side by side.
 ONE_THREAD = (
-    *("rd/paper", "previews/kodak", "perceptual/kodak", "stiff", "stability", "strict"),
+    *(
+        "rd/kodak",
+        "rd/unseen",
+        "rd/effort",
+        "rd/avif",
+        "rd/quality",
+        "rd/paper",
+        "previews/kodak",
+        "perceptual/kodak",
+        "stiff",
+        "stability",
+        "strict",
+    ),
     *("scenes", "sparse", "gains/whole", "gains/optimiser", "gains/numbers", "ablation", "positions"),
 )
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
@@ -101,7 +116,7 @@ def main() -> None:
     lines = dict(FULL if options.full else SMALL)
     if not options.full:
         lines["rd/kodak"] += " --baselines" if versions() else ""
-        lines["convergence/kodak"] += "" if versions() else f" {NO_BASELINES}"
+        lines["convergence/0.4-megapixels"] += "" if versions() else f" {NO_BASELINES}"
     lines = {name: line for name, line in lines.items() if line.split()[0] in options.only}
     if options.full and not versions():
         parser.error("--full needs the other codecs: pip install -e '.[benchmark]'")
@@ -112,9 +127,9 @@ def main() -> None:
     if any("{unseen}" in line for line in lines.values()) and not options.unseen:
         parser.error("--full needs --unseen: python -m benchmarks.perceptual.photographs FOLDER fetches them")
     folders = {"images": options.images, "unseen": options.unseen, "weights": options.weights}
-    for name, line in lines.items():
-        words = [word.format(**folders) for word in shlex.split(line)]
-        run(name, words, RESULTS if options.full else RUNS)
+    for name, commands in lines.items():
+        for line in commands.split(" + "):
+            run(name, [word.format(**folders) for word in shlex.split(line)], RESULTS if options.full else RUNS)
     if options.report:
         subprocess.run([sys.executable, "-m", "benchmarks.report"], cwd=ROOT, check=False)
 

@@ -11,13 +11,13 @@ from benchmarks.report.results import Row, load, rows, seconds
 from benchmarks.speed.growth import exponent, growth_table
 from benchmarks.tables import MISSING, number, standard_error, table
 
-SIZES = {0.4: "convergence/kodak", 2: "convergence/2-megapixels", 12: "convergence/12-megapixels"}
+SIZES = {0.4: "convergence/0.4-megapixels", 12: "convergence/12-megapixels"}
 METHODS = {
     ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
     ("rd", ""): "`rd`, tuned for PSNR",
     ("rd visual", "effort 1"): "`rd`, effort 1, tuned for the eye",
     ("rd visual", ""): "`rd`, tuned for the eye (the default)",
-    ("avif", "10"): "AVIF, speed 10",
+    ("avif", "9"): "AVIF, speed 9",
     ("avif", "6"): "AVIF, speed 6",
     ("avif", "4"): "AVIF, speed 4",
     ("jpegxl", "7"): "JPEG XL, effort 7",
@@ -29,7 +29,7 @@ WITHIN = {
     "rd": "`rd`, tuned for PSNR",
     "rd visual": "`rd`, tuned for the eye (the default)",
     "paper": "`paper`",
-    "avif": "AVIF, `tune=psnr`",
+    "avif": "AVIF of 10 bits, `tune=psnr`",
     "jpegxl": "JPEG XL",
     "webp": "WebP",
 }

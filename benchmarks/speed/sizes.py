@@ -46,7 +46,7 @@ def alone(function: Callable[..., dict[str, Any]], *arguments: object) -> dict[s
 def encoded(paths: Sequence[Path], megapixels: float, bpp: float) -> dict[str, Any]:
     """One encode, and the peak of memory after it."""
     pixels = sized(paths, 0, megapixels)
-    found = encode(pixels, Budget("bpp", bpp), tune="psnr")
+    found = encode(pixels, Budget("bpp", bpp))
     size = {"pixels": pixels.shape[0] * pixels.shape[1], "data": found.data, "mib": peak_bytes() / 2**20}
     return {**size, "encode_s": found.stats.seconds, "psnr": found.stats.psnr, "gaussians": found.stats.gaussians}
 
