@@ -4,11 +4,11 @@
                                      [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--paper-limits 1,3,10,30]
                                      [--methods rd,jpeg] [--few]
 
-The clock is wall time since the method got the pixels. rd and paper: one encode, and one under each time
-limit; rd again with each effort. rd visual: tuned for the eye, where rd is tuned for PSNR. Other codecs: each speed or
-effort at the best quality within the budget. Seconds include the search for a file of that size, ours and theirs; the
-search of another codec begins at the quality of its next quicker setting. --seconds: for paper, where no limit is
-shorter. --few: some settings of each other codec, three efforts of rd.
+The clock is wall time since the method got the pixels. rd and paper: one encode, and one under each time limit; rd
+again with each effort. rd visual and avif visual: tuned for the eye, where rd and avif are tuned for PSNR. Other
+codecs: each speed or effort at the best quality within the budget. Seconds include the search for a file of that size,
+ours and theirs; the search of another codec begins at the quality of its next quicker setting, which does not count.
+--seconds: for paper, where no limit is shorter. --few: some settings of each other codec, three efforts of rd.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RUNS, Record, found
 from benchmarks.pictures import Pixels, add_options, named_in, pictures_in, sized
-from benchmarks.rd.baselines import AvifOf10BitsForPsnr, Baseline, Jpeg, JpegXl, WebP, versions
+from benchmarks.rd.baselines import AvifOf10BitsForEyes, AvifOf10BitsForPsnr, Baseline, Jpeg, JpegXl, WebP, versions
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Profile, Tune
@@ -38,8 +38,9 @@ SOME_EFFORTS = (1, 3, 7)
 # Every setting, and a few: the quickest first, since its quality is where the search of the next one begins.
 BASELINES: dict[str, tuple[Callable[[int], Baseline], tuple[int, ...], tuple[int, ...]]] = {
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
-    "webp": (WebP, tuple(range(7)), (0, 4)),
+    "webp": (WebP, tuple(range(7)), (0, 6)),
     "avif": (AvifOf10BitsForPsnr, tuple(range(9, -1, -1)), (9, 6, 4)),
+    "avif visual": (AvifOf10BitsForEyes, tuple(range(9, -1, -1)), (9, 6, 4)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
 METHODS = (*OURS, VISUAL, *BASELINES)
