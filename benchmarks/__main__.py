@@ -26,10 +26,13 @@ from tests.support.data import PHOTOGRAPHS
 
 KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
+UNSEEN = "--images {unseen} --weights {weights} --seen-bpp 0.25"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
 EIGHT = "--images {unseen} --most 8 --megapixels 0.4"
-EIGHT_LARGE = "--images {unseen}/../large --most 8 --megapixels 12"
-OURS_AND_OTHERS = "--methods 'rd,rd visual,paper,jpeg,webp,jpegxl'"
+# Of the photographs in LARGE, those that chose no constant.
+LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
+EIGHT_LARGE = f"--images {{unseen}}/../large --most 99 --pictures {LARGE} --megapixels 4"
+BUT_AVIF = "--methods 'rd,rd visual,paper,jpeg,webp,jpegxl,avif visual'"
 NO_BASELINES = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command, or several that write to it.
 SMALL = {
@@ -45,9 +48,10 @@ SMALL = {
     "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
 }
 FULL = {
-    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --baselines",
-    "rd/unseen": "rd --images {unseen} --weights {weights} --bpp 0.1,0.15,0.25,0.4 --seen-bpp 0.25 "
-    "--baselines 'avif tune=psnr 10 bits' 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits' heic webp jpegxl jpeg",
+    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25",
+    "rd/others": f"rd {SEEN} {RATES} --seen-bpp 0.25 --profiles '' --baselines",
+    "rd/unseen": f"rd {UNSEEN} {RATES} --baselines 'avif tune=psnr 10 bits' heic webp jpegxl jpeg "
+    f"+ rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits'",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
@@ -55,9 +59,9 @@ FULL = {
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
-    "convergence/0.4-megapixels": f"convergence {EIGHT} --few {OURS_AND_OTHERS} --seconds 30 --paper-limits 3,10 "
-    f"+ convergence {EIGHT} --methods avif --seconds 30",
-    "convergence/12-megapixels": f"convergence {EIGHT_LARGE} --few --limits 2,8 --seconds 30 --paper-limits 10",
+    "convergence/0.4-megapixels": f"convergence {EIGHT} --few {BUT_AVIF} --seconds 10 --paper-limits 3 "
+    f"+ convergence {EIGHT} --methods avif --seconds 10",
+    "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",

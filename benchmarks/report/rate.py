@@ -1,12 +1,11 @@
-"""Rate against quality on Kodak, beside other codecs."""
+"""Rate against quality beside other codecs, on Kodak and on photographs on which nothing was chosen."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from benchmarks.rd.report import (
     means,
     shared,
 )
-from benchmarks.report import results
+from benchmarks.report import results, speed
 from benchmarks.report.plots import style
 from benchmarks.report.results import load
 from benchmarks.tables import MISSING, mean, number, standard_error, table
@@ -42,6 +41,7 @@ NAMES = {
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
     "avif tune=iq 4:4:4": "AVIF, 4:4:4, speed 4, `tune=iq`",
     "avif tune=iq 10 bits": "AVIF, 10 bits, 4:4:4, speed 4, `tune=iq`",
+    "avif grain": "AVIF, 4:2:0, speed 4, `tune=iq`, film grain",
     "avif sharp": "AVIF, 4:4:4, speed 5, `tune=iq` (the default of sharp 0.35)",
     "heic": "HEIC, x265, 4:2:0, `tune=psnr`",
     "jpeg2000": "JPEG 2000",
@@ -59,8 +59,15 @@ ANCHOR = "GaussianImage"
 QUOTED = {"vtm": "VTM", "elic": "ELIC", "cheng": "Cheng 2020, attention", "hm": "HM", "av1": "AV1 (libaom)"}
 QUOTED |= {"lottery-codec": "LotteryCodec"}
 
-# The headline: photographs that chose nothing, and Kodak's beside them; against whom, and over which rates.
-HEADLINE_SETS = {"rd/unseen": "photographs that chose nothing", "rd/kodak": "Kodak"}
+# The headline: photographs on which nothing was chosen, and Kodak's beside them; against whom, and over which rates.
+UNSEEN = "rd/unseen"
+KODAK_SETS = (
+    "rd/kodak",
+    "rd/effort",
+    "rd/others",
+    "rd/avif",
+)  # of other codecs in the last two, which ours leaves as is
+HEADLINE_SETS = {UNSEEN: "held-out photographs", "rd/kodak": "Kodak"}
 HEADLINE_AGAINST = {"avif tune=psnr 10 bits": "AVIF, 10 bits", "heic": "HEIC", "webp": "WebP"}
 HEADLINE_RATES = {
     "0.1 to 0.4 bpp": (0.1, 0.15, 0.25, 0.4),
@@ -70,43 +77,52 @@ HEADLINE_RATES = {
 
 RANGES = ("over pictures", "over bits per pixel")  # titles of differences()
 
-# README's rows: column of the JSON, its format, what picks the best, which of the two codecs is measured, and a factor.
+# README's rows: column of the JSON, its format, what picks the best, and which of the two codecs is measured.
 README_ROWS = {
-    "PSNR, dB ↑": ("psnr", ".1f", max, 0, 1),
-    "LPIPS ↓": ("lpips", ".2f", min, 1, 1),
-    "SSIMULACRA 2 ↑": ("ssimulacra2", ".0f", max, 1, 1),
-    "Decoding, ms ↓": ("decode_ms", ".1f", min, 1, 1),
-    "Encoding, ms ↓": ("encode_s", ",.0f", min, 1, 1000),
-    "Size, kB": ("bytes", ".1f", None, 1, 1e-3),
+    "PSNR, dB ↑": ("psnr", ".1f", max, 0),
+    "SSIMULACRA 2 ↑": ("ssimulacra2", ".0f", max, 1),
+    "LPIPS ↓": ("lpips", ".3f", min, 1),
+    "DISTS ↓": ("dists", ".3f", min, 1),
+    "Size, bytes": ("bytes", ",.0f", None, 1),
 }
+# Its rows of time, from the page on run time: the figure, its format and factor; and the settings whose times they are.
+README_TIMES = {"Encoding, ms ↓": ("seconds", ",.0f", 1000), "Decoding, ms ↓": ("decode_ms", ".1f", 1)}
+README_TIMED = (("rd visual", ""), ("avif visual", "4"), ("jpegxl", "7"), ("webp", "6"), ("jpeg", "0"))
 LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-")  # and AVIF's
 
 
 @cache
 def rows() -> tuple[Row, ...]:
     """The rows of all files that were made for a rate."""
-    return tuple(Row(**row) for name in ("rd/kodak", "rd/effort", "rd/avif") for row in results.rows(name))
+    return tuple(Row(**row) for name in KODAK_SETS for row in results.rows(name))
 
 
 @cache
-def average() -> Means:
-    """Their means over pictures."""
-    return means(rows())
+def unseen() -> tuple[Row, ...]:
+    """The rows of photographs on which nothing was chosen."""
+    return tuple(Row(**row) for row in results.rows(UNSEEN))
 
 
-def avif(figure: str = "psnr") -> str:
+@cache
+def average(name: str = "rd/kodak") -> Means:
+    """Means over the pictures of one of HEADLINE_SETS."""
+    return means(unseen() if name == UNSEEN else rows())
+
+
+def avif(figure: str = "psnr", name: str = "rd/kodak") -> str:
     """AVIF as it is compared: the better of its settings for PSNR, or the best for the eye by another figure."""
-    names = [name for name in (AVIF if figure == "psnr" else AVIF_VISUAL) if (name, BPP) in average()]
+    found = average(name)
+    names = [codec for codec in (AVIF if figure == "psnr" else AVIF_VISUAL) if (codec, BPP) in found]
     if figure not in SEEN:
         return names[0]
     sign = -1 if figure == "ssimulacra2" else 1
-    return min(names, key=lambda name: sign * (average()[name, BPP][figure] or 0))
+    return min(names, key=lambda codec: sign * (found[codec, BPP][figure] or 0))
 
 
 def readme_codecs(figure: str) -> dict[str, tuple[str, str]]:
     """README's columns in the row of a figure: the codec tuned for PSNR and for the eye, if it can be tuned."""
     untuned = {"JPEG XL": "jpegxl", "WebP": "webp", "JPEG": "jpeg"}
-    tuned = {"sgmethod": ("rd", "rd visual"), "AVIF": (avif(), avif(figure))}
+    tuned = {"sgmethod": ("rd", "rd visual"), "AVIF": (avif(name=UNSEEN), avif(figure, UNSEEN))}
     return tuned | {title: (name, name) for title, name in untuned.items()}
 
 
@@ -114,7 +130,7 @@ def codecs_table() -> str:
     """At BPP, the best PSNR first; bits are those for the same PSNR over all rates."""
     found = {codec: average()[codec, BPP] for codec in NAMES if (codec, BPP) in average()}
     anchor = avif()
-    forms = {"bpp": ".3f", "psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
+    forms = {"bpp": ".3f", "psnr": ".2f", **SEEN}
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
         bits = differences(against(rows(), codec, anchor)) if codec != anchor else ["", "", ""]
@@ -133,7 +149,7 @@ def headline_table() -> str:
     """The bits of `rd` tuned for PSNR at equal PSNR, by set of photographs and range of rates."""
     lines = []
     for name, title in HEADLINE_SETS.items():
-        every = [Row(**row) for row in results.rows(name)]
+        every = unseen() if name == UNSEEN else rows()
         for anchor, other in HEADLINE_AGAINST.items():
             found = [against(within(every, rates), "rd", anchor) for rates in HEADLINE_RATES]
             count = f" ({found[0].pictures})" if found[0] else ""
@@ -142,24 +158,23 @@ def headline_table() -> str:
 
 
 def eye_table() -> str:
-    """The default beside AVIF for the eye at BPP: means, and the mean difference picture by picture."""
+    """The default beside AVIF's best setting for each figure at BPP: means, and the difference picture by picture."""
     lines = []
     for name, title in HEADLINE_SETS.items():
-        found = {
-            (row.codec, row.image): row for row in (Row(**row) for row in results.rows(name)) if row.max_bpp == BPP
-        }
-        for (figure, form), anchor in product(SEEN.items(), AVIF_VISUAL):
-            pairs = [
-                (ours, theirs)
-                for (codec, image), row in found.items()
-                if codec == "rd visual"
-                and (anchor, image) in found
-                and (ours := getattr(row, figure)) is not None
-                and (theirs := getattr(found[anchor, image], figure)) is not None
-            ]
-            if pairs:
-                lines.append([title, TITLES[figure], NAMES[anchor], *_beside(pairs, form, figure == "ssimulacra2")])
-    return table("photographs | figure | AVIF | ours | AVIF's | difference | ours is better on", lines)
+        every = [row for row in (unseen() if name == UNSEEN else rows()) if row.max_bpp == BPP]
+        for figure, form in SEEN.items():
+            ours, theirs = (
+                {
+                    row.image: value
+                    for row in every
+                    if row.codec == codec and (value := getattr(row, figure)) is not None
+                }
+                for codec in ("rd visual", avif(figure, name))
+            )
+            pairs = [(ours[image], theirs[image]) for image in ours if image in theirs]
+            cells = _beside(pairs, form, figure == "ssimulacra2")
+            lines.append([f"{title} ({len(pairs)})", TITLES[figure], *cells])
+    return table("photographs | figure | ours | AVIF's | difference | ours is better on", lines)
 
 
 def _beside(pairs: Sequence[tuple[float, float]], form: str, more_is_better: bool) -> list[str]:
@@ -173,7 +188,7 @@ def _beside(pairs: Sequence[tuple[float, float]], form: str, more_is_better: boo
 
 def quoted_table() -> str:
     """The bits of profile rd for the same PSNR against published figures, most first."""
-    names = QUOTED | {"cool-chic": "Cool-Chic 5.0.1", "gaussianimage": ANCHOR}
+    names = QUOTED | {"cool-chic": "Cool-Chic 5.0", "gaussianimage": ANCHOR}
     found = sorted(((names[mark], rate) for mark, rate in quoted().items() if rate), key=lambda pair: -pair[1].mean)
     lines = [[name, *differences(rate)] for name, rate in found]
     return table(" | ".join(["published codec", "bits of `rd` for the same PSNR", *RANGES]), lines)
@@ -191,51 +206,67 @@ def differences(rate: BdRate | None) -> list[str]:
 def readme_table() -> str:
     """The README's table at BPP, with the best of each row in bold, and the versions of other codecs."""
     lines = []
-    for title, (name, form, best_of, tuned, factor) in README_ROWS.items():
-        values = [average()[codecs[tuned], BPP][name] or 0 for codecs in readme_codecs(name).values()]
-        best = best_of(values) if best_of else None
-        cells = [number(value * factor, form) for value in values]
-        lines.append([title, *(f"**{c}**" if v == best else c for c, v in zip(cells, values, strict=True))])
+    for title, (name, form, best_of, tuned) in README_ROWS.items():
+        values = [average(UNSEEN)[codecs[tuned], BPP][name] or 0 for codecs in readme_codecs(name).values()]
+        lines.append([title, *_best_in_bold(values, form, best_of)])
+    timed = [m for method in README_TIMED if (m := speed.at(0.4, *method))]
+    for title, (name, form, factor) in README_TIMES.items():
+        lines.append([title, *_best_in_bold([m[name] * factor for m in timed], form, min)])
     # AVIF's files are of libvips, or in 8 bits of the last libavif, which is Pillow's.
-    is_wide = any("10 bits" in avif(figure) for figure in ("psnr", *SEEN))
+    is_wide = any("10 bits" in avif(figure, UNSEEN) for figure in ("psnr", *SEEN))
     bits, avif_library = ("8 or 10 bits, whichever is better", "libvips-") if is_wide else ("8 bits", "libavif-")
-    named = load("rd/kodak")["settings"]["codecs"]
+    named = load(UNSEEN)["settings"]["codecs"]
     versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith((*LIBRARIES, avif_library)))
     codecs = ", ".join(f"{library.replace('_', '-')} {version}" for library, version in sorted(versions.items()))
     return f"{table(' | '.join(['', *readme_codecs('psnr')]), lines)}\n\nMeasured with {codecs}. AVIF has {bits}."
 
 
+def _best_in_bold(values: Sequence[float], form: str, best_of: Callable[..., float] | None) -> list[str]:
+    """The cells of a row; those that look like the best are bold."""
+    cells = [number(value, form) for value in values]
+    best = number(best_of(values), form) if best_of else None
+    return [f"**{cell}**" if cell == best else cell for cell in cells]
+
+
 def figures() -> dict[str, float | None]:
-    """The figures of sentences, by mark."""
+    """The figures of sentences, by mark: of held-out photographs, and with -on-kodak of Kodak's."""
     found: dict[str, float | None] = {}
-    others = {"avif": avif(), "avif-8-bits": "avif tune=psnr", "heic": "heic", "webp": "webp"}
-    for mark, codec in others.items():  # at equal PSNR
-        found |= of_rate(mark, against(rows(), "rd", codec))
-    for mark, rates in {"avif-low": "0.1 to 0.25 bpp", "avif-high": "0.15 to 0.4 bpp"}.items():
-        found |= of_rate(mark, against(within(rows(), rates), "rd", avif()))
-    found["rate.dists-worse"] = dists_worse()
-    for mark, rate in {**quoted(), "avif-by-default": against(rows(), "rd visual", avif("lpips"))}.items():
+    for name, end in ((UNSEEN, ""), ("rd/kodak", "-on-kodak")):
+        every, m, anchor = unseen() if name == UNSEEN else rows(), average(name), avif(name=name)
+        others = {"avif": anchor, "avif-8-bits": "avif tune=psnr", "heic": "heic", "webp": "webp"}
+        for mark, codec in others.items():  # at equal PSNR
+            found |= of_rate(f"{mark}{end}", against(every, "rd", codec))
+        for mark, rates in {"avif-low": "0.1 to 0.25 bpp", "avif-high": "0.15 to 0.4 bpp"}.items():
+            found |= of_rate(f"{mark}{end}", against(within(every, rates), "rd", anchor))
+        worse, pictures = dists_worse(every, anchor)
+        found |= {f"rate.dists-worse{end}": worse, f"rate.pictures{end}": pictures}
+        found[f"rate.psnr-lpips{end}"] = m["rd", BPP]["lpips"]
+        for figure in SEEN:
+            found[f"rate.rd-{figure}{end}"] = m["rd visual", BPP][figure]
+            found[f"rate.avif-{figure}{end}"] = m[avif(figure, name), BPP][figure]
+        sizes = [m[codec, BPP]["bpp"] or 0 for codec in ("rd", anchor)]
+        found[f"rate.avif-unused{end}"] = 100 * (1 - sizes[1] / sizes[0])
+        found[f"rate.avif-filled-psnr{end}"] = value_at(m, anchor, "rd", "psnr")
+        found[f"rate.avif-filled-ssimulacra2{end}"] = value_at(m, avif("ssimulacra2", name), "rd visual", "ssimulacra2")
+    shown = [codecs[0] for codecs in readme_codecs("psnr").values()]
+    found["rate.above"] = sum(average(UNSEEN)[codec, BPP]["above"] or 0 for codec in shown)
+    default = of_rate("avif-in-psnr", against(rows(), "rd visual", avif()))
+    found["rate.default-more-than-avif-on-kodak"] = default["rate.more-than-avif-in-psnr"]
+    found |= {f"rate.grain-{figure}": average()["avif grain", BPP][figure] for figure in SEEN}
+    by_default = {"avif-by-default-on-kodak": against(rows(), "rd visual", avif("lpips"))}
+    for mark, rate in (by_default | quoted()).items():
         found |= of_rate(mark, rate)
-    found["rate.psnr-lpips"] = average()["rd", BPP]["lpips"]
-    found["rate.rd-decode-ms"] = average()["rd visual", BPP]["decode_ms"]
-    for mark, codec in {"rd": "rd visual", "grain": "avif grain"}.items():
-        found |= {f"rate.{mark}-{name}": average()[codec, BPP][name] for name in SEEN}
-    found |= {f"rate.avif-{name}": average()[avif(name), BPP][name] for name in SEEN}
-    sizes = [average()[codec, BPP]["bpp"] or 0 for codec in ("rd", avif())]
-    found["rate.avif-unused"] = 100 * (1 - sizes[1] / sizes[0])
-    found["rate.avif-filled-psnr"] = value_at(average(), avif(), "rd", "psnr")
-    found["rate.avif-filled-ssimulacra2"] = value_at(average(), avif("ssimulacra2"), "rd visual", "ssimulacra2")
     theirs = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"]]
     found["rate.gaussianimage-from-db"], found["rate.gaussianimage-to-db"] = shared(theirs, curve(average(), "rd"))
     found["rate.times-gaussianimage"] = 100 / (100 + (found["rate.more-than-gaussianimage"] or 0))
     return found
 
 
-def dists_worse() -> int:
-    """On how many pictures the file tuned for PSNR has a worse DISTS than AVIF's, tuned likewise."""
-    at_bpp = {(row.codec, row.image): row.dists for row in rows() if row.max_bpp == BPP and row.dists is not None}
-    images = [image for codec, image in at_bpp if codec == "rd" and (avif(), image) in at_bpp]
-    return sum(at_bpp["rd", image] > at_bpp[avif(), image] for image in images)
+def dists_worse(every: Sequence[Row], other: str) -> tuple[int, int]:
+    """On how many pictures the file tuned for PSNR has a worse DISTS than another codec's, and of how many."""
+    at_bpp = {(row.codec, row.image): row.dists for row in every if row.max_bpp == BPP and row.dists is not None}
+    images = [image for codec, image in at_bpp if codec == "rd" and (other, image) in at_bpp]
+    return sum(at_bpp["rd", image] > at_bpp[other, image] for image in images), len(images)
 
 
 def quoted() -> dict[str, BdRate | None]:

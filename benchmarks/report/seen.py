@@ -41,9 +41,9 @@ def means(rows: Sequence[Row], bpp: float) -> dict[str, Row]:
     return found
 
 
-def worse(rows: Sequence[Row], bpp: float) -> tuple[int, int]:
-    """In how many pictures our file is behind AVIF's in SSIMULACRA 2, and of how many."""
-    found = {(row["image"], row["kind"]): row["ssimulacra2"] for row in rows if row["max_bpp"] == bpp}
+def lower(rows: Sequence[Row], figure: str) -> tuple[int, int]:
+    """In how many pictures our file is below AVIF's in a figure, and of how many."""
+    found = {(row["image"], row["kind"]): row[figure] for row in rows if row["max_bpp"] == BPP}
     both = [image for image, kind in found if kind == "visual" and (image, "avif") in found]
     return sum(found[image, "visual"] < found[image, "avif"] for image in both), len(both)
 
@@ -67,7 +67,8 @@ def figures() -> dict[str, float]:
         found |= {f"seen.{name}-{figure}": ours[figure] / avif[figure] for figure in BETTER_IF_LOWER}
         found[f"seen.{name}-points-higher"] = ours["ssimulacra2"] - avif["ssimulacra2"]
         found[f"seen.{name}-points-lower"] = avif["ssimulacra2"] - ours["ssimulacra2"]
-        found[f"seen.{name}-lower"], found[f"seen.{name}-pictures"] = worse(mine, BPP)
+        found[f"seen.{name}-lower"], found[f"seen.{name}-pictures"] = lower(mine, "ssimulacra2")
+        found |= {f"seen.{name}-better-{figure}": lower(mine, figure)[0] for figure in BETTER_IF_LOWER}
         found[f"seen.{name}-texture"] = 100 * ours["texture"]
     crdr = min(published.seen()["points"], key=lambda point: abs(point["bpp"] - BPP))
     return found | {f"seen.crdr-{figure}": crdr[figure] for figure in ("bpp", "psnr", "lpips", "dists")}
