@@ -4,8 +4,8 @@
     python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif \\
         --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
 
-Each part is shown at twice its size: the source, our file tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0,
-tune=iq, libavif's default) and JPEG XL, or the columns of --of. AVIF's file is the largest within --bpp, and ours is no
+Each part is shown at twice its size: the source, our file tuned for the eye, AVIF (libvips, speed 4, 4:4:4, tune=iq,
+its default) and JPEG XL, or the columns of --of. AVIF's file is the largest within --bpp, and ours is no
 larger; other files are at least as large as ours.
 """
 

@@ -60,14 +60,10 @@ QUOTED = {"vtm": "VTM", "elic": "ELIC", "cheng": "Cheng 2020, attention", "hm": 
 QUOTED |= {"lottery-codec": "LotteryCodec"}
 
 # The headline: photographs on which nothing was chosen, and Kodak's beside them; against whom, and over which rates.
-UNSEEN = "rd/unseen"
-KODAK_SETS = (
-    "rd/kodak",
-    "rd/effort",
-    "rd/others",
-    "rd/avif",
-)  # of other codecs in the last two, which ours leaves as is
-HEADLINE_SETS = {UNSEEN: "held-out photographs", "rd/kodak": "Kodak"}
+UNSEEN, KODAK = "rd/unseen", "rd/kodak"
+# The last two have other codecs alone, whose files ours leave as they are.
+KODAK_SETS = ("rd/kodak", "rd/effort", "rd/others", "rd/avif")
+HEADLINE_SETS = {UNSEEN: "held-out photographs", KODAK: "Kodak"}
 HEADLINE_AGAINST = {"avif tune=psnr 10 bits": "AVIF, 10 bits", "heic": "HEIC", "webp": "WebP"}
 HEADLINE_RATES = {
     "0.1 to 0.4 bpp": (0.1, 0.15, 0.25, 0.4),
@@ -92,24 +88,19 @@ LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-")  # and AVIF's
 
 
 @cache
-def rows() -> tuple[Row, ...]:
-    """The rows of all files that were made for a rate."""
-    return tuple(Row(**row) for name in KODAK_SETS for row in results.rows(name))
+def rows(name: str = KODAK) -> tuple[Row, ...]:
+    """The rows of all files of one of HEADLINE_SETS that were made for a rate."""
+    files = KODAK_SETS if name == KODAK else (name,)
+    return tuple(Row(**row) for file in files for row in results.rows(file))
 
 
 @cache
-def unseen() -> tuple[Row, ...]:
-    """The rows of photographs on which nothing was chosen."""
-    return tuple(Row(**row) for row in results.rows(UNSEEN))
+def average(name: str = KODAK) -> Means:
+    """Their means over pictures."""
+    return means(rows(name))
 
 
-@cache
-def average(name: str = "rd/kodak") -> Means:
-    """Means over the pictures of one of HEADLINE_SETS."""
-    return means(unseen() if name == UNSEEN else rows())
-
-
-def avif(figure: str = "psnr", name: str = "rd/kodak") -> str:
+def avif(figure: str = "psnr", name: str = KODAK) -> str:
     """AVIF as it is compared: the better of its settings for PSNR, or the best for the eye by another figure."""
     found = average(name)
     names = [codec for codec in (AVIF if figure == "psnr" else AVIF_VISUAL) if (codec, BPP) in found]
@@ -149,7 +140,7 @@ def headline_table() -> str:
     """The bits of `rd` tuned for PSNR at equal PSNR, by set of photographs and range of rates."""
     lines = []
     for name, title in HEADLINE_SETS.items():
-        every = unseen() if name == UNSEEN else rows()
+        every = rows(name)
         for anchor, other in HEADLINE_AGAINST.items():
             found = [against(within(every, rates), "rd", anchor) for rates in HEADLINE_RATES]
             count = f" ({found[0].pictures})" if found[0] else ""
@@ -161,7 +152,7 @@ def eye_table() -> str:
     """The default beside AVIF's best setting for each figure at BPP: means, and the difference picture by picture."""
     lines = []
     for name, title in HEADLINE_SETS.items():
-        every = [row for row in (unseen() if name == UNSEEN else rows()) if row.max_bpp == BPP]
+        every = [row for row in rows(name) if row.max_bpp == BPP]
         for figure, form in SEEN.items():
             ours, theirs = (
                 {
@@ -231,8 +222,8 @@ def _best_in_bold(values: Sequence[float], form: str, best_of: Callable[..., flo
 def figures() -> dict[str, float | None]:
     """The figures of sentences, by mark: of held-out photographs, and with -on-kodak of Kodak's."""
     found: dict[str, float | None] = {}
-    for name, end in ((UNSEEN, ""), ("rd/kodak", "-on-kodak")):
-        every, m, anchor = unseen() if name == UNSEEN else rows(), average(name), avif(name=name)
+    for name, end in ((UNSEEN, ""), (KODAK, "-on-kodak")):
+        every, m, anchor = rows(name), average(name), avif(name=name)
         others = {"avif": anchor, "avif-8-bits": "avif tune=psnr", "heic": "heic", "webp": "webp"}
         for mark, codec in others.items():  # at equal PSNR
             found |= of_rate(f"{mark}{end}", against(every, "rd", codec))
