@@ -13,18 +13,20 @@ from sgmethod.metrics import ssimulacra2
 from sgmethod.rd.rate_control import ssimulacra2_db
 
 PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 160:320])
+# In a file of 400 bytes for PHOTO, chance moves a score by two points from one quantum to the next.
+LARGER = np.ascontiguousarray(data.astronaut()[40:360, 100:420])
 
 
 @pytest.fixture(scope="module")
 def found() -> list[sgmethod.Encoded]:
-    return [sgmethod.encode(PHOTO, quality=quality, effort=2) for quality in (40, 60, 75)]
+    return [sgmethod.encode(LARGER, quality=quality, effort=2) for quality in (40, 60, 75)]
 
 
 def test_qualities_are_met_within_a_point(found: list[sgmethod.Encoded]) -> None:
     for asked, encoded in zip((40, 60, 75), found, strict=True):
         measured = encoded.stats.ssimulacra2
-        assert measured == ssimulacra2(sgmethod.decode(encoded.data), PHOTO)
-        assert asked - 1 < measured < asked + 2.5  # 0.2 above here, the worst seen
+        assert measured == ssimulacra2(sgmethod.decode(encoded.data), LARGER)
+        assert asked - 1 < measured < asked + 1.5  # 0.0 to 0.4 above with each instruction set
         assert (encoded.stats.quality_missed, encoded.stats.warnings) == (max(asked - measured, 0), [])
     assert found[0].stats.bytes < found[1].stats.bytes < found[2].stats.bytes
 
