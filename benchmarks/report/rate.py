@@ -82,8 +82,9 @@ README_ROWS = {
     "Size, bytes": ("bytes", ",.0f", None, 1),
 }
 # Its rows of time, from the page on run time: the figure, its format and factor; and the settings whose times they are.
+# AVIF's is the one tuned for PSNR, whose search was the shorter.
 README_TIMES = {"Encoding, ms ↓": ("seconds", ",.0f", 1000), "Decoding, ms ↓": ("decode_ms", ".1f", 1)}
-README_TIMED = (("rd visual", ""), ("avif visual", "4"), ("jpegxl", "7"), ("webp", "6"), ("jpeg", "0"))
+README_TIMED = (("rd visual", ""), ("avif", "4"), ("jpegxl", "7"), ("webp", "6"), ("jpeg", "0"))
 LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-")  # and AVIF's
 
 
