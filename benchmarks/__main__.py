@@ -78,23 +78,9 @@ FULL = {
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-# Measured by one thread: their times are those of a processor, or do not matter, and several may run side by side.
-ONE_THREAD = (
-    *(
-        "rd/kodak",
-        "rd/unseen",
-        "rd/effort",
-        "rd/avif",
-        "rd/quality",
-        "rd/paper",
-        "previews/kodak",
-        "perceptual/kodak",
-        "stiff",
-        "stability",
-        "strict",
-    ),
-    *("scenes", "sparse", "gains/whole", "gains/optimiser", "gains/numbers", "ablation", "positions"),
-)
+# The others are measured by one thread: their times are those of a processor, or do not matter, and several may run
+# side by side.
+ON_ALL_CORES = ("convergence", "speed", "service")
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
@@ -103,7 +89,7 @@ def run(result: str, words: list[str], folder: Path) -> None:
     print(f"--- {shlex.join(words)}", flush=True)
     began = time.monotonic()
     command = [sys.executable, "-m", f"benchmarks.{words[0]}", *words[1:], "--out", str(folder / f"{result}.json")]
-    threads = {"SG_THREADS": "1"} if result in ONE_THREAD else {}
+    threads = {} if words[0] in ON_ALL_CORES else {"SG_THREADS": "1"}
     status = subprocess.run(command, cwd=ROOT, env={**os.environ, **threads}, check=False).returncode
     print(f"{result}: {time.monotonic() - began:.0f} s{f', failed with status {status}' if status else ''}", flush=True)
 
