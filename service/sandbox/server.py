@@ -217,10 +217,10 @@ def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collecti
     signal.signal(END_EARLY, end_early)
     try:
         task = _tasks.validate_json(line)
-        to_client.send(Begun())
         if isinstance(task, Encode):
             os.nice(ENCODE_NICENESS)
         set_name(task.job_id if isinstance(task, Encode) else task.kind)
+        to_client.send(Begun())  # last, so that a task that has begun has its name
         data = _read_whole(file)
         os.close(file)
         prepare(task)
