@@ -83,9 +83,9 @@ lock: $(VENV)/.service ## renew versions and hashes of what the image installs, 
 	echo '$(TORCH)+cpu' | $(LOCK) - pyproject.toml --extra torch --constraint $(LOCKED)/slim.txt \
 	  --find-links $(TORCH_WHEELS) --emit-find-links --output-file $(LOCKED)/torch.txt
 
-bench: $(VENV)/.benchmark ## some measurements in ten minutes, or nearly all with FULL=yes and IMAGES, UNSEEN and WEIGHTS
-	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(UNSEEN),--unseen $(UNSEEN)) \
-	  $(if $(WEIGHTS),--weights $(WEIGHTS))
+bench: $(VENV)/.benchmark ## some measurements in ten minutes, or nearly all with FULL=yes and IMAGES, PHOTOGRAPHS and WEIGHTS
+	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS)) \
+	  $(if $(PHOTOGRAPHS),--photographs $(PHOTOGRAPHS))
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch, which the service
 # does without, comes first, so that its build is the one chosen; Python compiles a module when it is first imported, and

@@ -1,12 +1,11 @@
 """A small set of measurements, in ten minutes at most, or what docs/results shows.
 
-    python -m benchmarks [--full --images KODAK --unseen UNSEEN --weights FOLDER] [--only rd,speed] [--report]
+    python -m benchmarks [--full --images KODAK --photographs FOLDER --weights FOLDER] [--only rd,speed] [--report]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; --report, or python -m benchmarks.report, then makes the
 documents. benchmarks/Dockerfile has all that this needs.
-Not in --full: `speed growth` and the other photographs of benchmarks.perceptual, which need pictures of their own, and
-benchmarks.gpu.
+Not in --full: benchmarks.gpu.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ from tests.support.data import PHOTOGRAPHS
 
 KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
-UNSEEN = "--images {unseen} --weights {weights} --seen-bpp 0.25"
+UNSEEN = "--images {photographs}/unseen --weights {weights} --seen-bpp 0.25"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
-EIGHT = "--images {unseen} --most 8 --megapixels 0.4"
+EIGHT = "--images {photographs}/unseen --most 8 --megapixels 0.4"
 # Of the photographs in LARGE, those that chose no constant.
 LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
-EIGHT_LARGE = f"--images {{unseen}}/../large --most 99 --pictures {LARGE} --megapixels 4"
+EIGHT_LARGE = f"--images {{photographs}}/large --most 99 --pictures {LARGE} --megapixels 4"
 BUT_AVIF = "--methods 'rd,rd visual,paper,jpeg,webp,jpegxl,avif visual'"
 NO_BASELINES = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command, or several that write to it.
@@ -52,6 +51,7 @@ FULL = {
     "rd/others": f"rd {SEEN} {RATES} --seen-bpp 0.25 --profiles '' --baselines",
     "rd/unseen": f"rd {UNSEEN} {RATES} --baselines 'avif tune=psnr 10 bits' heic webp jpegxl jpeg "
     f"+ rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits'",
+    "rd/grain": f"rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif grain'",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
@@ -59,6 +59,7 @@ FULL = {
     "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
+    "perceptual/photographs": "perceptual --images {photographs}/measured --weights {weights} --bpp 0.25",
     "convergence/0.4-megapixels": f"convergence {EIGHT} --few {BUT_AVIF} --seconds 10 --paper-limits 3 "
     f"+ convergence {EIGHT} --methods avif --seconds 10",
     "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5",
@@ -66,6 +67,8 @@ FULL = {
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
     "speed": f"speed {KODAK}",
+    "growth": "speed growth --images {photographs}/large --most 99 --pictures dahlia,peony,red_lake "
+    "--megapixels 0.75,3,12 --bytes 500,2000,10000,50000 --repeats 1",
     "scenes": f"scenes {KODAK}",
     "sparse": "scenes --sparse",
     "gains/whole": f"ablation gains {KODAK} --tables whole",
@@ -100,7 +103,7 @@ def main() -> None:
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
     parser.add_argument("--only", type=some_of(COMMANDS, "command"), default=",".join(COMMANDS), help="commands")
     parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
-    parser.add_argument("--unseen", type=Path, help="the folder of that name of benchmarks.perceptual.photographs")
+    parser.add_argument("--photographs", type=Path, help="the folder that benchmarks.perceptual.photographs fills")
     parser.add_argument("--report", action="store_true", help="then make tables and plots from the results")
     options = parser.parse_args()
     lines = dict(FULL if options.full else SMALL)
@@ -114,9 +117,9 @@ def main() -> None:
         parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
     if options.full and any(KODAK in line for line in lines.values()) and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
-    if any("{unseen}" in line for line in lines.values()) and not options.unseen:
-        parser.error("--full needs --unseen: python -m benchmarks.perceptual.photographs FOLDER fetches them")
-    folders = {"images": options.images, "unseen": options.unseen, "weights": options.weights}
+    if any("{photographs}" in line for line in lines.values()) and not options.photographs:
+        parser.error("--full needs --photographs: python -m benchmarks.perceptual.photographs FOLDER fetches them")
+    folders = {"images": options.images, "photographs": options.photographs, "weights": options.weights}
     for name, commands in lines.items():
         for line in commands.split(" + "):
             run(name, [word.format(**folders) for word in shlex.split(line)], RESULTS if options.full else RUNS)

@@ -22,7 +22,7 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.pictures import Pixels
-from benchmarks.rd.baselines import AvifForPsnr, Baseline, Jpeg, JpegXl, WebP, package
+from benchmarks.rd.baselines import AvifOf10BitsForPsnr, Baseline, Jpeg, JpegXl, WebP, package
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.metrics import psnr
 
@@ -169,7 +169,7 @@ CODECS: dict[str, Callable[[Pixels, int], Made | None]] = {
     "BlurHash": blurhash,
     "ThumbHash": thumbhash,
     "WebP": of_baseline(WebP()),
-    "AVIF": of_baseline(AvifForPsnr(speed=6)),
+    "AVIF": of_baseline(AvifOf10BitsForPsnr(speed=2)),
     "JPEG XL": of_baseline(JpegXl()),
     "JPEG": of_baseline(Jpeg()),
 }
