@@ -26,7 +26,7 @@ from tests.javascript.site import Site, served
 from tests.support.browser import Page
 from tests.support.data import PHOTOGRAPHS, ROOT, code_in
 from tests.support.node import answer_of, install, node
-from tests.support.processes import run, wait_until
+from tests.support.processes import free_port, run, wait_until
 
 pytestmark = pytest.mark.thorough
 
@@ -275,9 +275,7 @@ def answers(port: int) -> bool:
 
 def test_a_development_server(each_browser: Page, vite_site: Path) -> None:
     """It shows previews, also of a photograph that changes."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        port = one.getsockname()[1]
+    port = free_port()
     command = ["node", "node_modules/vite/bin/vite.js", "--host", "127.0.0.1", "--port", str(port), "--strictPort"]
     with subprocess.Popen(command, cwd=vite_site, stdout=subprocess.DEVNULL) as server:
         try:

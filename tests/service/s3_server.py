@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
 import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
 
-from tests.support.processes import TIMEOUT_S, wait_until
+from tests.support.processes import TIMEOUT_S, free_port, wait_until
 
 KEY, BUCKET = "test", "pictures"
 
@@ -20,8 +19,7 @@ class S3Server:
 
     def __init__(self, folder: Path) -> None:
         (folder / BUCKET).mkdir(parents=True)
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            address = f"127.0.0.1:{free.getsockname()[1]}"
+        address = f"127.0.0.1:{free_port()}"
         self._url = f"http://{address}"
         rclone = str(Path(sys.executable).with_name("rclone"))
         self._command = [rclone, "serve", "s3", "--addr", address, "--auth-key", f"{KEY},{KEY}", str(folder)]

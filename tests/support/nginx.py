@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import httpx2
 
 from tests.support.data import ROOT
-from tests.support.processes import TIMEOUT_S, wait_until
+from tests.support.processes import TIMEOUT_S, free_port, wait_until
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 REQUIRED = "SGMETHOD_TEST_NGINX"  # set to "required", a missing nginx fails the tests
@@ -57,8 +56,7 @@ class Nginx:
         *,
         tls: bool = True,
     ) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port: int = free.getsockname()[1]
+        self.port = free_port()
         first, *second = [web.removeprefix("http://") for web in webs]
         text = DOCUMENTED.read_text()
         replaced = {

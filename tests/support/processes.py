@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import re
+import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -39,6 +41,16 @@ def wait_until(what: Callable[[], T], timeout_s: float = TIMEOUT_S) -> T:
             return value
         time.sleep(POLL_S)
     raise AssertionError("nothing happened in time")
+
+
+def free_port() -> int:
+    """A port of this machine that nothing uses now. Below those that the system gives out: no test that runs beside
+    this one is given it before it is used.
+    """
+    while True:
+        port = random.randrange(20_000, 32_000)
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
 
 
 def failing(works: Callable[..., T], *errors: Exception) -> Callable[..., T]:

@@ -89,6 +89,12 @@ class ServiceProcess:
         """The numbers of its processes of a kind."""
         return [number for number, process in self.family().items() if process.is_a(kind)]
 
+    def sandbox(self) -> int:
+        """The number of its sandbox itself: not of a fork, whose number is smaller once the system's begin anew."""
+        family, parent = self.family().items(), self.process.pid
+        (number,) = (number for number, one in family if one.is_a("sandbox") and one.parent == parent)
+        return number
+
     def stop(self) -> int:
         """Stop it as an operator does; the exit status."""
         self.client.close()

@@ -77,7 +77,7 @@ def test_a_storage_and_a_job_table_out_of_reach(start_service: StartService) -> 
 def test_a_sandbox_that_does_no_tasks(start_service: StartService) -> None:
     service = start_service(lease_s=STALL_S, extra=FAKE_CODEC)
     service.wait_ready()
-    sandbox = service.ours("sandbox")[0]  # the others are its forks
+    sandbox = service.sandbox()
     os.kill(sandbox, signal.SIGSTOP)
     wait_until(lambda: service.client.get("/readyz").status_code == 503)
     assert_problem(service.client.get("/readyz"), 503, "sandbox")

@@ -42,8 +42,10 @@ def test_progress_never_falls() -> None:
 
 
 @pytest.mark.parametrize(("waited_s", "limit_s", "left_s"), [(3, 60, 7), (5, 60, 5), (30, 60, 0), (3, 6, 3)])
-def test_seconds_left(waited_s: float, limit_s: float, left_s: float) -> None:
-    running = replace(job("running"), started_at=time.time() - waited_s)
+def test_seconds_left(waited_s: float, limit_s: float, left_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now)
+    running = replace(job("running"), started_at=now - waited_s)
     running = replace(running, request=replace(running.request, time_limit_s=limit_s))
     trace = [point("fit", 0, 50), point("fit", 40, 50)]
     assert with_trace(running, trace, SETTINGS).seconds_left == pytest.approx(left_s, abs=0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import socket
 import tempfile
@@ -232,8 +233,11 @@ def test_uploads_on_their_way_lie_in_the_data_folder(start_service: StartService
         connection.sendall(head.encode() + bytes(size - 1))
 
         def folders() -> set[Path]:
-            files = Path(f"/proc/{web.process.pid}/fd").iterdir()
-            return {file.readlink().parent for file in files if file.is_symlink()}
+            found = set()
+            for file in Path(f"/proc/{web.process.pid}/fd").iterdir():
+                with contextlib.suppress(FileNotFoundError):  # it has been closed meanwhile
+                    found.add(file.readlink().parent)
+            return found
 
         wait_until(lambda: web.data_dir / "unfinished" in folders())
         assert Path(tempfile.gettempdir()) not in folders()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import time
 from pathlib import Path
 
 import numpy as np
@@ -207,7 +206,7 @@ def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) ->
     page.give("drop", COFFEE, "my coffee.sg")
     page.says(COFFEE_SAYS, "#prefix-words")
     address = page.run("return location.href")
-    time.sleep(0.5)  # the browser keeps it
+    wait_until(lambda: page.imported("storage.js", "it.kept(location.hash.slice(1)).then(Boolean)"))
     page.open("about:blank")
     page.open(address)
     page.says(COFFEE_SAYS, "#prefix-words")

@@ -91,6 +91,7 @@ def test_fingers(page: Chromium, web: Service) -> None:
     """)
     x, y = left + width / 2, top + height / 2
     touch([(x, y)], [(x + width / 8, y)], [(x + width / 4, y)])
+    page.settled()
     assert page.run("return document.getElementById('divider').getAttribute('aria-valuenow')") == "75"
     before = int(page.text("#zoom").removesuffix(" %"))
     touch([(x - 20, y), (x + 20, y)], [(x - 50, y), (x + 50, y)], [(x - 80, y), (x + 80, y)])

@@ -153,7 +153,7 @@ def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatc
 
 def test_a_bucket_that_stores_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small objects were given up after SILENCE, and a worker tried to store its result again for ever."""
-    monkeypatch.setattr(bucket, "SILENCE", timedelta(seconds=0.5))
+    monkeypatch.setattr(bucket, "SILENCE", timedelta(seconds=2))
     stored: list[bytes] = []
 
     class Slow(BaseHTTPRequestHandler):
@@ -162,7 +162,7 @@ def test_a_bucket_that_stores_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
 
         def do_PUT(self) -> None:
             stored.append(self.rfile.read(int(self.headers["Content-Length"])))
-            time.sleep(1.5)
+            time.sleep(3)
             self.respond(b"")
 
         def respond(self, body: bytes) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -118,9 +117,13 @@ def test_a_full_queue_is_waited_for(empty: Service) -> None:
     first, *_ = [empty.accepted() for _ in range(SMALL_QUEUE)]
     with Client(empty.url, patience_s=0) as hasty, pytest.raises(ServerError, match="full"):
         hasty.submit(SMALL, Budget("bpp", 1))
-    threading.Timer(0.5, lambda: empty.client.delete(f"/jobs/{first}")).start()
     messages: list[str] = []
-    with Client(empty.url, patience_s=60, on_retry=messages.append) as patient:
+
+    def make_room(message: str) -> None:
+        messages.append(message)
+        empty.client.delete(f"/jobs/{first}")
+
+    with Client(empty.url, patience_s=60, on_retry=make_room) as patient:
         assert patient.submit(SMALL, Budget("bpp", 1)) != first
     assert "full" in messages[0]
 

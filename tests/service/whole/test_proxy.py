@@ -29,7 +29,7 @@ from tests.support.service import FAKE_CODEC, Service, StartService
 pytestmark = pytest.mark.thorough
 
 PREFIX = "/sg"
-PICTURES = 12
+PICTURES = 20
 StartProxy = Callable[..., Nginx]
 
 

@@ -136,7 +136,7 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
 def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
     grace_s = TIMEOUT_S / 2  # in which no database comes back
     service = start_service(database_url=postgres.new_database(), stop_grace_s=grace_s)
-    assert service.client.get("/readyz").status_code == 200
+    service.wait_ready()  # its sandbox takes seconds to start
     wait_until(lambda: ": ready," in service.log.read_text())
     postgres.stop("immediate")
     try:

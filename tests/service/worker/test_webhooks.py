@@ -109,8 +109,9 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
         before = len(receiver.tries)
         wait_until(lambda before=before: len(receiver.tries) >= before + 3)
         wait_until(lambda: {each["data"]["id"] for each in other.taken} == set(jobs))
-    assert table.counts().deliveries == 3
+    wait_until(lambda: table.counts().deliveries == 3)  # the other has taken the last before its sender notes that
     assert receiver.taken == []
+    monkeypatch.setattr(webhooks, "ANSWER_S", TIMEOUT_S)  # what is answered late on a busy machine is not sent again
     receiver.behaves = "well"
     wait_until(lambda: table.counts().deliveries == 0)
     assert sorted(each["data"]["id"] for each in receiver.taken) == sorted(jobs)

@@ -180,7 +180,11 @@ def test_a_storage_out_of_reach_does_not_count_against_the_job(
     assert (job.state, job.crashes) == ("queued", 0)
 
 
-def test_a_heartbeat_sends_each_point_once(table: Unsteady, attempt: Attempt, claim: Job) -> None:
+def test_a_heartbeat_sends_each_point_once(
+    table: Unsteady, storage: Storage, stop: StopSignal, claim: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attempt_module, "HEARTBEAT_S", LONG_S)
+    attempt = Attempt(table, storage, claim, stop)
     attempt.add({"step": 0})
     attempt.beat()  # too early
     assert table.trace(claim.id) == []
