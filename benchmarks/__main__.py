@@ -56,7 +56,6 @@ FULL = {
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
-    "rd/paper": f"rd {KODAK} --profiles paper --bpp 0.147,0.43",
     "previews/kodak": f"previews {SEEN}",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
     "perceptual/photographs": "perceptual --images {photographs}/measured --weights {weights} --bpp 0.25",
