@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from sgmethod.many.run import Tally
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Ran, Run, names, on_terminal, start, start_interruptible
+from tests.support.processes import TIMEOUT_S
 
 GOLDEN = "picture.sg"
 SRGB_ALREADY = (60, 120, 200)
@@ -194,17 +196,33 @@ def test_interrupted_jobs_end(after: float) -> None:
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
-    until = time.monotonic() + 60
+    until = time.monotonic() + TIMEOUT_S
     while len(group(process.pid)) < 4 and time.monotonic() < until:  # us, two jobs, and multiprocessing's tracker
         time.sleep(0.05)
     time.sleep(after)
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=TIMEOUT_S)
     assert (process.returncode, out) == (130, "")
     assert err == "sgmethod: interrupted: 0 of 3 done; --resume continues\n"
     while group(process.pid) and time.monotonic() < until:
         time.sleep(0.05)
     assert group(process.pid) == []
+
+
+def test_ctrl_c_while_a_process_begins() -> None:
+    """It was lost. The process that begins ends with this one, and not by itself."""
+    program = """
+import os, signal, subprocess, sys
+from sgmethod.many import processes
+with processes._uninterrupted():
+    os.kill(os.getpid(), signal.SIGINT)
+    child = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []), flush=True)"
+    subprocess.run([sys.executable, "-c", child], check=True)
+print("not interrupted")
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert ran.stdout == "True\n"
+    assert ran.stderr.endswith("KeyboardInterrupt\n")
 
 
 def group(leader: int) -> list[str]:

@@ -90,6 +90,7 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
     assert encoder
     os.kill(encoder, signal.SIGSTOP)  # so that it is not done before the page is back
     try:
+        wait_until(lambda: page.imported("storage.js", "it.kept(location.hash.slice(1)).then(Boolean)"))
         page.open("about:blank")
         page.open(address)
         wait_until(lambda: page.is_seen("#stop"))
