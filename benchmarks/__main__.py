@@ -5,7 +5,7 @@
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; --report, or python -m benchmarks.report, then makes the
 documents. benchmarks/Dockerfile has all that this needs.
-Not in --full: benchmarks.gpu.
+Not in --full, as they need a GPU: benchmarks.gpu, and `ablation gains --tables whole`.
 """
 
 from __future__ import annotations
@@ -70,7 +70,6 @@ FULL = {
     "--megapixels 0.75,3,12 --bytes 500,2000,10000,50000 --repeats 1",
     "scenes": f"scenes {KODAK}",
     "sparse": "scenes --sparse",
-    "gains/whole": f"ablation gains {KODAK} --tables whole",
     "gains/optimiser": f"ablation gains {KODAK} --tables optimiser --most 6",
     "gains/numbers": f"ablation gains {KODAK} --tables numbers --most 12",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",

@@ -40,6 +40,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "reached-ssimulacra2-large": partial(speed.reached_table, 4, "ssimulacra2"),
     "growth-by-pixels": partial(speed.growth, "megapixels"),
     "growth-by-bytes": partial(speed.growth, "max_bytes"),
+    "paper-optimiser": paper.optimiser_table,
+    "paper-files": paper.files_table,
+    "paper-baselines": paper.baselines_table,
+    "paper-positions": paper.positions_table,
     "previews": previews.by_bytes,
     "previews-at-512-bytes": previews.at_one_size,
     "seen": seen.means_table,
@@ -58,7 +62,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
         [partial(rate.draw, figure=figure) for figure in ("psnr", "ssimulacra2")],
     ),
     "speed": (
-        "Speed and memory",
+        "Error against run time",
         "PSNR against seconds, means over the pictures of each size",
         [partial(speed.draw, megapixels=size) for size in speed.SIZES],
     ),
@@ -83,7 +87,7 @@ APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 @cache
 def figures() -> dict[str, float | None]:
     """Every figure that a sentence may have, by its mark."""
-    parts = (rate, speed, scenes, previews, seen, stability, service)
+    parts = (paper, rate, speed, scenes, previews, seen, stability, service)
     return {mark: value for part in parts for mark, value in part.figures().items()}
 
 

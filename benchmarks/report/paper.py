@@ -1,17 +1,144 @@
-"""The paper's figure: PSNR by the number of Gaussians, before coding."""
+"""The paper's tables, and its figure: PSNR by the number of Gaussians, before coding."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from benchmarks.ablation import gains
+from benchmarks.ablation.paper import RANGES, SHORT, STAGES, WEAK
+from benchmarks.ablation.report import BySetting, complete, worth
+from benchmarks.rd.report import bd_psnr, bd_rate
 from benchmarks.report.plots import style
-from benchmarks.report.results import rows
-from benchmarks.tables import mean, standard_error
+from benchmarks.report.results import Row, rows
+from benchmarks.tables import mean, number, standard_error, table
 
 STARTS = {"random": "random", "fixed": "structure-guided, 6:2:1", "dynamic": "structure-guided, dynamic ratio"}
+GSIMAGE, ABQ = "GSImage", "ABQ, weight 0.0012"
+BASELINES = {GSIMAGE: "as above", RANGES: RANGES, STAGES: STAGES, SHORT: SHORT, WEAK: WEAK}
+# What the paper reports of each row of its files, by BD-PSNR and BD-rate.
+CLAIMED = {
+    "GSImage, structure-guided start": "-18 %",
+    "LSQ, 6 bits": "+0.78 dB, -26.3 %",
+    "LSQ, 7 bits": "+1.16 dB, -35.2 %",
+    "LSQ, 8 bits": "+1.18 dB, -35.3 %",
+    **{f"{ABQ}{printed}": "+1.68 dB, -43.4 %" for printed in ("", ", gradient as printed")},
+    **{f"ABQ, weight 0.0014{printed}": "+0.96 dB, -30.3 %" for printed in ("", ", gradient as printed")},
+    "14": "+0.19 dB, -6.4 %",
+    "12": "+0.34 dB, -11.0 %",
+    "10": "-0.34 dB, +8.2 %",
+}
+NAMES = {ABQ: f"{ABQ} (profile `paper`)", "ABQ, 7.5 bits by a budget": "ABQ, 7.5 bits by a budget (ours)"}
 
 
-def gains() -> dict[str, dict[int, list[float]]]:
+def files(name: str) -> BySetting:
+    """The rows of one of the paper's tables by setting, picture and seed."""
+    return complete(rows(name))
+
+
+def gain(found: BySetting, setting: str, baseline: str) -> list[str]:
+    """The cells of BD-PSNR and BD-rate, each with its standard error."""
+    db, percent = (worth(found, setting, baseline, measure) for measure in (bd_psnr, bd_rate))
+    return [
+        f"{number(db[0], '+.2f')} dB",
+        number(db[1], ".2f"),
+        f"{number(percent[0], '+.1f')} %",
+        number(percent[1], ".1f"),
+    ]
+
+
+def average(found: BySetting, setting: str, column: str, form: str) -> str:
+    """The mean of a column over pictures, seeds and numbers of Gaussians."""
+    return number(mean([row[column] for group in found[setting].values() for row in group]), form)
+
+
+def files_table() -> str:
+    """Files of each setting, against GSImage."""
+    found = files("ablation")
+    lines = [
+        [
+            NAMES.get(setting, setting),
+            average(found, setting, "psnr", ".2f"),
+            average(found, setting, "bpp", ".3f"),
+            average(found, setting, "bits_of_factor", ".1f"),
+            *(gain(found, setting, GSIMAGE) if setting != GSIMAGE else [""] * 4),
+            CLAIMED.get(setting, "-") if setting != GSIMAGE else "",
+        ]
+        for setting in found
+        if setting == GSIMAGE or setting not in BASELINES
+    ]
+    titles = "files | PSNR | bpp | bits of l1, l2, l3, each | BD-PSNR | standard error | BD-rate | standard error"
+    return table(f"{titles} | the paper", lines)
+
+
+def baselines_table() -> str:
+    """GSImage made weaker, and what ABQ gains over each."""
+    found = files("ablation")
+    lines = [
+        [
+            name.removeprefix(f"{GSIMAGE}, "),
+            average(found, setting, "psnr", ".2f"),
+            *(gain(found, setting, GSIMAGE)[:2] if setting != GSIMAGE else ["", ""]),
+            *gain(found, "GSImage, structure-guided start", setting),
+            *gain(found, ABQ, setting),
+        ]
+        for setting, name in BASELINES.items()
+    ]
+    titles = "GSImage | PSNR | BD-PSNR | standard error | BD-PSNR of the start | standard error | BD-rate of the start"
+    titles += " | standard error | BD-PSNR of ABQ | standard error | BD-rate of ABQ | standard error"
+    return table(titles, lines)
+
+
+def positions_table() -> str:
+    """Bits of a coordinate, against 16."""
+    found = files("positions")
+    lines = [[bits, *gain(found, bits, "16"), CLAIMED[bits]] for bits in found if bits != "16"]
+    return table("bits | BD-PSNR | standard error | BD-rate | standard error | the paper", lines)
+
+
+def bound() -> tuple[float | None, float | None]:
+    """BD-PSNR over GSImage, mean and standard error, of files with the best PSNR of any choice of bits, if all of them
+    were as small as those with 6 bits.
+    """
+    found = files("ablation")
+    choices = [setting for setting in found if setting.startswith(("LSQ", "ABQ"))]
+    found["bound"] = {
+        case: [
+            {"bpp": row["bpp"], "psnr": max(found[setting][case][k]["psnr"] for setting in choices)}
+            for k, row in enumerate(smallest)
+        ]
+        for case, smallest in found["LSQ, 6 bits"].items()
+    }
+    return worth(found, "bound", GSIMAGE, bd_psnr)
+
+
+def optimiser_rows() -> dict[tuple[int, str], dict[str, list[Row]]]:
+    """Fits by GaussianImage's optimiser by number and setting, then picture: a row for each seed."""
+    found: dict[tuple[int, str], dict[str, list[Row]]] = {}
+    for row in rows("gains/optimiser"):
+        found.setdefault((row["asked"], row["setting"]), {}).setdefault(row["image"], []).append(row)
+    return found
+
+
+def optimiser_table() -> str:
+    """Fits by GaussianImage's optimiser: PSNR, and the gains over a random start and over the same without
+    regularisation.
+    """
+    found, lines = optimiser_rows(), []
+    for (asked, setting), by_image in found.items():
+        plain = setting.partition(" +")[0]
+        psnr = mean([gains.figure(one, "psnr") for one in by_image.values()])
+        over = [
+            gains.gain(by_image, found[asked, other], other)[1:3] if setting != other else ["", ""]
+            for other in ("random", plain)
+        ]
+        over[1] = over[1] if setting != plain else ["", ""]
+        cells = [f"{asked:,}", STARTS.get(plain, plain) + setting.removeprefix(plain), number(psnr, ".2f")]
+        lines.append([*cells, *over[0], *over[1]])
+    titles = "Gaussians | start | PSNR | dB against random | standard error | dB by regularisation | standard error"
+    return table(titles, lines)
+
+
+def gains_by_number() -> dict[str, dict[int, list[float]]]:
     """By start and number of Gaussians: the PSNR of each picture, above that of a random start."""
     by_fit = {(row["setting"], row["asked"], row["image"]): row["psnr"] for row in rows("gains/numbers")}
     found: dict[str, dict[int, list[float]]] = {start: {} for start in STARTS}
@@ -23,9 +150,21 @@ def gains() -> dict[str, dict[int, list[float]]]:
     return found
 
 
+def figures() -> dict[str, float | None]:
+    """The figures of the page, by mark."""
+    found = files("ablation")
+    marks: dict[str, float | None] = {"paper.pictures": len({image for image, _ in found[GSIMAGE]})}
+    marks["paper.bound"], marks["paper.bound-error"] = bound()
+    percent, error = worth(found, ABQ, GSIMAGE, bd_rate)
+    marks["paper.fewer-bits"], marks["paper.fewer-bits-error"] = -percent if percent else None, error
+    short = worth(found, ABQ, SHORT, bd_rate)[0]
+    marks["paper.fewer-bits-short"] = -short if short else None
+    return marks
+
+
 def draw(axes: Any) -> None:
     """Gain over a random start against the number of Gaussians, with standard errors."""
-    for k, (start, by_number) in enumerate(gains().items()):
+    for k, (start, by_number) in enumerate(gains_by_number().items()):
         numbers = sorted(by_number)
         means, errors = ([figure(by_number[n]) for n in numbers] for figure in (mean, standard_error))
         axes.errorbar(numbers, means, errors, capsize=2, **style(k) | {"label": STARTS[start]})

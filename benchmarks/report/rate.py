@@ -50,7 +50,7 @@ NAMES = {
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
 }
-AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq")
+AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq", "avif grain")
 BPP = 0.25  # of the tables
 MAX_BPP = 0.5  # of the plot
 PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
@@ -61,8 +61,8 @@ QUOTED |= {"lottery-codec": "LotteryCodec"}
 
 # The headline: photographs on which nothing was chosen, and Kodak's beside them; against whom, and over which rates.
 UNSEEN, KODAK = "rd/unseen", "rd/kodak"
-# The last two have other codecs alone, whose files ours leave as they are.
-KODAK_SETS = (KODAK, "rd/effort", "rd/others", "rd/avif")
+# The JSON of each set; some have other codecs alone, whose files ours leave as they are.
+FILES = {UNSEEN: (UNSEEN, "rd/grain"), KODAK: (KODAK, "rd/effort", "rd/others", "rd/avif")}
 HEADLINE_SETS = {UNSEEN: "held-out photographs", KODAK: "Kodak"}
 HEADLINE_AGAINST = {"avif tune=psnr 10 bits": "AVIF, 10 bits", "heic": "HEIC", "webp": "WebP"}
 HEADLINE_RATES = {
@@ -85,14 +85,13 @@ README_ROWS = {
 # AVIF's is the one tuned for PSNR, whose search was the shorter.
 README_TIMES = {"Encoding, ms ↓": ("seconds", ",.0f", 1000), "Decoding, ms ↓": ("decode_ms", ".1f", 1)}
 README_TIMED = (("rd visual", ""), ("avif", "4"), ("jpegxl", "7"), ("webp", "6"), ("jpeg", "0"))
-LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-")  # and AVIF's
+LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-", "libvips-", "libavif-")  # the last for AVIF with grain
 
 
 @cache
 def rows(name: str = KODAK) -> tuple[Row, ...]:
     """The rows of all files of one of HEADLINE_SETS that were made for a rate."""
-    files = KODAK_SETS if name == KODAK else (name,)
-    return tuple(Row(**row) for file in files for row in results.rows(file))
+    return tuple(Row(**row) for file in FILES[name] for row in results.rows(file))
 
 
 @cache
@@ -203,13 +202,10 @@ def readme_table() -> str:
     timed = [m for method in README_TIMED if (m := speed.at(0.4, *method))]
     for title, (name, form, factor) in README_TIMES.items():
         lines.append([title, *_best_in_bold([m[name] * factor for m in timed], form, min)])
-    # AVIF's files are of libvips, or in 8 bits of the last libavif, which is Pillow's.
-    is_wide = any("10 bits" in avif(figure, UNSEEN) for figure in ("psnr", *SEEN))
-    bits, avif_library = ("8 or 10 bits, whichever is better", "libvips-") if is_wide else ("8 bits", "libavif-")
-    named = load(UNSEEN)["settings"]["codecs"]
-    versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith((*LIBRARIES, avif_library)))
+    named = [name for file in FILES[UNSEEN] for name in load(file)["settings"]["codecs"]]
+    versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith(LIBRARIES))
     codecs = ", ".join(f"{library.replace('_', '-')} {version}" for library, version in sorted(versions.items()))
-    return f"{table(' | '.join(['', *readme_codecs('psnr')]), lines)}\n\nMeasured with {codecs}. AVIF has {bits}."
+    return f"{table(' | '.join(['', *readme_codecs('psnr')]), lines)}\n\nMeasured with {codecs}."
 
 
 def _best_in_bold(values: Sequence[float], form: str, best_of: Callable[..., float] | None) -> list[str]:
@@ -238,9 +234,14 @@ def figures() -> dict[str, float | None]:
         found[f"rate.avif-filled-ssimulacra2{end}"] = value_at(m, avif("ssimulacra2", name), "rd visual", "ssimulacra2")
     shown = [codecs[0] for codecs in readme_codecs("psnr").values()]
     found["rate.above"] = sum(average(UNSEEN)[codec, BPP]["above"] or 0 for codec in shown)
-    found |= {f"rate.grain-{figure}": average()["avif grain", BPP][figure] for figure in SEEN}
+    for name, end in ((UNSEEN, ""), (KODAK, "-on-kodak")):
+        found |= {f"rate.grain-{figure}{end}": average(name)["avif grain", BPP][figure] for figure in SEEN}
+        plain = [m for (codec, bpp), m in average(name).items() if codec in AVIF_VISUAL[:-1] and bpp == BPP]
+        found |= {f"rate.plain-{figure}{end}": min(m[figure] or 0 for m in plain) for figure in ("lpips", "dists")}
+    visual = [average()[codec, 0.4]["ssimulacra2"] or 0 for codec in (avif("ssimulacra2"), "rd visual")]
+    found["rate.avif-points-at-0.4-on-kodak"] = visual[0] - visual[1]
     by_default = {
-        "avif-by-default-on-kodak": against(rows(), "rd visual", avif("lpips")),
+        "avif-by-default-on-kodak": against(rows(), "rd visual", avif("ssimulacra2")),
         "avif-for-psnr-by-default-on-kodak": against(rows(), "rd visual", avif()),
     }
     for mark, rate in (by_default | quoted()).items():

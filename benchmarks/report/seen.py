@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +12,7 @@ from benchmarks.perceptual import local
 from benchmarks.rd.report import TITLES
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, rows
-from benchmarks.tables import number, table
+from benchmarks.tables import number, standard_error, table
 
 SETS = {"kodak": "Kodak", "photographs": "other photographs"}
 KINDS = {"visual": "tuned for the eye", "avif": "AVIF, `tune=iq`"}
@@ -41,11 +42,11 @@ def means(rows: Sequence[Row], bpp: float) -> dict[str, Row]:
     return found
 
 
-def lower(rows: Sequence[Row], figure: str) -> tuple[int, int]:
-    """In how many pictures our file is below AVIF's in a figure, and of how many."""
+def apart(rows: Sequence[Row], figure: str) -> list[float]:
+    """A figure of our files less that of AVIF's, picture by picture."""
     found = {(row["image"], row["kind"]): row[figure] for row in rows if row["max_bpp"] == BPP}
     both = [image for image, kind in found if kind == "visual" and (image, "avif") in found]
-    return sum(found[image, "visual"] < found[image, "avif"] for image in both), len(both)
+    return [found[image, "visual"] - found[image, "avif"] for image in both]
 
 
 def means_table(wanted: Sequence[str] = TABLE) -> str:
@@ -67,8 +68,11 @@ def figures() -> dict[str, float]:
         found |= {f"seen.{name}-{figure}": ours[figure] / avif[figure] for figure in BETTER_IF_LOWER}
         found[f"seen.{name}-points-higher"] = ours["ssimulacra2"] - avif["ssimulacra2"]
         found[f"seen.{name}-points-lower"] = avif["ssimulacra2"] - ours["ssimulacra2"]
-        found[f"seen.{name}-lower"], found[f"seen.{name}-pictures"] = lower(mine, "ssimulacra2")
-        found |= {f"seen.{name}-better-{figure}": lower(mine, figure)[0] for figure in BETTER_IF_LOWER}
+        points = apart(mine, "ssimulacra2")
+        found[f"seen.{name}-points-error"] = standard_error(points) or math.nan
+        found[f"seen.{name}-lower"], found[f"seen.{name}-pictures"] = sum(one < 0 for one in points), len(points)
+        for figure in BETTER_IF_LOWER:
+            found[f"seen.{name}-better-{figure}"] = sum(one < 0 for one in apart(mine, figure))
         found[f"seen.{name}-texture"] = 100 * ours["texture"]
     crdr = min(published.seen()["points"], key=lambda point: abs(point["bpp"] - BPP))
     return found | {f"seen.crdr-{figure}": crdr[figure] for figure in ("bpp", "psnr", "lpips", "dists")}

@@ -103,13 +103,16 @@ def figures() -> dict[str, float]:
         found[f"speed.avif-{end}"], found[f"speed.avif-once-{end}"] = avif["seconds"], avif["encode_s"]
         found[f"speed.avif-psnr-{end}"] = avif["psnr"]
         found[f"speed.decode-{end}"] = visual["decode_ms"]
+        eye = {"rd": visual, "avif-visual": at(size, "avif visual", "6"), "jpegxl": at(size, "jpegxl", "7")}
+        for name, one in eye.items():
+            found[f"speed.{name}-ssimulacra2-{end}"] = one["ssimulacra2"] if one else math.nan
         for name, other in (("jpeg", at(size, "jpeg", "0")), ("avif", avif)):
             assert other
             found[f"speed.{name}-decode-{end}"] = other["decode_ms"]
             found[f"speed.times-{name}-decode-{end}"] = visual["decode_ms"] / other["decode_ms"]
-    one = at(0.4, "avif", "4")
-    assert one
-    found["speed.avif-4-once-ms"] = 1e3 * one["encode_s"]
+    for name, setting in (("avif", "4"), ("jpegxl", "7"), ("webp", "6")):
+        once = at(0.4, name, setting)
+        found[f"speed.{name}-{setting}-once-ms"] = 1e3 * once["encode_s"] if once else math.nan
     sizes = [row for row in rows("speed") if row["what"] == "size"]
     found["speed.decode-24mp"] = sizes[-1]["decode_ms"]
     found["speed.memory-24mp"] = sizes[-1]["encode_mib"]
