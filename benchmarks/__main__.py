@@ -71,6 +71,9 @@ FULL = {
     "scenes": f"scenes {KODAK}",
     "sparse": "scenes --sparse",
     "gains/optimiser": f"ablation gains {KODAK} --tables optimiser --most 6",
+    "gains/crops": f"ablation gains {KODAK} --tables crops --most 6",
+    "gains/seeds": f"ablation gains {KODAK} --tables optimiser --numbers 70000 --settings random,dynamic "
+    "--most 3 --seeds 3",
     "gains/numbers": f"ablation gains {KODAK} --tables numbers --most 12",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 8 --seeds 1",

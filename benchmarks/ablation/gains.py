@@ -1,12 +1,13 @@
 """Measure what the paper's start and regularisation gain in floating point, over all pictures of a folder.
 
-    python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser]
+    python -m benchmarks.ablation gains --images FOLDER [--device cuda] [--tables whole,numbers,optimiser,crops]
                                       [--seeds 3] [--minutes M]
 
 whole      30,000 and 70,000 Gaussians on whole pictures: start and regularisation, each with and without the other
 numbers    10,000 to 90,000 on the middle 384x256 of each picture: random, fixed 6:2:1 and dynamic
 optimiser  GaussianImage's own optimiser, shapes and colours, on the middle 64x64: random, fixed and dynamic, and
            regularisation
+crops      our optimiser on the same parts: random, fixed and dynamic
 
 Numbers of Gaussians are for 768x512 pixels; smaller pictures have as many for each pixel, and n_0 and N_t with them.
 All pictures of a row are fitted at once on a GPU.
@@ -105,6 +106,7 @@ TABLES: dict[str, list[Row]] = {
         for name, weight in REGULARISED.items()
         for start in (starts_of(n) if weight == 0 else ("dynamic",))
     ],
+    "crops": [Row(n, start, starting(PLAIN, start), (64, 64)) for n in (70_000, 30_000) for start in starts_of(n)],
     "numbers": [
         Row(n, start, starting(PLAIN, start), (384, 256))
         for n in (70_000, 90_000, 50_000, 30_000, 10_000)
