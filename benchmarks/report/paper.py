@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from typing import Any
 
 from benchmarks.ablation import gains
@@ -111,31 +112,41 @@ def bound() -> tuple[float | None, float | None]:
     return worth(found, "bound", GSIMAGE, bd_psnr)
 
 
-def optimiser_rows() -> dict[tuple[int, str], dict[str, list[Row]]]:
-    """Fits by GaussianImage's optimiser by number and setting, then picture: a row for each seed."""
-    found: dict[tuple[int, str], dict[str, list[Row]]] = {}
-    for row in rows("gains/optimiser"):
+Fits = dict[str, list[Row]]  # by picture, a row for each seed
+
+
+def fits(name: str) -> dict[tuple[int, str], Fits]:
+    """The fits of a JSON by number of Gaussians and setting."""
+    found: dict[tuple[int, str], Fits] = {}
+    for row in rows(name):
         found.setdefault((row["asked"], row["setting"]), {}).setdefault(row["image"], []).append(row)
     return found
 
 
 def optimiser_table() -> str:
-    """Fits by GaussianImage's optimiser: PSNR, and the gains over a random start and over the same without
-    regularisation.
-    """
-    found, lines = optimiser_rows(), []
-    for (asked, setting), by_image in found.items():
+    """Fits of crops by GaussianImage's optimiser and by ours, and what start and regularisation gain."""
+    theirs, ours, lines = fits("gains/optimiser"), fits("gains/crops"), []
+    for (asked, setting), found in theirs.items():
         plain = setting.partition(" +")[0]
-        psnr = mean([gains.figure(one, "psnr") for one in by_image.values()])
-        over = [
-            gains.gain(by_image, found[asked, other], other)[1:3] if setting != other else ["", ""]
-            for other in ("random", plain)
-        ]
-        over[1] = over[1] if setting != plain else ["", ""]
-        cells = [f"{asked:,}", STARTS.get(plain, plain) + setting.removeprefix(plain), number(psnr, ".2f")]
-        lines.append([*cells, *over[0], *over[1]])
-    titles = "Gaussians | start | PSNR | dB against random | standard error | dB by regularisation | standard error"
-    return table(titles, lines)
+        cells = [f"{asked:,}", STARTS[plain] + setting.removeprefix(plain)]
+        for of in (theirs, ours):
+            if mine := of.get((asked, setting)):
+                cells += [psnr(mine), *above(mine, of[asked, "random"])]
+            else:
+                cells += [""] * 3
+        lines.append([*cells, *above(found, theirs[asked, plain])])
+    titles = "Gaussians | start | PSNR | dB against random | standard error | PSNR by our optimiser | dB against random"
+    return table(f"{titles} | standard error | dB by regularisation | standard error", lines)
+
+
+def psnr(found: Fits) -> str:
+    """The mean over pictures."""
+    return number(mean([gains.figure(one, "psnr") for one in found.values()]), ".2f")
+
+
+def above(found: Fits, others: Fits) -> list[str]:
+    """The cells of a gain over other fits, and its standard error over pictures; empty over itself."""
+    return ["", ""] if found is others else gains.gain(found, others, "")[1:3]
 
 
 def gains_by_number() -> dict[str, dict[int, list[float]]]:
@@ -159,6 +170,9 @@ def figures() -> dict[str, float | None]:
     marks["paper.fewer-bits"], marks["paper.fewer-bits-error"] = -percent if percent else None, error
     short = worth(found, ABQ, SHORT, bd_rate)[0]
     marks["paper.fewer-bits-short"] = -short if short else None
+    seeds = fits("gains/seeds")
+    starts = [[one["psnr"] for one in every] for by_image in seeds.values() for every in by_image.values()]
+    marks["paper.seeds-db"] = mean([statistics.stdev(each) for each in starts])
     return marks
 
 

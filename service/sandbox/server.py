@@ -28,7 +28,8 @@ WAITING_FORKS = 2
 MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
 PAUSE_S = 0.25  # after a fork that ended without a task
-ENDS_S, POLL_S = 0.2, 5e-4  # until a fork that has closed its descriptors is gone
+# Until a fork that has closed its descriptors is gone: it has the lowest priority, so a busy machine may let it wait.
+ENDS_S, POLL_S = 2.0, 5e-4
 TAKEN_OVER = 70  # the exit status of a fork that had to be killed
 # Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
 # process and before encodes, since no request waits for an encode.

@@ -214,6 +214,7 @@ def test_ctrl_c_while_a_process_begins() -> None:
     program = """
 import os, signal, subprocess, sys
 from sgmethod.many import processes
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells let commands in the background ignore it
 with processes._uninterrupted():
     os.kill(os.getpid(), signal.SIGINT)
     child = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []), flush=True)"
