@@ -37,13 +37,13 @@ def files(name: str) -> BySetting:
 
 
 def gain(found: BySetting, setting: str, baseline: str) -> list[str]:
-    """The cells of BD-PSNR and BD-rate, each with its standard error."""
-    db, percent = (worth(found, setting, baseline, measure) for measure in (bd_psnr, bd_rate))
+    """The cells of BD-PSNR and BD-rate, each with its standard error; empty against itself."""
+    if setting == baseline:
+        return ["", ""]
+    (db, db_error), (percent, error) = (worth(found, setting, baseline, measure) for measure in (bd_psnr, bd_rate))
     return [
-        f"{number(db[0], '+.2f')} dB",
-        number(db[1], ".2f"),
-        f"{number(percent[0], '+.1f')} %",
-        number(percent[1], ".1f"),
+        f"{number(db, '+.2f')} ± {number(db_error, '.2f')} dB",
+        f"{number(percent, '+.1f')} ± {number(error, '.1f')} %",
     ]
 
 
@@ -61,14 +61,13 @@ def files_table() -> str:
             average(found, setting, "psnr", ".2f"),
             average(found, setting, "bpp", ".3f"),
             average(found, setting, "bits_of_factor", ".1f"),
-            *(gain(found, setting, GSIMAGE) if setting != GSIMAGE else [""] * 4),
+            *gain(found, setting, GSIMAGE),
             CLAIMED.get(setting, "-") if setting != GSIMAGE else "",
         ]
         for setting in found
         if setting == GSIMAGE or setting not in BASELINES
     ]
-    titles = "files | PSNR | bpp | bits of l1, l2, l3, each | BD-PSNR | standard error | BD-rate | standard error"
-    return table(f"{titles} | the paper", lines)
+    return table("files | PSNR | bpp | bits of l1, l2, l3, each | BD-PSNR | BD-rate | the paper", lines)
 
 
 def baselines_table() -> str:
@@ -78,22 +77,23 @@ def baselines_table() -> str:
         [
             name.removeprefix(f"{GSIMAGE}, "),
             average(found, setting, "psnr", ".2f"),
-            *(gain(found, setting, GSIMAGE)[:2] if setting != GSIMAGE else ["", ""]),
+            gain(found, setting, GSIMAGE)[0],
             *gain(found, "GSImage, structure-guided start", setting),
             *gain(found, ABQ, setting),
         ]
         for setting, name in BASELINES.items()
     ]
-    titles = "GSImage | PSNR | BD-PSNR | standard error | BD-PSNR of the start | standard error | BD-rate of the start"
-    titles += " | standard error | BD-PSNR of ABQ | standard error | BD-rate of ABQ | standard error"
-    return table(titles, lines)
+    return table(
+        "GSImage | PSNR | BD-PSNR | BD-PSNR of the start | BD-rate of the start | BD-PSNR of ABQ | BD-rate of ABQ",
+        lines,
+    )
 
 
 def positions_table() -> str:
     """Bits of a coordinate, against 16."""
     found = files("positions")
     lines = [[bits, *gain(found, bits, "16"), CLAIMED[bits]] for bits in found if bits != "16"]
-    return table("bits | BD-PSNR | standard error | BD-rate | standard error | the paper", lines)
+    return table("bits | BD-PSNR | BD-rate | the paper", lines)
 
 
 def bound() -> tuple[float | None, float | None]:
@@ -128,15 +128,15 @@ def optimiser_table() -> str:
     theirs, ours, lines = fits("gains/optimiser"), fits("gains/crops"), []
     for (asked, setting), found in theirs.items():
         plain = setting.partition(" +")[0]
-        cells = [f"{asked:,}", STARTS[plain] + setting.removeprefix(plain)]
+        cells = [f"{asked:,}", STARTS[plain].removeprefix("structure-guided, ") + setting.removeprefix(plain)]
         for of in (theirs, ours):
             if mine := of.get((asked, setting)):
-                cells += [psnr(mine), *above(mine, of[asked, "random"])]
+                cells += [psnr(mine), above(mine, of[asked, "random"])]
             else:
-                cells += [""] * 3
-        lines.append([*cells, *above(found, theirs[asked, plain])])
-    titles = "Gaussians | start | PSNR | dB against random | standard error | PSNR by our optimiser | dB against random"
-    return table(f"{titles} | standard error | dB by regularisation | standard error", lines)
+                cells += ["", ""]
+        lines.append([*cells, above(found, theirs[asked, plain])])
+    titles = "Gaussians | start | PSNR | dB against random | PSNR by our optimiser | dB against random"
+    return table(f"{titles} | dB by regularisation", lines)
 
 
 def psnr(found: Fits) -> str:
@@ -144,9 +144,9 @@ def psnr(found: Fits) -> str:
     return number(mean([gains.figure(one, "psnr") for one in found.values()]), ".2f")
 
 
-def above(found: Fits, others: Fits) -> list[str]:
-    """The cells of a gain over other fits, and its standard error over pictures; empty over itself."""
-    return ["", ""] if found is others else gains.gain(found, others, "")[1:3]
+def above(found: Fits, others: Fits) -> str:
+    """The cell of a gain over other fits, with its standard error over pictures; empty over itself."""
+    return "" if found is others else " ± ".join(gains.gain(found, others, "")[1:3])
 
 
 def gains_by_number() -> dict[str, dict[int, list[float]]]:
@@ -173,6 +173,11 @@ def figures() -> dict[str, float | None]:
     seeds = fits("gains/seeds")
     starts = [[one["psnr"] for one in every] for by_image in seeds.values() for every in by_image.values()]
     marks["paper.seeds-db"] = mean([statistics.stdev(each) for each in starts])
+    random, dynamic = (
+        [gains.figure(every, "psnr") for every in seeds[70_000, start].values()] for start in ("random", "dynamic")
+    )
+    apart = [one - other for one, other in zip(dynamic, random, strict=True)]
+    marks["paper.seeds-gain"], marks["paper.seeds-gain-error"] = mean(apart), standard_error(apart)
     return marks
 
 
