@@ -31,6 +31,11 @@ def worth(found: BySetting, setting: str, baseline: str, measure: Measure) -> tu
     return mean(known), standard_error(known)
 
 
+def average(cases: dict[Case, list[Row]], column: str) -> str:
+    """The cell of one of COLUMNS: the mean over pictures, seeds and numbers of Gaussians."""
+    return number(mean([row[column] for group in cases.values() for row in group]), COLUMNS[column][1])
+
+
 def complete(rows: Sequence[Row]) -> BySetting:
     """Rows by setting, picture and seed, of the pictures that every setting and seed has."""
     found: BySetting = {}
@@ -54,8 +59,7 @@ def summary(rows: Sequence[Row]) -> Iterator[str]:
             continue
         lines = []
         for setting, cases in found.items():
-            every = [row for group in cases.values() for row in group]
-            cells = [number(mean([row[column] for row in every]), form) for column, (_, form) in COLUMNS.items()]
+            cells = [average(cases, column) for column in COLUMNS]
             for measure, form in MEASURES.values():
                 value, error = worth(found, setting, baseline, measure) if setting != baseline else (None, None)
                 cells += [number(value, f"+{form}"), number(error, form)]

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.ablation import gains
 from benchmarks.ablation.paper import RANGES, SHORT, STAGES, WEAK
-from benchmarks.ablation.report import BySetting, complete, worth
+from benchmarks.ablation.report import COLUMNS, BySetting, average, complete, worth
 from benchmarks.rd.report import bd_psnr, bd_rate
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, rows
@@ -15,7 +15,7 @@ from benchmarks.tables import mean, number, standard_error, table
 
 STARTS = {"random": "random", "fixed": "structure-guided, 6:2:1", "dynamic": "structure-guided, dynamic ratio"}
 GSIMAGE, ABQ = "GSImage", "ABQ, weight 0.0012"
-BASELINES = {GSIMAGE: "as above", RANGES: RANGES, STAGES: STAGES, SHORT: SHORT, WEAK: WEAK}
+BASELINES = (GSIMAGE, RANGES, STAGES, SHORT, WEAK)
 # What the paper reports of each row of its files, by BD-PSNR and BD-rate.
 CLAIMED = {
     "GSImage, structure-guided start": "-18 %",
@@ -47,24 +47,17 @@ def gain(found: BySetting, setting: str, baseline: str) -> list[str]:
     ]
 
 
-def average(found: BySetting, setting: str, column: str, form: str) -> str:
-    """The mean of a column over pictures, seeds and numbers of Gaussians."""
-    return number(mean([row[column] for group in found[setting].values() for row in group]), form)
-
-
 def files_table() -> str:
     """Files of each setting, against GSImage."""
     found = files("ablation")
     lines = [
         [
             NAMES.get(setting, setting),
-            average(found, setting, "psnr", ".2f"),
-            average(found, setting, "bpp", ".3f"),
-            average(found, setting, "bits_of_factor", ".1f"),
+            *(average(cases, column) for column in COLUMNS),
             *gain(found, setting, GSIMAGE),
             CLAIMED.get(setting, "-") if setting != GSIMAGE else "",
         ]
-        for setting in found
+        for setting, cases in found.items()
         if setting == GSIMAGE or setting not in BASELINES
     ]
     return table("files | PSNR | bpp | bits of l1, l2, l3, each | BD-PSNR | BD-rate | the paper", lines)
@@ -75,13 +68,13 @@ def baselines_table() -> str:
     found = files("ablation")
     lines = [
         [
-            name.removeprefix(f"{GSIMAGE}, "),
-            average(found, setting, "psnr", ".2f"),
+            "as above" if setting == GSIMAGE else setting.removeprefix(f"{GSIMAGE}, "),
+            average(found[setting], "psnr"),
             gain(found, setting, GSIMAGE)[0],
             *gain(found, "GSImage, structure-guided start", setting),
             *gain(found, ABQ, setting),
         ]
-        for setting, name in BASELINES.items()
+        for setting in BASELINES
     ]
     return table(
         "GSImage | PSNR | BD-PSNR | BD-PSNR of the start | BD-rate of the start | BD-PSNR of ABQ | BD-rate of ABQ",

@@ -50,7 +50,8 @@ NAMES = {
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
 }
-AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq", "avif grain")
+GRAIN = "avif grain"
+AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq", GRAIN)
 BPP = 0.25  # of the tables
 MAX_BPP = 0.5  # of the plot
 PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
@@ -228,16 +229,15 @@ def figures() -> dict[str, float | None]:
         for figure in SEEN:
             found[f"rate.rd-{figure}{end}"] = m["rd visual", BPP][figure]
             found[f"rate.avif-{figure}{end}"] = m[avif(figure, name), BPP][figure]
+            found[f"rate.grain-{figure}{end}"] = m[GRAIN, BPP][figure]
+        plain = [m[codec, BPP] for codec in AVIF_VISUAL if codec != GRAIN and (codec, BPP) in m]
+        found |= {f"rate.plain-{figure}{end}": min(one[figure] or 0 for one in plain) for figure in ("lpips", "dists")}
         sizes = [m[codec, BPP]["bpp"] or 0 for codec in ("rd", anchor)]
         found[f"rate.avif-unused{end}"] = 100 * (1 - sizes[1] / sizes[0])
         found[f"rate.avif-filled-psnr{end}"] = value_at(m, anchor, "rd", "psnr")
         found[f"rate.avif-filled-ssimulacra2{end}"] = value_at(m, avif("ssimulacra2", name), "rd visual", "ssimulacra2")
     shown = [codecs[0] for codecs in readme_codecs("psnr").values()]
     found["rate.above"] = sum(average(UNSEEN)[codec, BPP]["above"] or 0 for codec in shown)
-    for name, end in ((UNSEEN, ""), (KODAK, "-on-kodak")):
-        found |= {f"rate.grain-{figure}{end}": average(name)["avif grain", BPP][figure] for figure in SEEN}
-        plain = [m for (codec, bpp), m in average(name).items() if codec in AVIF_VISUAL[:-1] and bpp == BPP]
-        found |= {f"rate.plain-{figure}{end}": min(m[figure] or 0 for m in plain) for figure in ("lpips", "dists")}
     visual = [average()[codec, 0.4]["ssimulacra2"] or 0 for codec in (avif("ssimulacra2"), "rd visual")]
     found["rate.avif-points-at-0.4-on-kodak"] = visual[0] - visual[1]
     by_default = {
