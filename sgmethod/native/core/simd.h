@@ -170,9 +170,9 @@ struct Simd {
       const F* four = v + 4 * half;
       alignas(64) float parts[W];  // in each group of four lanes: the four vectors' sums over that group
       store(parts, pairs(pairs(four[0], four[1]), pairs(four[2], four[3])));
-      for (int k = 0; k < 4; ++k) out[4 * half + k] = parts[k];
-      for (int lane = 4; lane < W; lane += 4)
-        for (int k = 0; k < 4; ++k) out[4 * half + k] += parts[lane + k];
+      auto sum = Simd<4>::load(parts);
+      for (int lane = 4; lane < W; lane += 4) sum += Simd<4>::load(parts + lane);
+      Simd<4>::store(out + 4 * half, sum);
     }
   }
 
