@@ -14,7 +14,7 @@
 namespace sg {
 namespace {
 
-constexpr size_t kMaxKept = 8;
+constexpr size_t kMaxKept = 24;         // blocks: more than a step of a fit holds at once
 constexpr size_t kMaxFloats = 1 << 25;  // kept in all, 128 MB: a huge picture must not hold its memory for good
 
 struct Kept {
