@@ -1,5 +1,5 @@
 // Backpropagation, in the opposite order of drawing (raster/drawing.cpp): the gradient by a level's picture is that by
-// the finer level's, reduced. Reducing is the transpose of enlarging.
+// the finer level's, reduced.
 #include "fit/gradients.h"
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 #include "core/errors.h"
 #include "core/platform.h"
 #include "core/scratch.h"
-#include "core/thread_pool.h"
+#include "fit/reduction.h"
 #include "raster/levels.h"
 
 namespace sg {
@@ -20,7 +20,6 @@ namespace {
 
 // Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of the
 // next tile.
-constexpr int kOverTogether = 8;  // rows of tiles whose overlaps one task adds
 constexpr int kAhead = 2 * kTileWidth - 1;
 
 // Converts gradients, in place, from those by a Gaussian's mean [2], factor [3] and gain in samples of its coarse level
@@ -63,85 +62,18 @@ void sum_pairs(const Rasterization& raster, const float* colors, const float* pa
   });
 }
 
-// Loads a tile of a coarse level to values [kTileHeight][3][kTileWidth].
-void load(const Rasterization& raster, int level, int tile, Planes& planes, float* values) {
-  const int rows = raster.rows_of(tile);
-  const int64_t stride = planes.stride(level);
-  const float* from = planes.at(level, raster.tile_x(tile), raster.tile_y(tile));
-  for (int row = 0; row < 3 * rows; ++row, from += stride) {
-    __builtin_prefetch(from + 2 * kTileWidth - 1);  // of the next tile
-    std::memcpy(values + row * kTileWidth, from, kTileWidth * sizeof(float));
-  }
-  std::fill(values + rows * 3 * kTileWidth, values + kTileFloats, 0.0f);
-}
-
-// Reduces one level to the next. A task is a row of tiles, whose results overlap and are added while they are in the
-// cache. Neighbouring rows of tiles overlap by two rows, which are kept aside and added at the end.
-template <typename Load>
-void reduce(const Rasterization& raster, int level, Planes& planes, const Load& load_tile) {
-  constexpr int kRows = kTileHeight / 2, kColumns = kTileWidth / 2, kOver = kOverRows;
-  const Grid& grid = planes.grid(level);
-  const int first_tile = raster.first_tile(level);
-  if (level == planes.top()) {
-    parallel_for(grid.tiles(), [&](int k) {
-      alignas(64) float values[kTileFloats];
-      load_tile(first_tile + k, values);
-    });
-    return;
-  }
-  const Grid& below = planes.grid(level + 1);
-  const int x0 = coarse_of(grid.x, level), y0 = coarse_of(grid.y, level);
-  const int64_t stride = planes.stride(level + 1), row_floats = 3 * stride;
-  Scratch over(static_cast<size_t>(grid.blocks() * kOver * row_floats));
-  // Rows above and below the reduced ones belong to no pixel.
-  planes.clear(level + 1, below.y, y0);
-  parallel_for(grid.blocks(), [&](int block) {
-    const int y = y0 + block * kRows, rows = std::min(kRows, below.y + below.height - y);
-    float* aside = over.get() + block * kOver * row_floats;
-    planes.clear(level + 1, y, block + 1 == grid.blocks() ? below.y + below.height : y + rows);
-    std::fill_n(aside, kOver * row_floats, 0.0f);
-    alignas(64) float padded[kMarginFloats + kTileFloats + kMarginFloats] = {};
-    float* values = padded + kMarginFloats;
-    for (int strip = 0; strip < grid.strips(); ++strip) {
-      load_tile(first_tile + block * grid.strips() + strip, values);
-      const int x = x0 + strip * kColumns;
-      fit_kernels(raster.isa()).reduce(values, rows, planes.at(level + 1, x, y), aside + (x - below.x), stride);
-    }
-  });
-  parallel_each(grid.blocks(), kOverTogether, [&](int block) {
-    for (int row = 0; row < kOver; ++row) {
-      const int y = y0 + (block + 1) * kRows + row;
-      if (y >= below.y + below.height) continue;
-      const float* from = over.get() + (block * kOver + row) * row_floats;
-      float* to = planes.at(level + 1, below.x, y);
-      for (int64_t i = 0; i < row_floats; ++i) to[i] += from[i];
-    }
-  });
-}
-
-// Reduces the picture to all coarse levels. Calls each(tile, values) for each tile of every level, to set the values of
-// the picture's tiles, and to read those of the others.
-template <typename Each>
-void reduce_all(const Rasterization& raster, const Each& each, Planes& planes) {
-  for (int level = 0; level <= planes.top(); ++level)
-    reduce(raster, level, planes, [&](int tile, float* values) {
-      if (level != 0) load(raster, level, tile, planes, values);
-      each(tile, values);
-    });
-}
-
-// Computes gradients. fill(tile, gradient, pair_gradients) must set both for each tile of the picture; gradient is
-// [kTileHeight][3][kTileWidth].
+// Computes gradients. fill(tile, part, gradient, pair_gradients) must set both for each tile of the picture; gradient
+// is [kTileHeight][3][kTileWidth], and `part` the task's own.
 template <typename Fill>
 void gradients(const Rasterization& raster, const float* colors, const Fill& fill, const MutableGaussians& out) {
   Scratch pair_gradients(static_cast<size_t>(raster.pairs()) * kPairGradients);  // all written below
   const auto gradients_of = [&](int tile) { return pair_gradients.get() + raster.first_pair(tile) * kPairGradients; };
-  Planes planes(raster.grids());
-  const auto each = [&](int tile, float* gradient) {
-    if (tile < raster.tiles(0)) fill(tile, gradient, gradients_of(tile));
+  Planes planes(raster.grids(), Planes::Rows::kRoom, 2);
+  const auto each = [&](int tile, Rasterization::Part& part, float* gradient) {
+    if (tile < raster.tiles(0)) fill(tile, part, gradient, gradients_of(tile));
     else fit_kernels(raster.isa()).backward(raster, tile, colors, gradient, gradients_of(tile));
   };
-  reduce_all(raster, each, planes);
+  Reduction(raster, each, planes).run();
   sum_pairs(raster, colors, pair_gradients.get(), out);
 }
 
@@ -151,7 +83,7 @@ double mean(const Rasterization& raster, const std::vector<double>& errors) {
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(samples(raster));
 }
 
-TileTarget part(const Rasterization& raster, int tile, const int16_t* target, float scale) {
+TileTarget target_of(const Rasterization& raster, int tile, const int16_t* target, float scale) {
   const Rasterization::Area a = raster.area(tile);
   const int64_t first = static_cast<int64_t>(a.y) * raster.width() + a.x;
   return {target + first, samples(raster) / 3, raster.width(), 0, a.columns, a.rows, scale};
@@ -191,7 +123,7 @@ void weigh(const Rasterization& raster, int tile, const int16_t* visibility, flo
 }  // namespace
 
 void missing(const Rasterization& raster, const float* colors, const int16_t* target, float* image) {
-  raster.draw_tiles(colors, [&](int tile, const float* values) {
+  raster.draw_tiles(colors, Rasterization::kBlack, [&](int tile, const float* values) {
     raster.for_rows(tile, values, [&](const float* from, int64_t at, int columns) {
       subtract(target + at, from, columns, image + at);
     });
@@ -201,7 +133,7 @@ void missing(const Rasterization& raster, const float* colors, const int16_t* ta
 void missing_halved(const Rasterization& raster, const float* colors, const int16_t* target, float* image) {
   constexpr int kRow = 3 * kTileWidth;
   const int64_t width = (raster.width() + 1) / 2, height = (raster.height() + 1) / 2;
-  raster.draw_tiles(colors, [&](int tile, float* values) {
+  raster.draw_tiles(colors, Rasterization::kBlack, [&](int tile, float* values) {
     raster.for_rows(tile, values,
                     [&](float* row, int64_t at, int columns) { subtract(target + at, row, columns, row); });
     const Rasterization::Area a = raster.area(tile);
@@ -219,21 +151,21 @@ void missing_halved(const Rasterization& raster, const float* colors, const int1
 
 void leave(const Rasterization& raster, const float* colors, const int16_t* target, const Strips& left, Planes& reduced,
            const int16_t* visibility) {
-  Planes coarse(raster.grids(), Planes::Rows::kWhole);
-  raster.draw_coarse(colors, 1, coarse);
-  const auto each = [&](int tile, float* values) {
+  Planes coarse(raster.grids(), Planes::Rows::kWhole, 2);
+  raster.draw_coarse(colors, 2, coarse);
+  const auto each = [&](int tile, Rasterization::Part& part, float* values) {
     if (tile >= raster.tiles(0)) return;
-    raster.draw_tile(tile, coarse, colors, values);
-    fit_kernels(raster.isa()).difference(values, part(raster, tile, target, -1.0f));
+    raster.draw_tile(tile, coarse, colors, part, values);
+    fit_kernels(raster.isa()).difference(values, target_of(raster, tile, target, -1.0f));
     const Rasterization::Area a = raster.area(tile);
     std::memcpy(left.row(a.x / kTileWidth, a.y), values, static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
     if (visibility != nullptr) weigh(raster, tile, visibility, values);
   };
-  reduce_all(raster, each, reduced);
+  Reduction(raster, each, reduced).run();
 }
 
 void backward(const Rasterization& raster, const float* colors, const float* image_grad, const MutableGaussians& out) {
-  const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
+  const auto fill = [&](int tile, Rasterization::Part&, float* gradient, float* pair_gradients) {
     std::fill_n(gradient, kTileFloats, 0.0f);
     raster.for_rows(tile, gradient,
                     [&](float* to, int64_t at, int columns) { std::copy_n(image_grad + at, columns, to); });
@@ -245,10 +177,10 @@ void backward(const Rasterization& raster, const float* colors, const float* ima
 void gram(const Rasterization& raster, const float* colors, float* out_colors, const int16_t* visibility) {
   const auto n = static_cast<size_t>(raster.gaussians());
   std::vector<float> means(2 * n), factors(3 * n);  // not needed
-  Planes coarse(raster.grids(), Planes::Rows::kWhole);
-  raster.draw_coarse(colors, 1, coarse);
-  const auto fill = [&](int tile, float* picture, float* pair_gradients) {
-    raster.draw_tile(tile, coarse, colors, picture);
+  Planes coarse(raster.grids(), Planes::Rows::kWhole, 2);
+  raster.draw_coarse(colors, 2, coarse);
+  const auto fill = [&](int tile, Rasterization::Part& part, float* picture, float* pair_gradients) {
+    raster.draw_tile(tile, coarse, colors, part, picture);
     const Rasterization::Area a = raster.area(tile);  // beyond it, values are set to zero
     for (int row = 0; row < kTileHeight * 3; ++row) {
       float* const values = picture + row * kTileWidth;
@@ -264,13 +196,13 @@ double squared_error(const Rasterization& raster, const float* colors, const int
                      const MutableGaussians& out, const int16_t* visibility, const Seen& seen) {
   if (raster.canvas().x != 0 || raster.canvas().y != 0) refuse<std::invalid_argument>("a fit is of the whole picture");
   const float scale = 2.0f / static_cast<float>(samples(raster));
-  Planes coarse(raster.grids(), Planes::Rows::kWhole);
-  raster.draw_coarse(colors, 1, coarse);
+  Planes coarse(raster.grids(), Planes::Rows::kWhole, 2);
+  raster.draw_coarse(colors, 2, coarse);
   std::vector<double> errors(static_cast<size_t>(raster.tiles(0)));
-  const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
+  const auto fill = [&](int tile, Rasterization::Part& part, float* gradient, float* pair_gradients) {
     const std::unique_ptr<float[]> first(new float[first_value_count(raster, tile)]);  // all written by the kernel
-    raster.begin_tile(tile, coarse, gradient);
-    TileTarget here = part(raster, tile, target, scale);
+    raster.begin_tile(tile, coarse, colors, part, gradient);
+    TileTarget here = target_of(raster, tile, target, scale);
     here.ahead = kAhead;
     if (visibility != nullptr) here.visibility = visibility + (here.first - target);
     here.seen = seen;
@@ -283,8 +215,9 @@ double squared_error(const Rasterization& raster, const float* colors, const int
 
 double squared_error(const Rasterization& raster, const float* colors, const int16_t* target) {
   std::vector<double> errors(static_cast<size_t>(raster.tiles(0)));
-  raster.draw_tiles(colors, [&](int tile, float* values) {
-    errors[static_cast<size_t>(tile)] = fit_kernels(raster.isa()).difference(values, part(raster, tile, target, 0.0f));
+  raster.draw_tiles(colors, Rasterization::kBlack, [&](int tile, float* values) {
+    const TileTarget here = target_of(raster, tile, target, 0.0f);
+    errors[static_cast<size_t>(tile)] = fit_kernels(raster.isa()).difference(values, here);
   });
   return mean(raster, errors);
 }

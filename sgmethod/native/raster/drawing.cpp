@@ -12,18 +12,6 @@
 #include "raster/rasterization.h"
 
 namespace sg {
-namespace {
-
-constexpr float kBlack[3] = {};
-
-// The part of the picture drawn by one task: some strips of a row of tiles. The part of level 1 to be enlarged to it
-// may begin anywhere within a strip of level 1.
-constexpr int kPartStrips = 16, kPartRows = kTileHeight / 2 + 2;
-constexpr int kPartColumns = kPartStrips * kTileWidth / 2 + kTileWidth;
-constexpr int kPartFloats = 3 * kPartColumns * kPartRows + kTileWidth;  // enlarging reads beyond the last row
-
-}  // namespace
-
 Rasterization::Area Rasterization::area(int tile) const {
   const auto [x, y] = corner(tile);
   const int skip_columns = std::max(canvas_.x - x, 0), skip_rows = std::max(canvas_.y - y, 0);
@@ -104,12 +92,12 @@ void Rasterization::draw_tile(int tile, Rows rows, Samples coarse, const float* 
   }
 }
 
-void Rasterization::begin_tile(int tile, Planes& coarse, float* values) const {
-  begin_tile({0, rows_of(tile)}, below(coarse, tile), kBlack, values);
+void Rasterization::begin_tile(int tile, Planes& coarse, const float* colors, Part& part, float* values) const {
+  begin_tile({0, rows_of(tile)}, under(tile, coarse, colors, part), kBlack, values);
 }
 
-void Rasterization::draw_tile(int tile, Planes& coarse, const float* colors, float* values) const {
-  draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
+void Rasterization::draw_tile(int tile, Planes& coarse, const float* colors, Part& part, float* values) const {
+  draw_tile(tile, {0, rows_of(tile)}, under(tile, coarse, colors, part), kBlack, colors, values);
 }
 
 void Rasterization::add_texture(int tile, Rows rows, float* accumulators) const {
@@ -124,29 +112,24 @@ int Rasterization::rows_of(int tile) const {
 }
 
 void Rasterization::render(const float* colors, float* image) const {
-  draw_tiles(colors, [&](int tile, const float* values) {
+  draw_tiles(colors, kBlack, [&](int tile, const float* values) {
     for_rows(tile, values, [&](const float* from, int64_t at, int columns) { std::copy_n(from, columns, image + at); });
   });
 }
 
-// Level 1 has a quarter of the picture's samples: too many to read back from memory. So each task draws the part that
-// it enlarges, and the rows and columns at the edges of parts are drawn twice.
 void Rasterization::render_bytes(const float* colors, const float* background, uint8_t* image) const {
-  Planes coarse(grids_, Planes::Rows::kWhole, 2);
-  draw_coarse(colors, 2, coarse);
-  const int across = (grids_[0].strips() + kPartStrips - 1) / kPartStrips;
-  parallel_for(across * grids_[0].blocks(), [&](int k) {
-    alignas(64) float level_1[kPartFloats];
-    const int block = k / across, first = k % across * kPartStrips;
-    const Samples part = top() == 0 ? Samples{} : draw_part(coarse, first, block, colors, level_1);
-    for (int strip = first; strip < std::min(first + kPartStrips, grids_[0].strips()); ++strip) {
-      const int tile = block * grids_[0].strips() + strip;
-      const Samples here = {top() == 0 ? nullptr : part.first + (strip - first) * (kTileWidth / 2), part.stride};
-      alignas(64) float acc[kTileFloats];
-      draw_tile(tile, {0, rows_of(tile)}, here, background, colors, acc);
-      write_bytes(tile, acc, image);
-    }
-  });
+  draw_tiles(colors, background, [&](int tile, const float* values) { write_bytes(tile, values, image); });
+}
+
+// The samples of level 1 that are enlarged to a tile of the picture.
+Rasterization::Samples Rasterization::under(int tile, Planes& coarse, const float* colors, Part& part) const {
+  if (top() == 0) return {};
+  const int strip = tile % grids_[0].strips(), within = strip % kPartStrips;
+  if (part.first_tile != tile - within) {
+    part.first_tile = tile - within;
+    part.level_1 = draw_part(coarse, strip - within, tile / grids_[0].strips(), colors, part.values);
+  }
+  return {part.level_1.first + within * (kTileWidth / 2), part.level_1.stride};
 }
 
 // Draws the part of level 1 that is enlarged to a block's tiles from a strip on. samples: memory for it.
@@ -166,6 +149,10 @@ Rasterization::Samples Rasterization::draw_part(Planes& planes, int strip, int b
     }
     from = top_row + rows.end;
   }
+  // What is enlarged beyond the right edge is multiplied by a visibility of zero: it must be finite.
+  const int drawn = std::min(grid.width - first_strip * kTileWidth, kPartColumns);
+  for (int row = 0; row < 3 * (end - y); ++row)
+    std::fill_n(samples + row * kPartColumns + drawn, std::min(kTileWidth, kPartColumns - drawn), 0.0f);
   return {samples + (x - grid.x) % kTileWidth, kPartColumns};
 }
 

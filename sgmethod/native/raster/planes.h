@@ -24,6 +24,10 @@ class Planes {
 
   int top() const { return static_cast<int>(grids_.size()) - 1; }
   const Grid& grid(int level) const { return grids_[static_cast<size_t>(level)]; }
+  // Whether a level takes memory.
+  bool holds(int level) const {
+    return offsets_[static_cast<size_t>(level) + 1] > offsets_[static_cast<size_t>(level)];
+  }
   // Floats from one colour of a row to the next.
   int64_t stride(int level) const {
     return rows_ == Rows::kWhole ? grid(level).width : (grid(level).strips() + 1) * kTileWidth;

@@ -19,6 +19,10 @@
 namespace sg {
 
 constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // values of a tile [kTileHeight][3][kTileWidth]
+// A part of level 1 (Rasterization::Part) is under so many strips. It may begin anywhere within a strip of level 1.
+constexpr int kPartStrips = 16, kPartRows = kTileHeight / 2 + 2;
+constexpr int kPartColumns = kPartStrips * kTileWidth / 2 + kTileWidth;
+constexpr int kPartFloats = 3 * kPartColumns * kPartRows + kTileWidth;  // enlarging reads beyond the last row
 constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory runs out long before
 
 // Most pairs that n Gaussians over a picture may need. Fitted ones need at most a fifth of this (six pictures from 0.03
@@ -92,15 +96,29 @@ class Rasterization {
     int x, y, columns, rows, skip_columns, skip_rows;
   };
   Area area(int tile) const;
+  static constexpr float kBlack[3] = {};
   // Draws the levels from the top down to `last`, each including those above it.
   void draw_coarse(const float* colors, int last, Planes& planes) const;
+  // A level's samples to be enlarged, in rows of three colours, `stride` floats long. None at the top.
+  struct Samples {
+    const float* first = nullptr;
+    int64_t stride = 0;
+  };
+  // Level 1 under some strips of a row of tiles of the picture. It has a quarter of the picture's samples: too many to
+  // read back from memory. So each task draws the part that it enlarges, where it stays in the cache, and the rows and
+  // columns at the edges of parts are drawn twice.
+  struct Part {
+    int first_tile = -1;
+    Samples level_1;
+    alignas(64) float values[kPartFloats];
+  };
   // A tile of the picture [kTileHeight][3][kTileWidth], without and with its own Gaussians. coarse: drawn down to level
-  // 1.
-  void begin_tile(int tile, Planes& coarse, float* values) const;
-  void draw_tile(int tile, Planes& coarse, const float* colors, float* values) const;
-  // Calls take(tile, its values) for each tile of the picture.
+  // 2. part: the task's own, drawn anew where it ends.
+  void begin_tile(int tile, Planes& coarse, const float* colors, Part& part, float* values) const;
+  void draw_tile(int tile, Planes& coarse, const float* colors, Part& part, float* values) const;
+  // Calls take(tile, its values) for each tile of the picture, on a background [3].
   template <typename Take>
-  void draw_tiles(const float* colors, const Take& take) const;
+  void draw_tiles(const float* colors, const float* background, const Take& take) const;
   // Calls take(values, place in an image [3, height, width], columns) for the rows of a tile.
   template <typename Value, typename Take>
   void for_rows(int tile, Value* values, const Take& take) const;
@@ -115,11 +133,6 @@ class Rasterization {
   // Rows of a tile, from `first` to before `end`.
   struct Rows {
     int first, end;
-  };
-  // A level's samples to be enlarged, in rows of three colours, `stride` floats long. None at the top.
-  struct Samples {
-    const float* first = nullptr;
-    int64_t stride = 0;
   };
   // Some consecutive Gaussians, and their pairs, strip by strip.
   struct Bin {
@@ -147,6 +160,7 @@ class Rasterization {
 
   Samples below(Planes& planes, int tile) const;
   void draw_coarse_tile(int tile, Rows rows, Samples coarse, const float* colors, float* to, int64_t stride) const;
+  Samples under(int tile, Planes& coarse, const float* colors, Part& part) const;
   Samples draw_part(Planes& planes, int strip, int block, const float* colors, float* samples) const;
   void begin_tile(Rows rows, Samples coarse, const float* background, float* accumulators) const;
   void add_texture(int tile, Rows rows, float* accumulators) const;
@@ -170,13 +184,18 @@ class Rasterization {
 };
 
 template <typename Take>
-void Rasterization::draw_tiles(const float* colors, const Take& take) const {
-  Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, 1, coarse);
-  parallel_for(tiles(0), [&](int tile) {
+void Rasterization::draw_tiles(const float* colors, const float* background, const Take& take) const {
+  Planes coarse(grids_, Planes::Rows::kWhole, 2);
+  draw_coarse(colors, 2, coarse);
+  const int strips = grids_[0].strips(), across = (strips + kPartStrips - 1) / kPartStrips;
+  parallel_for(across * grids_[0].blocks(), [&](int k) {
+    Part part;
     alignas(64) float values[kTileFloats];
-    draw_tile(tile, coarse, colors, values);
-    take(tile, values);
+    const int first = k / across * strips + k % across * kPartStrips, end = (k / across + 1) * strips;
+    for (int tile = first; tile < std::min(first + kPartStrips, end); ++tile) {
+      draw_tile(tile, {0, rows_of(tile)}, under(tile, coarse, colors, part), background, colors, values);
+      take(tile, values);
+    }
   });
 }
 

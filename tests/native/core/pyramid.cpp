@@ -8,7 +8,9 @@
 
 #include "check.h"
 #include "core/constants.h"
+#include "core/thread_pool.h"
 #include "fit/gradients.h"
+#include "fit/reduction.h"
 #include "raster/levels.h"
 #include "raster/planes.h"
 #include "raster/rasterization.h"
@@ -204,6 +206,51 @@ TEST(residuals_are_reduced_by_enlarging_transposed) {
       const Level own(residual.raster.grids(), level);
       CHECK(difference(residual.reduced, level, own.reduced(left)) < kTolerance);
     }
+  }
+}
+
+// A picture whose level 1 is reduced in more than one part.
+TEST(levels_are_the_same_whether_level_1_is_kept_or_not) {
+  const int threads = sg::thread_count();
+  sg::set_thread_count(1);
+  for (const int y : {0, 70}) {
+    const sg::GaussianArrays g = scattered(4100, 600);
+    const sg::Canvas part{0, y, 4100, 600, sg::kCutoffV2, true};
+    const sg::Rasterization raster(g.means.data(), g.factors.data(), kAll, part, -1, sg::kMaxPairs);
+    sg::Planes kept(raster.grids()), rest(raster.grids(), sg::Planes::Rows::kRoom, 2);
+    std::vector<float> sums[2];
+    for (const bool keeps : {true, false}) {
+      std::vector<float>& own = sums[keeps];
+      const auto each = [&](int tile, sg::Rasterization::Part&, float* values) {
+        for (int i = 0; tile < raster.tiles(0) && i < sg::kTileFloats; ++i)
+          values[i] = static_cast<float>((tile * 31 + i * 17) % 101 - 50);
+        own.resize(std::max(own.size(), static_cast<size_t>(tile) + 1));
+        float& sum = own[static_cast<size_t>(tile)];
+        for (int i = 0; i < sg::kTileFloats; ++i) sum += values[i] * static_cast<float>(i % 7);
+      };
+      sg::Reduction(raster, each, keeps ? kept : rest).run();
+    }
+    CHECK(kept.top() >= 3 && sums[0] == sums[1]);
+    for (int level = 2; level <= kept.top(); ++level) CHECK(red(kept, level).values == red(rest, level).values);
+  }
+  sg::set_thread_count(threads);
+}
+
+// A visibility of zero makes nothing of them, unless they are NaN.
+TEST(values_beyond_the_right_edge_are_finite) {
+  const int width = 83, height = 70;
+  const sg::GaussianArrays g = scattered(width, height);
+  const Residual residual(width, height, g);
+  const sg::Rasterization& raster = residual.raster;
+  sg::Planes coarse(raster.grids(), sg::Planes::Rows::kWhole, 2);
+  raster.draw_coarse(g.colors.data(), 2, coarse);
+  sg::Rasterization::Part under;
+  std::fill_n(under.values, sg::kPartFloats, std::numeric_limits<float>::quiet_NaN());
+  for (int tile = 0; tile < raster.tiles(0); ++tile) {
+    float values[sg::kTileFloats];
+    raster.begin_tile(tile, coarse, g.colors.data(), under, values);
+    const int count = 3 * sg::kTileWidth * raster.rows_of(tile);
+    CHECK(std::all_of(values, values + count, [](float v) { return std::isfinite(v); }));
   }
 }
 
