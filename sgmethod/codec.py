@@ -32,6 +32,7 @@ def encode(
     psnr: AnyFloat | None = None,
     gaussians: AnyInt | None = None,
     tune: Tune | None = None,
+    texture: bool = True,
     effort: AnyInt = DEFAULT_EFFORT,
     settings: Settings | None = None,
     seed: AnyInt = 0,
@@ -57,8 +58,10 @@ def encode(
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp, but at most 50,000 bytes.
     profile: "rd" or "paper".
-    tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
-    profiles support only "psnr".
+    tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" invents nothing, and stays as
+    close to the picture as can be seen; "psnr" has the least squared error. Budgets in dB and other profiles support
+    only "psnr".
+    texture: False leaves out the noise that stands in for grain when tuned "visual"; other tunings have none.
     effort: 1 (fastest) to 9 (best file); profile rd only.
     settings: all parameters of the method, for experiments; replaces profile and effort.
     seed: random seed. Without a time limit, the same call gives the same file on the same machine.
@@ -76,7 +79,7 @@ def encode(
     clock, limit_s = Clock(stop), checked_time_limit(time_limit_s)
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = only_budget(budget, kinds | {"gaussians": gaussians})
-    asked = EncodeArguments.checked(only, profile, tune, effort, settings, seed)
+    asked = EncodeArguments.checked(only, profile, tune, effort, settings, seed, texture)
     pixels = read_input(image, keep_alpha=asked.profile == "rd")
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)

@@ -48,14 +48,15 @@ def checked_profile(profile: str) -> Profile:
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
     """Return the requested tuning, or the default for this profile and budget.
 
-    Raises BudgetError for an unknown one, and for "visual" with a budget in dB or a profile other than rd.
+    Raises BudgetError for an unknown one, and for one other than "psnr" with a budget in dB or a
+    profile other than rd.
     """
     psnr_alone = budget.kind == "psnr" or profile != "rd"
     if tune is None:
         return "psnr" if psnr_alone else DEFAULT_TUNE
     if tune not in TUNES:
         raise BudgetError(f"unknown tune {tune!r}; use one of {', '.join(TUNES)}")
-    if tune == "visual" and psnr_alone:
+    if tune != "psnr" and psnr_alone:
         what = "a budget in dB" if budget.kind == "psnr" else f"profile {profile}"
         raise BudgetError(f"{what} can only be tuned for psnr")
     return TUNES[TUNES.index(tune)]

@@ -67,7 +67,7 @@ class Sg:
     def _at_quantum(self, pixels: Pixels, quantum: float) -> bytes:
         """The file of a fixed quantum, which is no budget."""
         settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
-        objective = Objective.from_pixels(pixels, self.tune, settings.objective)
+        objective = Objective.from_pixels(pixels, self.tune, settings.objective, texture=True)
         rate, deadline = RateControl(settings, size, quantum), Deadline.from_limit(clock, None, size, settings.deadline)
         request = Request(objective, rate, deadline, Kernels(), Recorder(clock))
         return container.serialise(rd.encode(request)[0])

@@ -80,7 +80,7 @@ class JobSummary(AcceptedView):
     position: int | None = Field(description="position in the queue, from 1, while queued")
     budget: BudgetView
     profile: str
-    tune: str = Field(description='"psnr" or "visual"')
+    tune: str = Field(description='"psnr", "fidelity" or "visual"')
     effort: int = Field(description="1 (fastest) to 9 (best file)")
     time_limit_s: float
     priority: Priority

@@ -82,7 +82,9 @@ class EncodeOptions(BaseModel):
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
     )
     tune: str | SkipJsonSchema[None] = Field(
-        default=None, description="optimise for PSNR or for the eye", json_schema_extra={"enum": list(TUNES)}
+        default=None,
+        description="visual looks best, fidelity invents nothing, psnr has the least squared error",
+        json_schema_extra={"enum": list(TUNES)},
     )
     effort: int = Field(
         default=DEFAULT_EFFORT,

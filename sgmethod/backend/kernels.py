@@ -45,7 +45,9 @@ class Kernels:
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
         out = Gaussians.empty(len(gaussians))
-        mse = _raster(gaussians, frame).squared_error(gaussians.colors, target, *out.arrays, *_seen(visibility))
+        mse = _raster(gaussians, frame).squared_error(
+            gaussians.colors, target, *out.arrays, *_seen(visibility), frame.spacing
+        )
         return mse, _by_whole_pixels(out, frame)
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
@@ -74,9 +76,12 @@ class Kernels:
         settings: OptimiserSettings,
         rate: float,
         values: int,
+        visibility: Visibility | None = None,
+        spacing: int = 1,
     ) -> None:
-        averages = moments.first, moments.second, moments.bias
-        native.frame_adam(_adam(settings, values), rate, *gaussians.arrays, *gradient.arrays, *averages)
+        seen, _, coarse = _seen(visibility)
+        arrays = *gaussians.arrays, *gradient.arrays, moments.first, moments.second, moments.bias
+        native.frame_adam(_adam(settings, values), rate, *arrays, seen, spacing, coarse)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
         values = gaussians.factors, gaussians.colors, gradient.factors, gradient.colors
@@ -87,7 +92,7 @@ class Kernels:
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         d, f = descent, descent.frame
-        visibility, by_eye = _seen(d.visibility)
+        visibility, by_eye, coarse = _seen(d.visibility)
         native.rd_steps(
             target=d.target,
             cutoff=f.cutoff,
@@ -108,6 +113,7 @@ class Kernels:
             bias=moments.bias,
             visibility=visibility,
             by_eye=by_eye,
+            coarse=coarse,
         )
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
@@ -118,7 +124,7 @@ class Kernels:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        values, by_eye = _seen(visibility)
+        values, by_eye, _ = _seen(visibility)
         return native.rd_refine(
             coding.parameters,
             *gaussians.arrays,
@@ -154,5 +160,5 @@ def _by_whole_pixels(gradient: Gaussians, frame: Frame) -> Gaussians:
     return gradient
 
 
-def _seen(visibility: Visibility | None) -> tuple[NDArray[np.int16] | None, bool]:
-    return (None, True) if visibility is None else (visibility.values, visibility.by_eye)
+def _seen(visibility: Visibility | None) -> tuple[NDArray[np.int16] | None, bool, float]:
+    return (None, True, 0.0) if visibility is None else (visibility.values, visibility.by_eye, visibility.coarse)

@@ -6,7 +6,7 @@ Means and factors are always in pixels of the whole picture, whatever the frame'
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ from sgmethod.settings.shared import OptimiserSettings
 Target = NDArray[np.int16]  # [3, H, W], the sum that Gaussians should reach; TARGET_WHITE is white
 TARGET_WHITE = native.TARGET_WHITE
 VISIBLE = native.VISIBLE  # a visibility of 1
+COARSE_SIDE = native.COARSE_SIDE  # pixels of the whole picture
 CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V2  # sigma at which a Gaussian ends, in versions 1 and 2
 # Distance of a centre beyond the picture, in scales of the Gaussian. Files allow two cells of the grid, at least 1.68.
 GRID_REACH = 1.6
@@ -54,11 +55,13 @@ class Visibility:
     """Weights of the pixels' errors.
 
     values: int16 [H, W], VISIBLE for 1; by_eye: an error e in red, green and blue counts e^T color e, so that luma
-    counts more than colour; otherwise all three channels count alike.
+    counts more than colour; otherwise all three channels count alike; coarse: weight with which the mean error of each
+    square of COARSE_SIDE pixels of the whole picture counts once more, in errors, gradients and steps alone.
     """
 
     values: NDArray[np.int16]
     by_eye: bool = True
+    coarse: float = 0.0
 
     @property
     def color(self) -> NDArray[np.float64]:
@@ -67,7 +70,7 @@ class Visibility:
 
     def halved(self) -> Visibility:
         """Return the visibility at half the size, by means of four."""
-        return Visibility(halved(self.values), self.by_eye)
+        return replace(self, values=halved(self.values))
 
 
 @dataclass(frozen=True)
@@ -193,13 +196,16 @@ class Backend(Protocol):
         settings: OptimiserSettings,
         rate: float,
         values: int,
+        visibility: Visibility | None = None,
+        spacing: int = 1,
     ) -> None:
         """Move Gaussians in place by one step of Adam in each one's own frame, and update the moments.
 
         A mean moves by L d and a factor by L S with S lower triangular, so a rate is the same relative change for a
         speck and for a wide ellipse. A step is at most settings.newton_steps times the Gauss-Newton step with a
-        diagonal matrix. rate: factor on all rates of the settings; values: samples of the picture, over which the loss
-        is a mean.
+        diagonal matrix, whose curvature grows with the visibility at the centre, if that is above 1, and with the part
+        of the Gaussian that coarse errors count once more. rate: factor on all rates of the settings; values: samples
+        of the picture, over which the loss is a mean; spacing: of the visibility, in pixels of the whole picture.
         """
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
@@ -237,5 +243,5 @@ def step_by_step(
         _, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
         if d.price > 0:
             backend.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
-        backend.step(gaussians, gradient, moments, d.settings, rate, d.values)
+        backend.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
         backend.keep_in_range(gaussians, d.width, d.height)

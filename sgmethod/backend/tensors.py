@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d
+from torch.nn.functional import avg_pool2d, conv2d, pad
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import (
+    COARSE_SIDE,
     TARGET_WHITE,
     VISIBLE,
     Descent,
@@ -53,14 +54,14 @@ class Tensors(Kernels):
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         left = self._drawn(gaussians, frame)[1] - self._image(target)
-        return _mean(left * self._seen(left, visibility))
+        return _mean(left * self._seen(_with_coarse(left, frame, visibility), visibility))
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
         pairs, drawn = self._drawn(gaussians, frame)
         left = drawn - self._image(target)
-        seen = self._seen(left, visibility)
+        seen = self._seen(_with_coarse(left, frame, visibility), visibility)
         return _mean(left * seen), self._gradient(pairs, gaussians, frame, seen * (2 / left.numel()))
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
@@ -146,6 +147,17 @@ class Tensors(Kernels):
 
     def _tensor(self, values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(self._device)
+
+
+def _with_coarse(errors: Tensor, frame: Frame, visibility: Visibility | None) -> Tensor:
+    """Add the mean of each square, times the weight of coarse errors, to errors [3, H, W]."""
+    if visibility is None or visibility.coarse == 0:
+        return errors
+    _, height, width = errors.shape
+    side = max(COARSE_SIDE // frame.spacing, 1)
+    means = avg_pool2d(pad(errors, (0, -width % side, 0, -height % side)), side)
+    means = means.repeat_interleave(side, 1).repeat_interleave(side, 2)[:, :height, :width]
+    return errors + visibility.coarse * means
 
 
 def _mean(values: Tensor) -> float:

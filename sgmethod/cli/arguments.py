@@ -193,7 +193,13 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
     )
     parser.add_argument(
-        "--tune", choices=TUNES, help=f"optimise for PSNR or for the eye (default: {DEFAULT_TUNE}; with --psnr: psnr)"
+        "--tune",
+        choices=TUNES,
+        help=f"visual looks best, fidelity invents nothing, psnr has the least squared error (default: {DEFAULT_TUNE}; "
+        "with --psnr: psnr)",
+    )
+    parser.add_argument(
+        "--no-texture", dest="texture", action="store_false", help="leave out the noise that stands in for grain"
     )
     parser.add_argument(
         "--effort",

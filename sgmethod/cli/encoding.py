@@ -92,7 +92,12 @@ Show = Callable[[TracePoint], None] | None
 
 def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
     """Options other than budget and profile, the same here and on a server."""
-    return {"tune": arguments.tune, "effort": arguments.effort, "time_limit_s": arguments.time_limit}
+    return {
+        "tune": arguments.tune,
+        "texture": arguments.texture,
+        "effort": arguments.effort,
+        "time_limit_s": arguments.time_limit,
+    }
 
 
 def _encode_here(_: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:

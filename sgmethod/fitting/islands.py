@@ -208,8 +208,12 @@ class OnSheet:
         settings: OptimiserSettings,
         rate: float,
         values: int,
+        visibility: Visibility | None = None,
+        spacing: int = 1,
     ) -> None:
-        self.backend.step(gaussians, gradient, moments, settings, rate, values)
+        moving = self._on_sheet(gaussians)
+        self.backend.step(moving, gradient, moments, settings, rate, values, visibility, spacing)
+        gaussians.means[:] = moved(moving.means, self.islands.to_picture)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
         self.backend.add_rate_gradient(gaussians, gradient, quantum, weight)

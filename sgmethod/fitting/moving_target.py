@@ -1,15 +1,15 @@
 """Targets that move during the fit, depending on the current error.
 
-The eye sees coarse errors better than fine ones. With K e the mean of an error e over small squares, (e + K e)^T V e is
-minimised instead of e^T V e. Its gradient, V (e + K e), equals the gradient of e^T V e against a target that lies
-K e further away.
-
-The eye also sees whether detail is as strong as it should be. Let x be an octave of the source, y the same octave of
-the picture, and s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient
-in y is proportional to x - s y, like that of a squared error against x / s. Squared error alone leaves detail too weak
+The eye sees whether detail is as strong as it should be. Let x be an octave of the source, y the same octave of the
+picture, and s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient in
+y is proportional to x - s y, like that of a squared error against x / s. Squared error alone leaves detail too weak
 where Gaussians are few, except at its peaks. Fitted against x / s, it comes closer to the strength of the source.
 
-So only the target is moved, every few steps, and the kernels stay as they are.
+The eye also sees coarse errors better than fine ones. With K e the mean of an error e over small squares, the fit
+minimises e^T V e + w (K e)^T V (K e) (Visibility.coarse), whose gradient is V (e + w K e). That is the gradient of
+e^T V e against a target that lies w K e further away, which refining is given: it weighs each pixel alone.
+
+A target moves only every few steps, and part of the way, or it and the fit would swing.
 """
 
 from __future__ import annotations
@@ -62,10 +62,6 @@ class FitTarget:
         """Return the target with grain [3, H, W] to be subtracted at each move."""
         return self
 
-    def whole(self) -> FitTarget:
-        """Return the target with its grain added back, for good."""
-        return self
-
     def at_rest(self) -> FitTarget:
         """Return the target where it is now, without the memory that a move needs."""
         return FitTarget(self.original, self.now)
@@ -73,30 +69,25 @@ class FitTarget:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExaggeratedTarget(FitTarget):
-    """A target for the eye: exaggerates coarse errors and detail that the picture lacks, without hidden grain.
+    """A target for the eye: exaggerates detail that the picture lacks, without hidden grain.
 
-    It moves only after the growth of a run, which would take the difference for error and add wide Gaussians instead of
-    correcting fine errors.
-    shrink: coarse errors are means over squares of so many samples, at least 2; by: the offset for them, at 1 / shrink
-    of the size; detail: the source's luma by octave, from half the size on; more: its exaggeration, as factors; kept:
-    share of detail left where grain is hidden, at half the size.
+    It moves only after the growth of a run, which would take the difference for error.
+    detail: the source's luma by octave, from half the size on; more: its exaggeration, as factors; kept: share of
+    detail left where grain is hidden, at half the size.
     """
 
     half = True
 
-    hides: bool = False
-    shrink: int
     settings: MovingTargetSettings
     grain: Target | None = None
-    by: FloatArray | None = None
     detail: tuple[FloatArray, ...] = ()
     more: tuple[FloatArray, ...] = ()
     kept: FloatArray | None = None
 
     @classmethod
-    def from_target(cls, target: Target, shrink: int, settings: MovingTargetSettings) -> ExaggeratedTarget:
-        """Start at the original target."""
-        return cls(target, target, settings.every, shrink=shrink, settings=settings)
+    def from_target(cls, target: Target, settings: MovingTargetSettings, *, hides: bool) -> ExaggeratedTarget:
+        """Start at the original target. hides: no grain will be hidden."""
+        return cls(target, target, settings.every, hides, settings=settings)
 
     def is_due(self, step: int, has_grown: bool) -> bool:
         return has_grown and step % self.every == 0
@@ -106,36 +97,20 @@ class ExaggeratedTarget(FitTarget):
         hidden, whole = (_spread_nearby(plane) for plane in (grain[1], finest))
         return replace(self, grain=grain, kept=1 - np.minimum(hidden / (whole + 1), 1), hides=True)
 
-    def whole(self) -> ExaggeratedTarget:
-        now = self.now if self.grain is None else self.now + self.grain
-        return replace(self, now=now, grain=None, kept=None, hides=True)
-
     def moved(self, error: Rows, into: Target | None = None) -> ExaggeratedTarget:
-        s = self.settings
-        coarse, luma = self._reduced(error)
-        np.clip(coarse, -s.furthest, s.furthest, out=coarse)
-        by = coarse if self.by is None else self.by + np.float32(s.rate) * (coarse - self.by)
-        detail = self.detail or _octaves(self._reduced(self._source)[1], s)
-        more = self._more_detail(detail, luma)
-        exaggerated = self._exaggerated(detail, more, luma.shape)
-        return replace(self, now=self._offset(by, exaggerated, into), by=by, detail=detail, more=more)
+        detail = self.detail or _octaves(self._luma(self._source), self.settings)
+        more = self._more_detail(detail, self._luma(error))
+        return replace(self, now=self._offset(self._exaggerated(detail, more), into), detail=detail, more=more)
 
-    def _offset(self, by: FloatArray, detail: FloatArray, into: Target | None) -> Target:
-        """Add both offsets to the original, and subtract hidden grain."""
+    def _offset(self, detail: FloatArray, into: Target | None) -> Target:
+        """Add detail at half the size to the original, and subtract hidden grain."""
         _, *size = self.original.shape
-        by_coarse = np.rint(by * TARGET_WHITE).astype(np.int16)
-        detail = np.rint(detail * TARGET_WHITE).astype(np.int16)
-        now, by_detail = np.empty_like(self.original) if into is None else into, np.empty((*size,), np.int16)
-
-        def enlarge(pair: tuple[NDArray[Any], NDArray[Any]]) -> None:
-            cv2.resize(pair[0], size[::-1], pair[1], interpolation=cv2.INTER_LINEAR)
-
-        in_parallel(enlarge, zip((detail, *by_coarse), (by_detail, *now), strict=True))
+        by_detail = _enlarged(np.rint(detail * TARGET_WHITE).astype(np.int16), (*size,))
+        now = np.empty_like(self.original) if into is None else into
 
         def strip(first: int, end: int) -> None:
             for k, plane in enumerate(now[:, first:end]):
-                plane += self.original[k, first:end]
-                plane += by_detail[first:end]
+                np.add(self.original[k, first:end], by_detail[first:end], out=plane)
                 if self.grain is not None:
                     plane -= self.grain[k, first:end]
 
@@ -145,25 +120,19 @@ class ExaggeratedTarget(FitTarget):
     def _source(self, first: int, end: int) -> FloatArray:
         return all_halved(self.original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE))
 
-    def _reduced(self, halves: Rows) -> tuple[FloatArray, FloatArray]:
-        """Reduce planes of half the size to means over squares of `shrink`, [3, h, w], and to luma."""
-        shrink, (_, height, width) = self.shrink, self.original.shape
-        coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
+    def _luma(self, halves: Rows) -> FloatArray:
+        """Luma of planes of half the size."""
+        _, height, width = self.original.shape
         luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
         for first, end in bands(height, width):
-            here, planes = coarse[:, first // shrink : -(-end // shrink)], halves(first, end)
-            seen = luma[first // 2 : -(-end // 2)]
-
-            def reduce(k: int, planes: FloatArray = planes, here: FloatArray = here) -> None:
-                here[k] = cv2.resize(planes[k], here.shape[:0:-1], interpolation=cv2.INTER_AREA)
+            planes, seen = halves(first, end), luma[first // 2 : -(-end // 2)]
 
             def strip(top: int, bottom: int, planes: FloatArray = planes, seen: FloatArray = seen) -> None:
                 for plane, weight in zip(planes[:, top:bottom], LUMA, strict=True):
                     seen[top:bottom] += np.float32(weight) * plane
 
-            in_parallel(reduce, range(3))
             in_strips(strip, len(seen))
-        return coarse, luma
+        return luma
 
     def _more_detail(self, detail: tuple[FloatArray, ...], missing: FloatArray) -> tuple[FloatArray, ...]:
         """Update the exaggeration of each octave of detail. missing: luma of the error at half the size."""
@@ -186,10 +155,9 @@ class ExaggeratedTarget(FitTarget):
 
         return tuple(moved(octave, less) for octave, less in enumerate(_octaves(missing, s)))
 
-    def _exaggerated(
-        self, detail: tuple[FloatArray, ...], more: tuple[FloatArray, ...], size: tuple[int, ...]
-    ) -> FloatArray:
+    def _exaggerated(self, detail: tuple[FloatArray, ...], more: tuple[FloatArray, ...]) -> FloatArray:
         """Detail to add to the target, at half the size."""
+        size = detail[0].shape
         total = np.asarray(
             sum(_enlarged(share * octave, size) for share, octave in zip(more, detail, strict=True)), np.float32
         )
@@ -228,6 +196,26 @@ class OvershootingTarget(FitTarget):
             moved = np.rint(beyond * TARGET_WHITE).astype(np.int16)
             np.add(self.original[:, first:end], moved, out=now[:, first:end])
         return replace(self, now=now)
+
+
+def led(target: Target, error: Rows, weight: float, shrink: int) -> Target:
+    """Move a target further away by `weight` times the mean error of each square of 2 shrink samples.
+
+    error: original target minus picture, at half the size, by the target's rows.
+    """
+    _, height, width = target.shape
+    means = np.empty((3, -(-height // (2 * shrink)), -(-width // (2 * shrink))), np.float32)
+    for first, end in bands(height, width):
+        planes, here = error(first, end), means[:, first // (2 * shrink) : -(-end // (2 * shrink))]
+        for plane, mean in zip(planes, here, strict=True):
+            cv2.resize(plane, mean.shape[::-1], mean, interpolation=cv2.INTER_AREA)
+    by, moved = np.rint(np.float32(weight * TARGET_WHITE) * means).astype(np.int16), np.empty_like(target)
+
+    def enlarge(plane: int) -> None:
+        np.add(_enlarged(by[plane], (height, width)), target[plane], out=moved[plane])
+
+    in_parallel(enlarge, range(3))
+    return moved
 
 
 def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> tuple[FloatArray, ...]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from sgmethod.backend.protocol import VISIBLE, Target, Visibility
+from sgmethod.backend.protocol import COARSE_SIDE, VISIBLE, Target, Visibility
 from sgmethod.bitstream.stream import Stream
 from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
-from sgmethod.fitting.level import Histogram
+from sgmethod.fitting.level import Histogram, Level
 from sgmethod.fitting.moving_target import ExaggeratedTarget, FitTarget, OvershootingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
@@ -29,12 +29,14 @@ class Objective:
     """The error that one picture's encode minimises.
 
     pixels: [H, W, 3]; visibility: weights of the pixels' errors in the fit, None if all are equal; shown: the weights
-    due to alpha alone; for_eye: tuned for the eye; is_alpha: the picture is an alpha plane, which may overshoot.
+    due to alpha alone; has_texture: whether texture may replace grain; is_alpha: the picture is an alpha plane, which
+    may overshoot.
     """
 
     pixels: Pixels
     settings: ObjectiveSettings
-    for_eye: bool = False
+    tune: Tune = "psnr"
+    has_texture: bool = False
     is_alpha: bool = False
     shown: Visibility | None = None
     visibility: Visibility | None = None
@@ -42,13 +44,13 @@ class Objective:
 
     @classmethod
     def from_pixels(
-        cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, alpha: Pixels | None = None
+        cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, *, texture: bool, alpha: Pixels | None = None
     ) -> Objective:
-        """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque."""
+        """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque. texture: as in encode()."""
         shown = None if alpha is None else visibility.of_alpha(alpha)
-        seen = visibility.of_detail(pixels, settings.visibility, shown) if tune == "visual" else shown
+        seen = shown if tune == "psnr" else visibility.of_detail(pixels, settings.visibility, shown)
         share = None if seen is None else SeenShare(seen)
-        return cls(pixels, settings, tune == "visual", False, shown, seen, share)
+        return cls(pixels, settings, tune, texture and tune == "visual", False, shown, seen, share)
 
     @classmethod
     def from_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
@@ -61,26 +63,37 @@ class Objective:
         return Histogram(self.pixels)
 
     @property
+    def for_eye(self) -> bool:
+        """Whether errors are weighted by how visible they are."""
+        return self.tune != "psnr"
+
+    @property
     def replaces_grain(self) -> bool:
         """Whether texture may replace grain: not in strips thinner than the blocks in which it is measured."""
-        return self.for_eye and min(self.pixels.shape[:2]) >= texture.BLOCK
+        return self.has_texture and min(self.pixels.shape[:2]) >= texture.BLOCK
 
     def under(self, pixels: Pixels, alpha: Pixels) -> Objective:
         """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
-        return Objective.from_pixels(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
+        return Objective.from_pixels(pixels, self.tune, self.settings, texture=self.has_texture, alpha=alpha)
 
     def moving_target(self, target: Target, spacing: int, background: int) -> FitTarget:
         """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
             return OvershootingTarget.from_target(target, background, self.settings.moving)
-        shrink = self.settings.moving.shrink // spacing
-        if self.replaces_grain and shrink > 1:
-            return ExaggeratedTarget.from_target(target, shrink, self.settings.moving)
+        if self.tune == "visual" and min(self.pixels.shape[:2]) >= texture.BLOCK and spacing < COARSE_SIDE:
+            return ExaggeratedTarget.from_target(target, self.settings.moving, hides=not self.replaces_grain)
         return FitTarget(target, target)
 
     def hidden_by(self, effort: Effort) -> int:
-        """Coarser sizes whose gains can hide a place of growth: few if the target moves, as coarse errors persist."""
-        return effort.hidden_by_moving if self.replaces_grain else effort.hidden_by
+        """Coarser sizes whose gains can hide a place of growth: few for the eye: growth does not see coarse errors."""
+        return effort.hidden_by_eye if self.for_eye else effort.hidden_by
+
+    def with_coarse(self, level: Level) -> Level:
+        """Return a level on which coarse errors count once more if they are visible."""
+        return level if level.visibility is None else replace(level, visibility=self._with_coarse(level.visibility))
+
+    def _with_coarse(self, visible: Visibility) -> Visibility:
+        return replace(visible, coarse=self.settings.visibility.coarse) if self.for_eye else visible
 
     def energies(self, gaussians: Gaussians) -> FloatArray:
         """Weighted squared error [N] that dropping each Gaussian alone would add."""
@@ -117,4 +130,4 @@ class Objective:
         """Weighted sum of squared errors of a decoded picture [H, W, 3] without texture, 1 being white."""
         if self.visibility is None:
             return self.pixels.size * float(10 ** (-psnr(decoded, self.pixels) / 10))
-        return visibility.error(self.visibility, decoded, self.pixels) / 255**2
+        return visibility.error(self._with_coarse(self.visibility), decoded, self.pixels) / 255**2

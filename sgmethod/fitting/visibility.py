@@ -1,10 +1,11 @@
 """Visibility of errors at each pixel, for files that are tuned for the eye or have alpha.
 
 An error e in red, green and blue counts (c |e|^2 + (l e)^2) V. The constants c and l (native/core/constants.h) make
-luma count more than colour. V is the visibility of the pixel, which detail lowers.
+luma count more than colour. V is the visibility of the pixel, which detail lowers. From the end of growth on, the mean
+error of each square of 4 x 4 pixels counts once more (Visibility.coarse), because coarse errors are seen first.
 
-The weights are diagonal over pixels and a fixed matrix over channels. So finding the colours of given shapes is still a
-linear problem, and fit, densification, pruning and refining all minimise the same error.
+The weights are diagonal over pixels and a fixed matrix over channels, so that finding the colours of given shapes is
+still a linear problem.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def amplitudes(visibility: Visibility, planes: FloatArray, first: int, end: int)
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:
     """Weighted sum of squared errors of a decoded picture [H, W, 3], in squared levels of 255."""
-    return seen_difference(decoded, source, visibility.values, visibility.by_eye) / VISIBLE
+    return seen_difference(decoded, source, visibility.values, visibility.by_eye, visibility.coarse) / VISIBLE
 
 
 class SeenShare:

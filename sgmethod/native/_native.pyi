@@ -24,6 +24,7 @@ TEXTURE_OCTAVES: int
 TEXTURE_CELL: int  # pixels of the picture along a side of a cell
 TEXTURE_STRENGTHS: int  # codes of a strength; 0 is none
 VISIBLE: int  # 1 in the visibility of a picture's errors, int16 [height, width]
+COARSE_SIDE: int  # pixels along a side of the squares whose mean errors may count once more
 SEEN_COLOR: float
 SEEN_LUMA: tuple[float, float, float]
 """Weights for the eye: an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
@@ -127,10 +128,14 @@ class Rasterization:
         out_colors: FloatArray,
         visibility: NDArray[np.int16] | None = None,
         by_eye: bool = True,
+        coarse: float = 0.0,
+        spacing: int = 1,
     ) -> float:
         """Mean squared error against a target; fills its gradients like backward().
 
-        visibility: weights of the pixels' errors; by_eye: colours count as the eye sees them, else alike.
+        visibility: weights of the pixels' errors; by_eye: colours count as the eye sees them, else alike; coarse:
+        weight with which mean errors over squares of 4 pixels of the whole picture count once more; spacing: side of a
+        pixel, in those of the whole picture.
         """
 
     def error(self, colors: FloatArray, target: NDArray[np.int16]) -> float:
@@ -178,6 +183,9 @@ def frame_adam(
     first: FloatArray,
     second: FloatArray,
     bias: FloatArray,
+    visibility: NDArray[np.int16] | None = None,
+    spacing: float = 1.0,
+    coarse: float = 0.0,
 ) -> None:
     """Move Gaussians, and update first, second [N, 8] and bias [N, 2]: Backend.step (sgmethod/backend/protocol.py)."""
 
@@ -189,7 +197,9 @@ def keep_in_range(
 def squared_difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> int:
     """Sum of squared differences of values [N]."""
 
-def seen_difference(a: NDArray[np.uint8], b: NDArray[np.uint8], visibility: NDArray[np.int16], by_eye: bool) -> float:
+def seen_difference(
+    a: NDArray[np.uint8], b: NDArray[np.uint8], visibility: NDArray[np.int16], by_eye: bool, coarse: float = 0.0
+) -> float:
     """VISIBLE times the squared difference of pictures [height, width, 3], as the visibility counts it."""
 
 def superpixels(lab: FloatArray, side: int, compactness: float) -> NDArray[np.int32]:
@@ -225,6 +235,7 @@ def rd_steps(
     bias: FloatArray,
     visibility: NDArray[np.int16] | None = None,
     by_eye: bool = True,
+    coarse: float = 0.0,
 ) -> None:
     """Take a step for each of the rates: Backend.steps (sgmethod/backend/protocol.py)."""
 

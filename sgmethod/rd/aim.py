@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.backend.protocol import NO_LIMIT
-from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, quantum_code
 from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.decoder import draw_whole
@@ -211,10 +210,6 @@ class QualityAim(Aim):
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Steer seldom: measuring takes as long as steps."""
         return super().steered(quantum, times, at, fitted) if at in times.quality_at else quantum
-
-    def affords(self, texture: Codes) -> bool:
-        """Never: SSIMULACRA 2 counts texture as an error."""
-        return False
 
     def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float:
         """Return a quantum that is finer by as much as is missing."""

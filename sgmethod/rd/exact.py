@@ -98,7 +98,7 @@ class ExactFit:
         steps = self.steps or round(EXACT.share_of_steps * rate.steps())
         rate = replace(rate, settings=exact_schedule(steps))
         recorder = _Shares(clock, total=steps, on_step=on_step)
-        objective = Objective.from_pixels(pixels, "psnr", rate.settings.objective)
+        objective = Objective.from_pixels(pixels, "psnr", rate.settings.objective, texture=False)
         return Request(objective, rate, Deadline.from_limit(clock), backend, recorder, self.seed)
 
 

@@ -28,7 +28,8 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     height, width, channels = pixels.shape
     has_alpha = channels == 4
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, height * width, settings.deadline)
-    objective = Objective.from_pixels(np.ascontiguousarray(pixels[..., :3]), asked.tune, settings.objective)
+    colours = np.ascontiguousarray(pixels[..., :3])
+    objective = Objective.from_pixels(colours, asked.tune, settings.objective, texture=asked.has_texture)
     rate = rate_of(asked.budget, (width, height), settings, has_alpha=has_alpha)
     if isinstance(rate, ByteBudget) and rate.is_short and objective.histogram.has_majority:
         rate = rate.for_exact_background(has_alpha)

@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import Descent, Moments, Visibility
+from sgmethod.backend.protocol import COARSE_SIDE, Descent, Moments, Target, Visibility
 from sgmethod.fitting.deadline import Deadline, Pace
 from sgmethod.fitting.level import Level, Pyramid
-from sgmethod.fitting.moving_target import FitTarget
+from sgmethod.fitting.moving_target import FitTarget, led
 from sgmethod.rd.rate_control import error_per_bit
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians
@@ -90,7 +90,16 @@ class Plan:
             level = self.pyramid.coarsest(s.pixels_per_gaussian * most)
         else:
             level = self.pyramid.coarsest(s.pixels_while_few * gaussians)
+        if stage.has_grown:
+            level = self.request.objective.with_coarse(level)
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
+
+    def refining_target(self, state: State) -> Target:
+        """Return the target of refining, which weighs each pixel alone: coarse errors move it."""
+        shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.request.objective.with_coarse(self.finest)
+        if shrink == 0 or level.visibility is None or level.visibility.coarse == 0:
+            return state.target.now
+        return led(state.target.now, level.missing(state.gaussians, half=True), level.visibility.coarse, shrink)
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
         """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""

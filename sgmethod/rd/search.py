@@ -48,7 +48,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     if texture is not None and not rate.affords(texture):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
-    limit, target = rate.payload_limit(empty), state.target.now
+    limit, target = rate.payload_limit(empty), plan.refining_target(state)
     refined = partial(_refined, plan, target, texture)
 
     tried: list[Coded] = []

@@ -59,9 +59,6 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 
 
 def retarget_after_miss(plan: Plan, state: State, files: Iterable[Coded]) -> State:
-    """Prepare a further round after files that missed the budget.
-
-    SSIMULACRA 2 counts grain, and a file that aims at it has no texture instead: growth is shown what was hidden.
-    """
+    """Prepare a further round after files that missed the budget."""
     quantum = plan.request.rate.quantum_after_miss(state.quantum, files)
-    return state if quantum is None else replace(state, target=state.target.whole(), quantum=quantum)
+    return state if quantum is None else replace(state, quantum=quantum)

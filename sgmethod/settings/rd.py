@@ -74,13 +74,13 @@ class Effort:
     times: Times = Times()
     rounds: tuple[int, ...] = (1,)  # rounds after the first run at which a file is made; the best file is kept
     hidden_by: int = 8  # coarser sizes whose gains can hide a place of growth: all, if the target does not move
-    hidden_by_moving: int = 2  # the same if coarse errors move the target, and so persist
+    hidden_by_eye: int = 2  # the same for the eye, as growth does not see that coarse errors count more
     refine_sweeps: int = 2  # over all Gaussians
     size_tries: int = 4  # further files with finer quanta, if refining leaves bytes unused
 
 
 EFFORTS: dict[int, Effort] = {
-    1: Effort(75, QUICK, (0,), hidden_by=1, hidden_by_moving=1, refine_sweeps=0, size_tries=0),
+    1: Effort(75, QUICK, (0,), hidden_by=1, hidden_by_eye=1, refine_sweeps=0, size_tries=0),
     2: Effort(130, rounds=(0,), hidden_by=2, size_tries=2),
     3: Effort(180, rounds=(0,)),
     4: Effort(rounds=(0,)),
@@ -227,17 +227,17 @@ class VisibilitySettings:
     seen_levels: float = 9.0  # of 255: detail that is fainter hides nothing
     least: float = 1 / 32
     most: float = 3.0  # the mean over detail is 1
+    # Weight with which mean errors over squares of 4 pixels count once more, after the growth of a run: growth would
+    # take the difference for error, and add wide Gaussians instead of correcting fine errors. Notebook, eye.md.
+    coarse: float = 1.0
     luma: tuple[float, float, float] = (0.26, 0.66, 0.08)  # about the sum of the eye's cones
 
 
 @dataclass(frozen=True)
 class MovingTargetSettings:
-    """Moving targets: for the eye, one that exaggerates errors; for alpha, one that overshoots black and white."""
+    """Moving targets: for the eye, one that exaggerates detail; for alpha, one that overshoots black and white."""
 
     every: int = 6  # steps
-    shrink: int = 4  # coarse errors are means over squares of this side
-    rate: float = 0.15  # part of the way to the current error per move; from 0.5 on, target and fit oscillate
-    furthest: float = 0.1  # 1 being white
     max_detail: tuple[float, ...] = (3.0, 1.4)  # in multiples of the source's, by octave, finest first
     detail_window: float = 1.4  # sigma, in samples of the octave; small, so that peaks do not hide their surroundings
     detail_power: float = 1.15  # of the inverse of structural similarity

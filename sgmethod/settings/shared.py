@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-Tune = Literal["psnr", "visual"]
+Tune = Literal["psnr", "fidelity", "visual"]
 Superpixels = Literal["skimage", "opencv"]
 TUNES: tuple[Tune, ...] = get_args(Tune)
 

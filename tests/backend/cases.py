@@ -14,7 +14,7 @@ FRAMES = {
     f"{'pyramid' if pyramid else 'plain'}, spacing {spacing}": Frame(*SIZE, CUTOFF, pyramid, spacing)
     for pyramid, spacing in product((True, False), (1, 2))
 } | {"version 1": Frame(*SIZE, CUTOFF_V1, pyramid=False)}
-VISIBILITIES = ("none", "eye", "alpha")
+VISIBILITIES = ("none", "eye", "alpha", "coarse")
 
 
 def scattered(n: int, seed: int, size: tuple[int, int] = SIZE) -> Gaussians:
@@ -52,9 +52,9 @@ def visibility(kind: str, seed: int) -> Visibility | None:
     """What each pixel counts: from nothing to three times, by the eye; or up to once, under alpha."""
     if kind == "none":
         return None
-    most = 3 * VISIBLE if kind == "eye" else VISIBLE
+    most = VISIBLE if kind == "alpha" else 3 * VISIBLE
     values = np.random.default_rng(seed).integers(0, most + 1, SIZE[::-1])
-    return Visibility(values.astype(np.int16), by_eye=kind == "eye")
+    return Visibility(values.astype(np.int16), kind != "alpha", coarse=2.0 if kind == "coarse" else 0.0)
 
 
 def worst(found: FloatArray, wanted: FloatArray) -> float:

@@ -83,7 +83,7 @@ def test_plain(name: str) -> None:
         assert ((found[0] - true).abs().numpy() <= plain.GRADIENT_TOLERANCE * size + rim).all()
 
 
-@pytest.mark.parametrize(("name", "kind"), [*zip(FRAMES, (*VISIBILITIES, "eye", "alpha"), strict=True)])
+@pytest.mark.parametrize(("name", "kind"), [*zip(FRAMES, (*VISIBILITIES, "eye"), strict=True)])
 def test_backend(name: str, kind: str) -> None:
     frame, reference, backend = FRAMES[name], Reference(), Tensors(CPU, has_tiles(CPU))
     asked = over(frame, 1), frame, target(1), visibility(kind, 1)

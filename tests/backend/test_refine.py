@@ -43,7 +43,7 @@ def cost(payload: bytes, target: Target, price: float, seen: Visibility | None) 
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("price", [0.0, 1e-3])
-@pytest.mark.parametrize("kind", VISIBILITIES)
+@pytest.mark.parametrize("kind", [kind for kind in VISIBILITIES if kind != "coarse"])
 def test_each_sweep_lowers_the_cost(kind: str, price: float, seed: int) -> None:
     gaussians, target = scene(seed)
     seen, ends = visibility(kind, seed), []

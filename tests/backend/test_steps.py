@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Backend, Coding, Descent, Frame, Moments, step_by_step
+from sgmethod.backend.protocol import Backend, Coding, Descent, Frame, Moments, Visibility, step_by_step
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
@@ -33,25 +33,27 @@ def various(n: int, seed: int) -> Gaussians:
     return single(500 * rng.random((n, 2)), np.stack([l1, l1 * rng.standard_normal(n), l3], 1), colors)
 
 
-def moved(backend: Backend, settings: OptimiserSettings) -> Gaussians:
+def moved(backend: Backend, settings: OptimiserSettings, seen: Visibility | None) -> Gaussians:
     """Gaussians after six steps, of which the last hundred join after three."""
     before, gradient, values = various(1200, 7), various(1200, 8), 20
     early = before.rows(np.arange(1100))
     moments = Moments.none(1100)
     for _ in range(3):
-        backend.step(early, gradient.rows(np.arange(1100)), moments, settings, 0.6, values)
+        backend.step(early, gradient.rows(np.arange(1100)), moments, settings, 0.6, values, seen, 2)
     gaussians, moments = early.with_more(before.rows(np.arange(1100, 1200))), moments.with_more(100)
     for _ in range(3):
-        backend.step(gaussians, gradient, moments, settings, 0.6, values)
+        backend.step(gaussians, gradient, moments, settings, 0.6, values, seen, 2)
     return gaussians
 
 
 @pytest.mark.parametrize("settings", [PAPER.optimiser, RD.fit.optimiser], ids=["adam", "no longer than Gauss-Newton"])
-def test_step(settings: OptimiserSettings) -> None:
-    found, wanted = (moved(backend, settings) for backend in BACKENDS)
+@pytest.mark.parametrize("kind", VISIBILITIES)
+def test_step(settings: OptimiserSettings, kind: str) -> None:
+    seen = visibility(kind, 2)
+    found, wanted = (moved(backend, settings, seen) for backend in BACKENDS)
     for values, exact in zip(found.arrays, wanted.arrays, strict=True):
         np.testing.assert_allclose(values, exact, rtol=1e-5, atol=1e-5)  # worst seen 1.5e-6
-    free = moved(REFERENCE, replace(settings, newton_steps=np.inf))
+    free = moved(REFERENCE, replace(settings, newton_steps=np.inf), seen)
     held = np.concatenate([a != b for a, b in zip(free.arrays, wanted.arrays, strict=True)], 1).mean()
     assert held == 0 if settings.newton_steps == np.inf else 0.1 < held < 0.9  # of Adam's moves: both are met
 

@@ -7,11 +7,13 @@ import time
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
 from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import (
+    COARSE_SIDE,
     GRID_REACH,
     TARGET_WHITE,
     VISIBLE,
@@ -40,11 +42,26 @@ CURVATURE = np.array([1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1])
 
 def squared(errors: Tensor, visibility: Visibility | None) -> Tensor:
     """Weighted sum of squared errors [..., 3, H, W]."""
+    return (errors * weighted(errors, visibility)).sum((-3, -2, -1))
+
+
+def weighted(errors: Tensor, visibility: Visibility | None) -> Tensor:
+    """Errors [..., 3, H, W] times their weights."""
     if visibility is None:
-        return errors.square().sum((-3, -2, -1))
+        return errors
     weights = torch.from_numpy(visibility.values.astype(np.float64) / VISIBLE)
-    by_color = torch.einsum("ab,...byx->...ayx", torch.from_numpy(visibility.color), errors)
-    return (errors * by_color * weights).sum((-3, -2, -1))
+    return torch.einsum("ab,...byx->...ayx", torch.from_numpy(visibility.color), errors) * weights
+
+
+def with_coarse(errors: Tensor, frame: Frame, visibility: Visibility | None) -> Tensor:
+    """Errors [3, H, W] plus the weighted mean over each one's square, of which what is beyond the picture has none."""
+    found, side = errors.clone(), max(COARSE_SIDE // frame.spacing, 1)
+    for y in range(0, errors.shape[1], side):
+        for x in range(0, errors.shape[2], side):
+            square = np.s_[:, y : y + side, x : x + side]
+            mean = errors[square].sum((1, 2), keepdim=True) / side**2
+            found[square] += (0.0 if visibility is None else visibility.coarse) * mean
+    return found
 
 
 def geometry_loss(image: Tensor, target: Tensor) -> Tensor:
@@ -83,14 +100,15 @@ class Reference:
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         errors = _drawn(_tensors(gaussians), frame) - _image(target)
-        return squared(errors, visibility).item() / target.size
+        return (errors * weighted(with_coarse(errors, frame, visibility), visibility)).sum().item() / target.size
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
         leaves = _tensors(gaussians)
-        error = squared(_drawn(leaves, frame) - _image(target), visibility) / target.size
-        return error.item(), _gradient(error, leaves)
+        errors = _drawn(leaves, frame) - _image(target)
+        counted = weighted(with_coarse(errors, frame, visibility), visibility).detach() / target.size
+        return (errors * counted).sum().item(), _gradient(2 * (errors * counted).sum(), leaves)
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
         target = torch.from_numpy(image.astype(np.float64))
@@ -117,6 +135,8 @@ class Reference:
         settings: OptimiserSettings,
         rate: float,
         values: int,
+        visibility: Visibility | None = None,
+        spacing: int = 1,
     ) -> None:
         s = settings
         means, factors, colors, gm, gf, gc = (a.astype(np.float64) for a in (*gaussians.arrays, *gradient.arrays))
@@ -131,6 +151,7 @@ class Reference:
         adam = rates / (np.sqrt(second / (1 - bias[:, 1:])) + 1e-15)
         weight = np.repeat(np.maximum(np.square(colors).sum(1, keepdims=True), FAINT**2), 8, axis=1)
         weight[:, 5:] = 1
+        weight *= _seen_by(visibility, spacing, gaussians)[:, None]
         newton = s.newton_steps * values / (2 * math.pi * (l1 * l3)[:, None] * CURVATURE * weight)
         d1, d2, s1, s2, s3, *by_color = (-np.minimum(adam, newton) * first / (1 - bias[:, :1])).T
         gaussians.means[:] = means + np.stack([l1 * d1, l2 * d1 + l3 * d2], 1)
@@ -176,6 +197,17 @@ class Reference:
             if time.monotonic() >= end_s or not descent.sweep():
                 break
         return descent.payload(limits.max_bytes)
+
+
+def _seen_by(visibility: Visibility | None, spacing: int, gaussians: Gaussians) -> NDArray[np.float64]:
+    """Weights [N] of the errors that Gaussians cause."""
+    if visibility is None:
+        return np.ones(len(gaussians))
+    x, y = np.floor(gaussians.means / spacing).astype(int).T
+    height, width = visibility.values.shape
+    here = np.maximum(visibility.values[y.clip(0, height - 1), x.clip(0, width - 1)] / VISIBLE, 1)
+    share = 1 / np.sqrt(1 + COARSE_SIDE**2 / 12 / np.square(gaussians.factors[:, ::2], dtype=np.float64)).prod(1)
+    return here * (1 + visibility.coarse * share)
 
 
 class _Descent:

@@ -1,4 +1,4 @@
-"""The target that runs ahead of what the eye sees (fitting/moving_target.py)."""
+"""Targets that move with the error of the fit (fitting/moving_target.py)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.level import target_of
-from sgmethod.fitting.moving_target import ExaggeratedTarget
+from sgmethod.fitting.moving_target import ExaggeratedTarget, led
 from sgmethod.settings.rd import RD
 
 
@@ -20,7 +20,7 @@ def grainy(height: int = 64, width: int = 96) -> Target:
 
 
 def followed(original: Target, drawn: Target, times: int = 40) -> Target:
-    moving = ExaggeratedTarget.from_target(original, 4, RD.objective.moving)
+    moving = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False)
     for _ in range(times):
         moving = moving.moved(
             lambda first, end: all_halved((original - drawn)[:, first:end] / np.float32(TARGET_WHITE))
@@ -48,8 +48,7 @@ def test_detail_is_not_exaggerated_beyond_its_limit() -> None:
     original = grainy()
     flat = np.full_like(original, round(original.mean(dtype=np.float64)))
     now = followed(original, flat)
-    # Of the coarse error, at most all is asked for once more.
-    most = max(RD.objective.moving.max_detail) + 1
+    most = max(RD.objective.moving.max_detail)
     assert original.std() < now.std() < most * original.std()
 
 
@@ -57,8 +56,19 @@ def test_grain_that_is_hidden_is_not_exaggerated() -> None:
     original = grainy()
     missing = (original - np.full_like(original, round(original.mean(dtype=np.float64)))) / np.float32(TARGET_WHITE)
     grain = np.rint(missing * TARGET_WHITE).astype(np.int16)
-    still = ExaggeratedTarget.from_target(original, 4, RD.objective.moving)
+    still = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False)
     plain, hiding = (
         moving.moved(lambda first, end: all_halved(missing[:, first:end])) for moving in (still, still.without(grain))
     )
     assert (hiding.now + grain - original).std() < 0.8 * (plain.now - original).std()
+
+
+def test_coarse_errors_lead_the_target_of_refining() -> None:
+    """Twice an error of 0.1 that is the same everywhere, and nothing for one that alternates within a square."""
+    original = grainy()
+    even = np.full(original.shape, 0.1, np.float32)
+    odd = even.copy()
+    odd[:, :, ::2] *= -1
+    for error, wanted in ((even, 0.2), (odd, 0.0)):
+        moved = led(original, lambda first, end, error=error: all_halved(error[:, first:end]), 2.0, 2)
+        assert np.abs((moved - original) / TARGET_WHITE - wanted).max() < 1e-3

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import sgmethod
-from sgmethod import Budget, View, decode
+from sgmethod import Budget, View, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v2 import StreamV2
@@ -328,6 +329,15 @@ def test_strengths_fit_the_blocks_through_the_decoders_interpolation(cells: tupl
 def test_strips_thinner_than_a_block_get_none(thin: int) -> None:
     """A long one would be padded to many times its size."""
     for size in ((thin, 100), (100, thin)):
-        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual", RD.objective)
+        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual", RD.objective, texture=True)
         target = objective.moving_target(np.zeros((3, *size), np.int16), 1, 0)
         assert (objective.replaces_grain, target.hides) == (thin == BLOCK, thin != BLOCK)
+
+
+@pytest.mark.parametrize(
+    ("options", "has_texture"), [({}, True), ({"texture": False}, False), ({"tune": "fidelity"}, False)]
+)
+def test_texture_can_be_left_out_of_a_file(options: dict[str, Any], has_texture: bool) -> None:
+    grass = np.random.default_rng(0).normal(100, 25, (96, 96, 1)).clip(0, 255).astype(np.uint8).repeat(3, 2)
+    file = encode(grass, bpp=0.3, effort=2, **options).data
+    assert np.array_equal(decode(file), decode(file, texture=False)) != has_texture

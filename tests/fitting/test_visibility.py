@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,11 +45,15 @@ def some(n: int, size: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatAr
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 140)])
 @pytest.mark.parametrize("pyramid", [False, True])
-@pytest.mark.parametrize("by_eye", [True, False])
-def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: bool, by_eye: bool) -> None:
+@pytest.mark.parametrize(
+    ("by_eye", "coarse", "spacing"), [(False, 0, 1), (True, 0, 1), (True, 3, 1), (True, 3, 2), (True, 3, 8)]
+)
+def test_kernels_see_the_error_as_it_is_defined(
+    size: tuple[int, int], pyramid: bool, by_eye: bool, coarse: float, spacing: int
+) -> None:
     means, factors, colors = some(30, size)
     target = np.random.default_rng(4).integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, *size[::-1]), np.int16)
-    visible = Visibility(visibility(*size).values, by_eye)
+    visible = Visibility(visibility(*size).values, by_eye, coarse)
     levels = visible.values
     found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
     drawn = np.empty(target.shape, np.float32)
@@ -56,10 +61,11 @@ def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: 
         raster = native.Rasterization(means, factors, *size, CUTOFF, isa=isa, pyramid=pyramid)
         raster.render(colors, drawn)
         difference = drawn - target / np.float32(native.TARGET_WHITE)
-        by_picture = np.tensordot(visible.color, difference, 1) * levels / native.VISIBLE * 2 / difference.size
+        both = difference + coarse * means_of_squares(difference, max(native.COARSE_SIDE // spacing, 1))
+        by_picture = np.tensordot(visible.color, both, 1) * levels / native.VISIBLE * 2 / difference.size
         raster.backward(colors, by_picture.astype(np.float32), *wanted)
-        counted = raster.squared_error(colors, target, *found, levels, by_eye)
-        assert counted == pytest.approx(seen(difference, visible) / difference.size, rel=1e-5)
+        counted = raster.squared_error(colors, target, *found, levels, by_eye, coarse, spacing)
+        assert counted == pytest.approx((difference * by_picture).sum(dtype=np.float64) / 2, rel=1e-5)
         for a, b in zip(found, wanted, strict=True):
             assert np.allclose(a, b, rtol=1e-4, atol=1e-6)
         product, by_gram = np.empty_like(colors), np.empty_like(colors)
@@ -68,6 +74,25 @@ def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: 
         assert np.allclose(by_gram, product, rtol=1e-4, atol=1e-5)
     with pytest.raises(ValueError, match="visibility"):
         raster.squared_error(colors, target, *found, levels[:, :0])
+
+
+def means_of_squares(planes: FloatArray, side: int) -> FloatArray:
+    """Means over squares of planes [3, H, W], which count as 0 beyond."""
+    _, height, width = planes.shape
+    padded = np.pad(planes, ((0, 0), (0, -height % side), (0, -width % side)))
+    squares = padded.reshape(3, padded.shape[1] // side, side, padded.shape[2] // side, side)
+    return np.kron(squares.mean((2, 4)), np.ones((side, side)))[:, :height, :width].astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (17, 65), (100, 141)])
+def test_coarse_errors_of_decoded_pictures_count_once_more(size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(5)
+    decoded, source = rng.integers(0, 256, (2, *size[::-1], 3), np.uint8)
+    visible = Visibility(visibility(*size).values, coarse=2)
+    planes = (decoded.astype(np.float32) - source).transpose(2, 0, 1)
+    coarse = means_of_squares(planes, native.COARSE_SIDE)
+    wanted = seen(planes, visible) + visible.coarse * seen(coarse, visible)
+    assert error(visible, decoded, source) == pytest.approx(wanted, rel=1e-6)
 
 
 def test_squares_of_amplitudes_are_what_is_seen() -> None:
@@ -108,7 +133,7 @@ PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 140:300])
 
 def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes() -> None:
     """In the mean of a few seeds, because chance moves a file by 3 %."""
-    visible, ratios = of_detail(PHOTO, DETAIL), []
+    visible, ratios = replace(of_detail(PHOTO, DETAIL), coarse=DETAIL.coarse), []
     for seed in range(4):
         both = {tune: encode(PHOTO, bpp=0.4, tune=tune, seed=seed) for tune in ("psnr", "visual")}
         errors = {tune: error(visible, decode(e.data, texture=False), PHOTO) for tune, e in both.items()}

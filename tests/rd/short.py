@@ -59,7 +59,7 @@ def requested(
 ) -> Request:
     """A request of profile rd, as rd/picture.py makes it."""
     clock = Clock()
-    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective, texture=True)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
     deadline, recorder = deadline or Deadline.from_limit(clock), recorder or Recorder(clock)
     return Request(objective, rate, deadline, backend or Kernels(), recorder)

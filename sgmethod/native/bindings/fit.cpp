@@ -30,12 +30,14 @@ double evaluate(LossOfTarget& held, Image image, ImageOut grad) {
 
 void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors,
                 Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors, RowsOut<8> first, RowsOut<8> second,
-                RowsOut<2> bias) {
+                RowsOut<2> bias, std::optional<Visibility> visibility, float spacing, float coarse) {
+  const int height = visibility ? side(*visibility, 0) : 0, width = visibility ? side(*visibility, 1) : 0;
+  const sg::ErrorWeights weights{values_of(visibility, width, height), width, height, spacing, coarse};
   const int n = gaussians(means, factors, colors, by_means, by_factors, by_colors, first, second, bias);
   const Unlocked unlocked;
   sg::parallel_chunks(n, sg::kBlock, [&](int begin, int end, int) {
-    sg::frame_adam(settings, rate, begin, end, rows(means, factors, colors), rows(by_means, by_factors, by_colors),
-                   {first.data(), second.data(), bias.data()});
+    sg::frame_adam(settings, weights, rate, begin, end, rows(means, factors, colors),
+                   rows(by_means, by_factors, by_colors), {first.data(), second.data(), bias.data()});
   });
 }
 
@@ -53,12 +55,12 @@ uint64_t squared_difference(Bytes a, Bytes b) {
   return sg::squared_difference(a.data(), b.data(), static_cast<int64_t>(a.size()));
 }
 
-double seen_difference(Pixels a, Pixels b, Visibility visibility, bool by_eye) {
+double seen_difference(Pixels a, Pixels b, Visibility visibility, bool by_eye, double coarse) {
   const int height = side(a, 0), width = side(a, 1);
   require(side(b, 0) == height && side(b, 1) == width, "the pictures have different sizes");
   const int16_t* seen = values_of(visibility, width, height);
   const Unlocked unlocked;
-  return sg::seen_difference(a.data(), b.data(), width, height, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike);
+  return sg::seen_difference(a.data(), b.data(), width, height, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike, coarse);
 }
 
 auto superpixels(Image lab, int region, float compactness) {
@@ -84,10 +86,11 @@ void bind_fit(nb::module_& m) {
            "color_rate"_a, "beta1"_a, "beta2"_a, "min_scale"_a, "newton_steps"_a, "values"_a);
   m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(),
-        "second"_a.noconvert(), "bias"_a.noconvert());
+        "second"_a.noconvert(), "bias"_a.noconvert(), "visibility"_a.noconvert() = nb::none(), "spacing"_a = 1.0f,
+        "coarse"_a = 0.0f);
   m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(),
         "factors"_a.noconvert(), "colors"_a.noconvert());
   m.def("squared_difference", &squared_difference, "a"_a, "b"_a);
-  m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a);
+  m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a, "coarse"_a = 0.0);
   m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);
 }

@@ -53,6 +53,7 @@ NB_MODULE(_native, m) {
   m.attr("CUTOFF_V2") = sg::kCutoffV2;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;
   m.attr("VISIBLE") = sg::kVisible;
+  m.attr("COARSE_SIDE") = sg::kCoarseSide;
   m.attr("SEEN_COLOR") = sg::kSeenByEye.color;
   m.attr("SEEN_LUMA") = std::make_tuple(sg::kSeenByEye.luma[0], sg::kSeenByEye.luma[1], sg::kSeenByEye.luma[2]);
   m.attr("TILE_WIDTH") = sg::kTileWidth;

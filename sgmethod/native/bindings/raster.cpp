@@ -84,12 +84,14 @@ void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Co
 }
 
 double squared_error(const sg::Rasterization& r, Rows<3> colors, Target target, RowsOut<2> means, RowsOut<3> factors,
-                     RowsOut<3> out_colors, std::optional<Visibility> visibility, bool by_eye) {
+                     RowsOut<3> out_colors, std::optional<Visibility> visibility, bool by_eye, float coarse,
+                     int spacing) {
   const sg::MutableGaussians out = gradients(r, colors, means, factors, out_colors);
   require_size(target, r.width(), r.height());
   const int16_t* seen = values_of(visibility, r.width(), r.height());
   const Unlocked unlocked;
-  return sg::squared_error(r, colors.data(), target.data(), out, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike);
+  return sg::squared_error(r, colors.data(), target.data(), out, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike,
+                           sg::Coarse::at(coarse, spacing));
 }
 
 double error(const sg::Rasterization& r, Rows<3> colors, Target target) {
@@ -133,7 +135,7 @@ void bind_raster(nb::module_& m) {
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
       .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(),
            "factors"_a.noconvert(), "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none(),
-           "by_eye"_a = true)
+           "by_eye"_a = true, "coarse"_a = 0.0f, "spacing"_a = 1)
       .def("error", &error, "colors"_a, "target"_a.noconvert())
       .def("gram", &gram, "colors"_a, "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none())
       .def("backward", &backward, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(),

@@ -39,7 +39,7 @@ void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors,
 void steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
            const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height, RowsOut<2> means,
            RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
-           std::optional<Visibility> visibility, bool by_eye) {
+           std::optional<Visibility> visibility, bool by_eye, float coarse) {
   const int n = gaussians(means, factors, colors, first, second, bias);
   const int across = side(target, 2), down = side(target, 1);
   const sg::Descent descent{{0, 0, across, down, cutoff, pyramid},
@@ -47,6 +47,7 @@ void steps(Target target, float cutoff, bool pyramid, float spacing, float quant
                             target.data(),
                             values_of(visibility, across, down),
                             by_eye ? sg::kSeenByEye : sg::kSeenAlike,
+                            coarse,
                             quantum,
                             price,
                             settings,
@@ -115,7 +116,7 @@ void bind_rd(nb::module_& m) {
   m.def("rd_steps", &steps, "target"_a.noconvert(), "cutoff"_a, "pyramid"_a, "spacing"_a, "quantum"_a, "price"_a,
         "settings"_a, "rates"_a, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "first"_a.noconvert(), "second"_a.noconvert(), "bias"_a.noconvert(),
-        "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true);
+        "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true, "coarse"_a = 0.0f);
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);

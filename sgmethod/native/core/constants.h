@@ -37,6 +37,8 @@ struct Seen {
     for (int k = 0; k < 3; ++k) e[k] = color * e[k] + sum * luma[k];
   }
 };
+// Side of the squares, in pixels of the whole picture, whose mean errors may count once more for the eye.
+constexpr int kCoarseSide = 4;
 constexpr Seen kSeenByEye = {0.4f, {0.3484f, 0.8844f, 0.1072f}}, kSeenAlike = {1.0f, {0.0f, 0.0f, 0.0f}};
 
 // A tile is the part of a picture drawn by one task: a block of rows in a strip of columns.

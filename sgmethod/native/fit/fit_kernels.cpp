@@ -50,40 +50,81 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
   return V::sum(sum);
 }
 
-// The same for the error weighted by visibility.
-template <int W>
-SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
+// In each lane, the sum over its aligned group of 1, 2 or 4 lanes.
+template <int W, int kSide>
+SG_INLINE typename Simd<W>::F sum_groups(typename Simd<W>::F v) {
+  typename Simd<W>::I lanes;
+  for (int i = 0; i < W; ++i) lanes[i] = i;
+  if constexpr (kSide >= 2) v += shuffle(v, v, lanes ^ 1);
+  if constexpr (kSide == 4) v += shuffle(v, v, lanes ^ 2);
+  return v;
+}
+
+// The same for the error weighted by visibility, in which mean errors of squares of kSide pixels count once more. With
+// m the mean of pixel i's square, the gradient by that pixel is V_i (e_i + weight m): visibility hardly changes within
+// it.
+template <int W, int kSide>
+SG_INLINE double squares_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
   using F = typename V::F;
   constexpr float kStep = 1.0f / kTargetWhite, kUnit = 1.0f / kVisible;
   const TileTarget t = target;
   const float y0 = t.seen.luma[0], y1 = t.seen.luma[1], y2 = t.seen.luma[2], color = t.seen.color;
+  const float of_sum = t.coarse.weight / (kSide * kSide);
   F sum{};
-  int16_t part[4][kTileWidth] = {};  // a row at the picture's right edge, with a visibility of 0 beyond
-  for (int row = 0; row < t.rows; ++row, values += 3 * kTileWidth) {
-    const int16_t* const first = t.first + row * t.stride;
-    const int16_t* in[4] = {first, first + t.plane, first + 2 * t.plane, t.visibility + row * t.stride};
-    for (int k = 0; k < 4; ++k) {
-      __builtin_prefetch(in[k] + t.ahead);
-      if (t.columns != kTileWidth) {
-        std::copy_n(in[k], t.columns, part[k]);
-        in[k] = part[k];
+  int16_t part[kSide][4][kTileWidth] = {};  // rows at the picture's right edge, beyond which nothing is visible
+  const int16_t beyond[kTileWidth] = {};    // a row below the picture
+  for (int square = 0; square < t.rows; square += kSide) {
+    const int16_t* in[kSide][4];
+    float* const first = values + 3 * square * kTileWidth;
+    for (int row = 0; row < kSide; ++row) {
+      const bool inside = square + row < t.rows;
+      const int16_t* const here = t.first + (square + row) * t.stride;
+      const int16_t* const rows[4] = {here, here + t.plane, here + 2 * t.plane,
+                                      t.visibility + (square + row) * t.stride};
+      for (int k = 0; k < 4; ++k) {
+        in[row][k] = inside ? rows[k] : beyond;
+        if (inside) __builtin_prefetch(rows[k] + t.ahead);
+        if (inside && t.columns != kTileWidth) {
+          std::copy_n(rows[k], t.columns, part[row][k]);
+          in[row][k] = part[row][k];
+        }
+        if (k < 3 && !(inside && t.columns == kTileWidth)) {
+          float* const drawn = first + (3 * row + k) * kTileWidth;
+          std::fill(drawn + (inside ? t.columns : 0), drawn + kTileWidth, 0.0f);
+        }
       }
     }
     for (int i = 0; i < kTileWidth; i += W) {
-      const F e0 = V::load(values + i) - load_target<W>(in[0] + i) * kStep;
-      const F e1 = V::load(values + kTileWidth + i) - load_target<W>(in[1] + i) * kStep;
-      const F e2 = V::load(values + 2 * kTileWidth + i) - load_target<W>(in[2] + i) * kStep;
-      const F seen = load_target<W>(in[3] + i) * kUnit, own = seen * color;
-      const F luma = e0 * y0 + e1 * y1 + e2 * y2, of_luma = seen * luma;
-      sum += own * (e0 * e0 + e1 * e1 + e2 * e2) + of_luma * luma;
-      V::store(values + i, (own * e0 + of_luma * y0) * t.scale);
-      V::store(values + kTileWidth + i, (own * e1 + of_luma * y1) * t.scale);
-      V::store(values + 2 * kTileWidth + i, (own * e2 + of_luma * y2) * t.scale);
+      F e[kSide][3], coarse[3] = {};
+      for (int row = 0; row < kSide; ++row)
+        for (int k = 0; k < 3; ++k) {
+          e[row][k] = V::load(first + (3 * row + k) * kTileWidth + i) - load_target<W>(in[row][k] + i) * kStep;
+          coarse[k] += e[row][k];
+        }
+      for (F& mean : coarse) mean = sum_groups<W, kSide>(mean) * of_sum;
+      for (int row = 0; row < kSide; ++row) {
+        const F e0 = e[row][0], e1 = e[row][1], e2 = e[row][2];
+        const F c0 = e0 + coarse[0], c1 = e1 + coarse[1], c2 = e2 + coarse[2];
+        const F seen = load_target<W>(in[row][3] + i) * kUnit, own = seen * color;
+        const F of_luma = seen * (c0 * y0 + c1 * y1 + c2 * y2);
+        sum += own * (e0 * c0 + e1 * c1 + e2 * c2) + of_luma * (e0 * y0 + e1 * y1 + e2 * y2);
+        float* const here = first + 3 * row * kTileWidth + i;
+        V::store(here, (own * c0 + of_luma * y0) * t.scale);
+        V::store(here + kTileWidth, (own * c1 + of_luma * y1) * t.scale);
+        V::store(here + 2 * kTileWidth, (own * c2 + of_luma * y2) * t.scale);
+      }
     }
   }
-  std::fill(values, values + (kTileHeight - t.rows) * 3 * kTileWidth, 0.0f);
+  const int done = (t.rows + kSide - 1) / kSide * kSide;
+  std::fill(values + done * 3 * kTileWidth, values + kTileFloats, 0.0f);
   return V::sum(sum);
+}
+
+template <int W>
+SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
+  if (target.coarse.weight == 0 || target.coarse.side == 1) return squares_body<W, 1>(values, target);
+  return target.coarse.side == 2 ? squares_body<W, 2>(values, target) : squares_body<W, 4>(values, target);
 }
 
 SG_INLINE void weigh_body(float* values, const int16_t* visibility, int64_t stride, int columns, int rows) {

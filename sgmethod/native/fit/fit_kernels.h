@@ -20,6 +20,14 @@ struct Strips {
   }
 };
 
+// The squared mean of an error over squares of `side` pixels (1, 2 or 4) counts once more, `weight` times.
+struct Coarse {
+  // spacing: side of a pixel, in pixels of the whole picture.
+  static Coarse at(float weight, int spacing) { return {weight, spacing < kCoarseSide ? kCoarseSide / spacing : 1}; }
+  float weight = 0;
+  int side = 1;
+};
+
 // A tile's part of a target [3][height][width], in which white is kTargetWhite.
 struct TileTarget {
   const int16_t* first;
@@ -29,6 +37,7 @@ struct TileTarget {
   float scale;            // of the gradient
   const int16_t* visibility = nullptr;  // of the tile's first pixel, rows `stride` apart
   Seen seen = kSeenAlike;               // weights of colours, with a visibility
+  Coarse coarse = {};                   // with a visibility
 };
 
 struct FitKernels {

@@ -193,19 +193,20 @@ void gram(const Rasterization& raster, const float* colors, float* out_colors, c
 }
 
 double squared_error(const Rasterization& raster, const float* colors, const int16_t* target,
-                     const MutableGaussians& out, const int16_t* visibility, const Seen& seen) {
+                     const MutableGaussians& out, const int16_t* visibility, const Seen& seen, const Coarse& coarse) {
   if (raster.canvas().x != 0 || raster.canvas().y != 0) refuse<std::invalid_argument>("a fit is of the whole picture");
   const float scale = 2.0f / static_cast<float>(samples(raster));
-  Planes coarse(raster.grids(), Planes::Rows::kWhole, 2);
-  raster.draw_coarse(colors, 2, coarse);
+  Planes wide(raster.grids(), Planes::Rows::kWhole, 2);
+  raster.draw_coarse(colors, 2, wide);
   std::vector<double> errors(static_cast<size_t>(raster.tiles(0)));
   const auto fill = [&](int tile, Rasterization::Part& part, float* gradient, float* pair_gradients) {
     const std::unique_ptr<float[]> first(new float[first_value_count(raster, tile)]);  // all written by the kernel
-    raster.begin_tile(tile, coarse, colors, part, gradient);
+    raster.begin_tile(tile, wide, colors, part, gradient);
     TileTarget here = target_of(raster, tile, target, scale);
     here.ahead = kAhead;
     if (visibility != nullptr) here.visibility = visibility + (here.first - target);
     here.seen = seen;
+    here.coarse = coarse;
     errors[static_cast<size_t>(tile)] =
         fit_kernels(raster.isa()).squared_error(raster, tile, colors, here, first.get(), gradient, pair_gradients);
   };

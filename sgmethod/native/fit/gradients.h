@@ -30,9 +30,11 @@ void backward(const Rasterization& raster, const float* colors, const float* ima
 // each Gaussian with the picture of all.
 void gram(const Rasterization& raster, const float* colors, float* out_colors, const int16_t* visibility = nullptr);
 // Mean squared error and its gradients: drawing, loss and backward at once, so that no picture is written to memory.
-// With a visibility, errors are weighted by it and by `seen`. Throws std::invalid_argument for a part of a picture.
+// With a visibility, errors are weighted by it and by `seen`, and coarse ones count once more. Throws
+// std::invalid_argument for a part of a picture.
 double squared_error(const Rasterization& raster, const float* colors, const int16_t* target,
-                     const MutableGaussians& out, const int16_t* visibility = nullptr, const Seen& seen = kSeenByEye);
+                     const MutableGaussians& out, const int16_t* visibility = nullptr, const Seen& seen = kSeenByEye,
+                     const Coarse& coarse = {});
 // Mean squared error only.
 double squared_error(const Rasterization& raster, const float* colors, const int16_t* target);
 

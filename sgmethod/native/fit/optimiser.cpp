@@ -17,10 +17,11 @@ constexpr int kTogether = 32;  // Gaussians whose values fit the level 1 cache
 constexpr float kInverseCurvature[kAdamValues] = {2.0f, 2.0f, 4.0f / 3.0f, 4.0f, 4.0f / 3.0f, 1.0f, 1.0f, 1.0f};
 constexpr int kOfShape = 5;  // number of values of d and S, which come first
 constexpr double kPi = 3.14159265358979;
+constexpr float kSquareVariance = kCoarseSide * kCoarseSide / 12.0f;  // along an axis
 
 // A step of up to kTogether Gaussians. The element-wise computation has its own loop, which the compiler vectorises.
-SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const MutableGaussians& p,
-                             const ConstGaussians& grad, const Averages& averages) {
+SG_CLONES void step_together(const AdamSettings& s, const ErrorWeights& weights, int begin, int count,
+                             const MutableGaussians& p, const ConstGaussians& grad, const Averages& averages) {
   float *const first = averages.first, *const second = averages.second, *const bias = averages.bias;
   float gradients[kTogether * kAdamValues], most[kTogether * kAdamValues], unbias[kTogether * 2];
   for (int j = 0; j < count; ++j) {
@@ -37,7 +38,7 @@ SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const 
                                   gc[1],
                                   gc[2]};
     const float square = std::max(color[0] * color[0] + color[1] * color[1] + color[2] * color[2], kFaint);
-    const float of_color = s.newton / (l[0] * l[2]), of_shape = of_color / square;
+    const float of_color = s.newton / (l[0] * l[2] * weights.of(p.means + 2 * i, l)), of_shape = of_color / square;
     for (int k = 0; k < kAdamValues; ++k) {
       gradients[kAdamValues * j + k] = g[k];
       most[kAdamValues * j + k] = (k < kOfShape ? of_shape : of_color) * kInverseCurvature[k];
@@ -78,11 +79,27 @@ AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate,
     : rates{mean_rate, mean_rate, factor_rate, factor_rate, factor_rate, color_rate, color_rate, color_rate},
       beta1(beta1), beta2(beta2), min_scale(min_scale), newton(static_cast<float>(newton_steps * values / (2 * kPi))) {}
 
-void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
-                const ConstGaussians& grad, const Averages& averages) {
+float ErrorWeights::of(const float* mean, const float* factor) const {
+  float weight = 1;
+  if (visibility != nullptr) {
+    const auto place = [&](float at, int size) {  // NaN is at 0
+      at /= spacing;
+      return at >= 0 ? (at < static_cast<float>(size - 1) ? static_cast<int64_t>(at) : int64_t{size} - 1) : 0;
+    };
+    const int16_t here = visibility[place(mean[1], height) * width + place(mean[0], width)];
+    weight = std::max(static_cast<float>(here) / kVisible, 1.0f);
+  }
+  // The share of the energy that means over squares keep.
+  const auto kept = [](float l) { return l / std::sqrt(l * l + kSquareVariance); };
+  return coarse > 0 ? weight * (1 + coarse * kept(factor[0]) * kept(factor[2])) : weight;
+}
+
+void frame_adam(const AdamSettings& settings, const ErrorWeights& weights, float rate, int begin, int end,
+                const MutableGaussians& p, const ConstGaussians& grad, const Averages& averages) {
   AdamSettings s = settings;
   for (float& r : s.rates) r *= rate;
-  for (int i = begin; i < end; i += kTogether) step_together(s, i, std::min(kTogether, end - i), p, grad, averages);
+  for (int i = begin; i < end; i += kTogether)
+    step_together(s, weights, i, std::min(kTogether, end - i), p, grad, averages);
 }
 
 void keep_in_range(float reach, float width, float height, int begin, int end, const MutableGaussians& p) {

@@ -1,6 +1,8 @@
 // The optimiser: Adam in each Gaussian's own frame (sgmethod/backend/protocol.py).
 #pragma once
 
+#include <cstdint>
+
 #include "core/gaussians.h"
 
 namespace sg {
@@ -19,6 +21,16 @@ struct AdamSettings {
   float newton;     // longest step, in multiples of the gradient divided by l1 l3 and by the curvature
 };
 
+// Weights of the errors that are minimised, by which the curvature grows.
+struct ErrorWeights {
+  // Of a Gaussian, at least 1. Where errors are hidden steps stay short, as they gain little there.
+  float of(const float* mean, const float* factor) const;
+  const int16_t* visibility;  // [height, width], or null
+  int width, height;
+  float spacing;  // of the visibility, in pixels of the whole picture
+  float coarse;   // weight with which coarse errors count once more
+};
+
 // first, second [n, 8]: Adam's averages; bias [n, 2]: beta1 and beta2 to the power of the Gaussian's steps so far,
 // which is the weight of the initial zeros in the averages.
 struct Averages {
@@ -26,8 +38,8 @@ struct Averages {
 };
 
 // One step down the gradients of the Gaussians from begin to before end, with all rates times `rate`.
-void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
-                const ConstGaussians& grad, const Averages& averages);
+void frame_adam(const AdamSettings& settings, const ErrorWeights& weights, float rate, int begin, int end,
+                const MutableGaussians& p, const ConstGaussians& grad, const Averages& averages);
 
 // Clamps the Gaussians from begin to before end to values that every file can represent: scale, slant and amplitude to
 // the limits in constants.h, and means to within reach sqrt(l1 l3) of the picture.

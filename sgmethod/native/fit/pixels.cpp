@@ -34,6 +34,26 @@ SG_CLONES double seen_row(const uint8_t* a, const uint8_t* b, int width, const i
   return sum;
 }
 
+// The squared mean errors of squares along rows of a picture, each times the sum of its pixels' visibility.
+double seen_squares(const uint8_t* a, const uint8_t* b, int width, int rows, const int16_t* visibility,
+                    const Seen& seen) {
+  double sum = 0;
+  for (int x = 0; x < width; x += kCoarseSide) {
+    int errors[3] = {}, visible = 0;
+    for (int row = 0; row < rows; ++row)
+      for (int64_t i = int64_t{row} * width + x, end = i + std::min(kCoarseSide, width - x); i < end; ++i) {
+        for (int k = 0; k < 3; ++k) errors[k] += a[3 * i + k] - b[3 * i + k];
+        visible += visibility[i];
+      }
+    float mean[3], weighted[3];
+    for (int k = 0; k < 3; ++k)
+      mean[k] = weighted[k] = static_cast<float>(errors[k]) / static_cast<float>(kCoarseSide * kCoarseSide);
+    seen.weigh(weighted);
+    for (int k = 0; k < 3; ++k) sum += static_cast<double>(visible) * static_cast<double>(mean[k] * weighted[k]);
+  }
+  return sum;
+}
+
 }  // namespace
 
 uint64_t squared_difference(const uint8_t* a, const uint8_t* b, int64_t count) {
@@ -47,12 +67,18 @@ uint64_t squared_difference(const uint8_t* a, const uint8_t* b, int64_t count) {
 }
 
 double seen_difference(const uint8_t* a, const uint8_t* b, int width, int height, const int16_t* visibility,
-                       const Seen& seen) {
-  std::vector<double> sums(static_cast<size_t>(height));  // added in order
-  parallel_each(height, std::max(kValues / (3 * width), 1), [&](int y) {
-    const int64_t at = int64_t{y} * width;
-    sums[static_cast<size_t>(y)] = seen_row(a + 3 * at, b + 3 * at, width, visibility + at, seen.color, seen.luma[0],
-                                            seen.luma[1], seen.luma[2]);
+                       const Seen& seen, double coarse) {
+  const int squares = (height + kCoarseSide - 1) / kCoarseSide;
+  std::vector<double> sums(static_cast<size_t>(squares));  // added in order
+  parallel_each(squares, std::max(kValues / (3 * kCoarseSide * width), 1), [&](int square) {
+    const int y = square * kCoarseSide, rows = std::min(kCoarseSide, height - y);
+    const int64_t first = int64_t{y} * width;
+    double sum = 0;
+    for (int64_t at = first; at < first + int64_t{rows} * width; at += width)
+      sum += seen_row(a + 3 * at, b + 3 * at, width, visibility + at, seen.color, seen.luma[0], seen.luma[1],
+                      seen.luma[2]);
+    if (coarse > 0) sum += coarse * seen_squares(a + 3 * first, b + 3 * first, width, rows, visibility + first, seen);
+    sums[static_cast<size_t>(square)] = sum;
   });
   return std::accumulate(sums.begin(), sums.end(), 0.0);
 }

@@ -10,8 +10,9 @@ namespace sg {
 // Sum of squared differences of values. Exact, so in no particular order.
 uint64_t squared_difference(const uint8_t* a, const uint8_t* b, int64_t count);
 
-// The same of pictures [height][width][3] as they are seen, times kVisible. visibility: of each pixel.
+// The same of pictures [height][width][3] as they are seen, times kVisible. visibility: of each pixel; coarse: weight
+// with which mean errors over squares of kCoarseSide pixels count once more.
 double seen_difference(const uint8_t* a, const uint8_t* b, int width, int height, const int16_t* visibility,
-                       const Seen& seen);
+                       const Seen& seen, double coarse);
 
 }  // namespace sg

@@ -72,6 +72,8 @@ void rd_steps(const Descent& d, const float* rates, int steps, int n, const Muta
   Scratch gradients(8 * count), placed(d.spacing == 1 ? 0 : 5 * count);
   const MutableGaussians by{gradients.get(), gradients.get() + 2 * count, gradients.get() + 5 * count};
   const float samples = 1 / d.spacing;
+  const ErrorWeights weights{d.visibility, d.canvas.width, d.canvas.height, d.spacing, d.coarse};
+  const Coarse coarse = Coarse::at(d.coarse, static_cast<int>(d.spacing));
   for (int step = 0; step < steps; ++step) {
     const float *means = p.means, *factors = p.factors;
     if (d.spacing != 1) {
@@ -81,12 +83,12 @@ void rd_steps(const Descent& d, const float* rates, int steps, int n, const Muta
       means = at, factors = at + 2 * count;
     }
     const Rasterization raster(means, factors, n, d.canvas, -1, kMaxPairs);
-    squared_error(raster, p.colors, d.target, by, d.visibility, d.seen);
+    squared_error(raster, p.colors, d.target, by, d.visibility, d.seen, coarse);
     parallel_chunks(n, kBlock, [&](int first, int last, int) {
       for (int i = 2 * first; i < 2 * last; ++i) by.means[i] *= samples;
       for (int i = 3 * first; i < 3 * last; ++i) by.factors[i] *= samples;
       if (d.price > 0) add_rate_gradient(d.quantum, d.price, first, last, p, by);
-      frame_adam(d.adam, rates[step], first, last, p, by, a);
+      frame_adam(d.adam, weights, rates[step], first, last, p, by, a);
       keep_in_range(d.reach, d.width, d.height, first, last, p);
     });
   }

@@ -17,6 +17,7 @@ struct Descent {
   const int16_t* target;
   const int16_t* visibility;  // or null
   Seen seen;
+  float coarse;  // weight of coarse errors
   float quantum, price;
   AdamSettings adam;
   float reach, width, height;  // of keep_in_range()
