@@ -117,7 +117,7 @@ def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryI
     try:
         return context.storage.open(result.bitstream_key)
     except FileNotFoundError as error:
-        if context.table.get(job.id) is None:  # removed meanwhile
+        if context.table.glance(job.id) is None:  # removed meanwhile
             raise no_such_job() from None
         raise _damaged(job, error) from error
 

@@ -69,7 +69,7 @@ async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
         await asyncio.sleep(pause_s)
         if time.monotonic() >= deadline or context.stopping():
             return None
-        seen = await context.read(context.table.get, job.id)
+        seen = await context.read(context.table.glance, job.id)
         if seen is None:
             raise ProblemError(409, "the job was removed before it was done")
         job = seen
@@ -106,7 +106,7 @@ async def stop(job: KnownJob, context: UseContext, response: Response) -> models
     view = models.accepted(job, context.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})
     if job.state != "done" and not await context.write(context.table.stop, job.id):
-        now = await context.read(context.table.get, job.id)
+        now = await context.read(context.table.glance, job.id)
         if now is None:
             raise no_such_job()
         if now.state != "done":

@@ -108,8 +108,8 @@ class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
     number: order of acceptance; position: place in the queue from 1, ignoring that owners take turns, None unless
-    queued; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed; losses: attempts
-    that lost their worker; stopped: whether the running attempt is to end early, with what it has.
+    queued and looked up; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed;
+    losses: attempts that lost their worker; stopped: whether the running attempt is to end early, with what it has.
     """
 
     number: int

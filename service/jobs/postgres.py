@@ -14,7 +14,8 @@ from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
 from service.errors import JobTableError
-from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database, other_version
+from service.jobs.migrations import SCHEMA, migrate
+from service.jobs.statements import Database
 from service.jobs.table import JobTable
 from service.settings import Settings
 
@@ -88,7 +89,10 @@ def _translated_errors() -> Iterator[None]:
 
 
 def _set_up(conninfo: str) -> None:
-    """Create the tables if there are none. This does not use the pool, so a wrong address is reported at once."""
+    """Create the tables, or bring them to today's version.
+
+    This does not use the pool, so a wrong address is reported at once.
+    """
     session_id = "SELECT pg_backend_pid()"
     with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
         before = other.execute(session_id).fetchone()
@@ -100,11 +104,13 @@ def _set_up(conninfo: str) -> None:
         db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
         db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
         row = db.execute("SELECT version FROM version WHERE part = 'jobs'").fetchone()
-        if row is None:
-            db.execute(f"{EPOCH} {SCHEMA.format(number=NUMBER)} {TRIGGERS}".encode())
-            db.execute("INSERT INTO version VALUES ('jobs', %s)", (str(SCHEMA_VERSION),))
-        elif row["version"] != str(SCHEMA_VERSION):
-            raise JobTableError(other_version(row["version"]))
+        found = None if row is None else int(row["version"])
+        version = migrate(_Session(db), found, (f"{EPOCH} {SCHEMA.format(number=NUMBER)} {TRIGGERS}",))
+        if version is not None:
+            db.execute(
+                "INSERT INTO version VALUES ('jobs', %s) ON CONFLICT (part) DO UPDATE SET version = excluded.version",
+                (str(version),),
+            )
 
 
 class PostgresJobTable(JobTable):

@@ -10,7 +10,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from service.errors import JobTableError
-from service.jobs.statements import SCHEMA, SCHEMA_VERSION, Database, other_version
+from service.jobs.migrations import SCHEMA, migrate
+from service.jobs.statements import Database
 from service.jobs.table import JobTable
 from service.settings import Settings
 
@@ -45,15 +46,16 @@ class SqliteJobTable(JobTable):
         self._follow_file()
 
     def _set_up(self) -> None:
-        """Create the tables if there are none."""
+        """Create the tables, or bring them to today's version."""
+        create = (*SCHEMA.format(number=NUMBER).split(";")[:-1], *TRIGGERS)
         with self._transaction() as db:
-            version = db.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (0, SCHEMA_VERSION):
-                raise JobTableError(f"{self._path}: {other_version(version)}")
-            if version == 0:
-                for statement in (*SCHEMA.format(number=NUMBER).split(";")[:-1], *TRIGGERS):
-                    db.execute(statement)
-                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+            found = db.execute("PRAGMA user_version").fetchone()[0]
+            try:
+                version = migrate(db, found or None, create)
+            except JobTableError as error:
+                raise JobTableError(f"{self._path}: {error}") from error
+            if version is not None:
+                db.execute(f"PRAGMA user_version = {version}")
 
     def _follow_file(self) -> None:
         """Reopen a file that was replaced: writes to the old one would be lost with its last reader."""

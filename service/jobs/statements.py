@@ -1,103 +1,47 @@
-"""Tables and statements in the SQL that SQLite and PostgreSQL share: a `?` for a value, epoch() for the time."""
+"""Statements in the SQL that SQLite and PostgreSQL share: a `?` for a value, epoch() for the time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-SCHEMA_VERSION = 4
-# {number}: the type of an automatic row number, which depends on the database. The table `stored` counts jobs and their
-# bytes by owner and state; each database adds triggers that update it.
-SCHEMA = """
-CREATE TABLE stored (
-    owner TEXT NOT NULL,
-    state TEXT NOT NULL,
-    jobs  BIGINT NOT NULL,
-    bytes BIGINT NOT NULL,
-    PRIMARY KEY (owner, state)
-);
-CREATE TABLE workers (
-    name    TEXT PRIMARY KEY,
-    seen_at DOUBLE PRECISION NOT NULL
-);
-CREATE TABLE deliveries (
-    job      TEXT NOT NULL,
-    address  TEXT NOT NULL,
-    body     TEXT NOT NULL,
-    ended_at DOUBLE PRECISION NOT NULL,
-    due_at   DOUBLE PRECISION NOT NULL,
-    PRIMARY KEY (job, address)
-);
-CREATE INDEX deliveries_by_time ON deliveries (address, due_at);
-CREATE TABLE totals (
-    name   TEXT PRIMARY KEY,
-    amount DOUBLE PRECISION NOT NULL
-);
-CREATE TABLE jobs (
-    number          {number},
-    id              TEXT NOT NULL UNIQUE,
-    owner           TEXT NOT NULL DEFAULT '',
-    priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
-    state           TEXT NOT NULL DEFAULT 'queued' CHECK (state IN ('queued', 'running', 'done', 'failed')),
-    idempotency_key TEXT,
-    fingerprint     TEXT NOT NULL,
-    request         TEXT NOT NULL,
-    image           TEXT NOT NULL,
-    attempt         INTEGER NOT NULL DEFAULT 0,
-    crashes         INTEGER NOT NULL DEFAULT 0,
-    worker          TEXT,
-    lease_until     DOUBLE PRECISION,
-    created_at      DOUBLE PRECISION NOT NULL,
-    started_at      DOUBLE PRECISION,
-    finished_at     DOUBLE PRECISION,
-    result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
-    error           TEXT,
-    image_bytes     BIGINT NOT NULL,
-    file_bytes      BIGINT NOT NULL DEFAULT 0,
-    stopped         INTEGER NOT NULL DEFAULT 0,
-    losses          INTEGER NOT NULL DEFAULT 0,
-    UNIQUE (owner, idempotency_key)
-);
-CREATE INDEX jobs_by_state ON jobs (state, number);
-CREATE INDEX jobs_by_owner ON jobs (owner, number);
-CREATE TABLE served (
-    owner TEXT PRIMARY KEY,
-    at    DOUBLE PRECISION NOT NULL
-);
-CREATE TABLE trace (
-    job   BIGINT NOT NULL REFERENCES jobs (number) ON DELETE CASCADE,
-    place INTEGER NOT NULL,
-    point TEXT NOT NULL,
-    PRIMARY KEY (job, place)
-);
-"""
 COUNTS = """
-SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
+SELECT epoch() - (SELECT created_at FROM jobs WHERE state = 'queued' ORDER BY number LIMIT 1) AS waiting_s,
     (SELECT count(*) FROM deliveries) AS deliveries,
     coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """
-SELECT_JOB = """
-SELECT jobs.*, CASE WHEN state = 'queued' THEN (
-    SELECT count(*) FROM jobs AS waiting
-    WHERE waiting.state = 'queued'
-    AND (waiting.priority = 'bulk', waiting.number) <= (jobs.priority = 'bulk', jobs.number)
-) END AS position FROM jobs
+QUEUED = """
+SELECT CAST(coalesce(sum(jobs), 0) AS BIGINT) AS jobs FROM stored WHERE state = 'queued' AND owner = coalesce(?, owner)
 """
-# For a page of jobs: counting the position of each separately takes 0.1 s a page when thousands wait.
+SELECT_JOB = "SELECT *, NULL AS position FROM jobs"
+# With positions, which take longer to find with each job that waits. Each is counted from that of the job before, since
+# to count from the front of the queue for each of a page takes 0.1 s when thousands wait.
 SELECT_JOBS = """
-WITH waiting AS (
-    SELECT number, row_number() OVER (ORDER BY priority = 'bulk', number) AS position FROM jobs WHERE state = 'queued'
+WITH chosen AS (
+    SELECT jobs.*, lag(number, 1, 0) OVER (PARTITION BY state, priority ORDER BY number) AS previous
+    FROM (SELECT * FROM jobs {where} ORDER BY number DESC LIMIT ?) AS jobs
 )
-SELECT jobs.*, waiting.position FROM jobs LEFT JOIN waiting USING (number)
+SELECT chosen.*, CASE WHEN state = 'queued' THEN CAST(
+    CASE priority WHEN 'bulk' THEN (
+        SELECT count(*) FROM jobs WHERE state = 'queued' AND priority = 'interactive'
+    ) ELSE 0 END + sum((
+        SELECT count(*) FROM jobs AS waiting WHERE chosen.state = 'queued' AND waiting.state = 'queued'
+        AND waiting.priority = chosen.priority AND waiting.number > chosen.previous AND waiting.number <= chosen.number
+    )) OVER (PARTITION BY state, priority ORDER BY number)
+AS BIGINT) END AS position FROM chosen ORDER BY number DESC
 """
-# Owners take turns by the number of their running jobs, however many are queued.
+# Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at.
 CLAIM = """
 UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
     lease_until = epoch() + ?
 WHERE state = 'queued' AND number = (
-    WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
-    SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
-    WHERE state = 'queued'
+    SELECT number FROM stored JOIN jobs ON number = (
+        SELECT number FROM jobs AS own WHERE own.state = 'queued' AND own.owner = stored.owner
+        ORDER BY priority DESC, number LIMIT 1
+    )
+    LEFT JOIN stored AS busy ON busy.owner = stored.owner AND busy.state = 'running'
+    LEFT JOIN served ON served.owner = stored.owner
+    WHERE stored.state = 'queued' AND stored.jobs > 0
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 ) RETURNING *, NULL AS position
 """
@@ -118,12 +62,6 @@ CLAIMED = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is too long because the clock was set back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
 LOST = "WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
-
-
-def other_version(version: object) -> str:
-    """Return why a job table of another version cannot be used, and what to do."""
-    known = f"this service reads version {SCHEMA_VERSION}"
-    return f"the job table has version {version}, and {known}; install the service that wrote it"
 
 
 class Database(Protocol):

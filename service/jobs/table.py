@@ -86,15 +86,15 @@ class JobTable(ABC):
                 return first, False
             self._check_queue(db, job.owner)
             self._check_quotas(db, job.owner, job.image.size_bytes)
-            db.execute(
+            row = db.execute(
                 "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, image_bytes,"
-                " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
+                " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *, NULL AS position",
                 (
                     *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
                     *(as_json(job.request), as_json(job.image), job.image.size_bytes),
                 ),
-            )
-            return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+            ).fetchone()
+            return job_of(row), True
 
     def first(self, owner: str | None, idempotency_key: str, fingerprint: str) -> Job | None:
         """Return the owner's job that an earlier request with this key made, else None. Raises KeyReusedError."""
@@ -123,9 +123,13 @@ class JobTable(ABC):
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
         """Return the job with this id, else None; with an owner, only if it is theirs."""
-        query = sql.SELECT_JOB + "WHERE id = ? AND owner = coalesce(?, owner)"
+        found = self._found("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner, 1)
+        return found[0] if found else None
+
+    def glance(self, job_id: str) -> Job | None:
+        """Return the job without its position, which takes longer to find with each job that waits."""
         with self._connection() as db:
-            row = db.execute(query, (job_id, owner)).fetchone()
+            row = db.execute(f"{sql.SELECT_JOB} WHERE id = ?", (job_id,)).fetchone()
         return None if row is None else job_of(row)
 
     def queued(self) -> int:
@@ -155,9 +159,12 @@ class JobTable(ABC):
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner, "state = ?": state}
         chosen = {condition: value for condition, value in conditions.items() if value is not None}
         where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
-        query = f"{sql.SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
+        return self._found(where, *chosen.values(), limit)
+
+    def _found(self, where: str, *values: Any) -> list[Job]:
+        """Return the newest jobs with their positions, newest first. values: of `where`, and how many jobs."""
         with self._connection() as db:
-            return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
+            return [job_of(row) for row in db.execute(sql.SELECT_JOBS.format(where=where), values).fetchall()]
 
     def trace(self, job_id: str) -> list[dict[str, Any]]:
         """Return the trace points of the job's latest attempt, oldest first."""
@@ -342,8 +349,7 @@ def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | N
 
 def _queued(db: Database, owner: str | None = None) -> int:
     """Return the number of queued jobs, of one owner or of all."""
-    query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
-    return int(db.execute(query, (owner,)).fetchone()["jobs"])
+    return int(db.execute(sql.QUEUED, (owner,)).fetchone()["jobs"])
 
 
 def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str) -> Job | None:
@@ -355,5 +361,5 @@ def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerp
 
 def _with_key(db: Database, owner: str | None, idempotency_key: str | None) -> Any:
     """Return the row of the owner's job with this key; each owner has their own keys."""
-    query = sql.SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
+    query = f"{sql.SELECT_JOB} WHERE owner = ? AND idempotency_key = ?"
     return db.execute(query, (owner or "", idempotency_key)).fetchone()
