@@ -159,7 +159,7 @@ def test_unfinished_uploads_leave_room_on_the_disk(start_service: StartService, 
     size = shutil.disk_usage(tmp_path).free // 9  # so that two fit, each twice, beside the room for four
     web = start_service("web", max_upload_bytes=size)
     head = b"POST /encode HTTP/1.1\r\nHost: localhost\r\nContent-Type: image/png\r\n"
-    sizes = b"Content-Length: %d" % size, b"Transfer-Encoding: chunked", b"Content-Length: %d" % size
+    sizes = b"Content-Length: %d" % size, b"Transfer-Encoding: chunked", b"Content-Length: %025d" % size
     with ExitStack() as stack:
         clients = [stack.enter_context(web.connect()) for _ in sizes]
         for client, announced in zip(clients, sizes, strict=True):

@@ -144,10 +144,12 @@ def problem_from(connection: socket.socket, status: int) -> dict[str, object]:
     ("headers", "sent"),
     [
         ([f"Content-Length: {LIMIT + 1}"], b""),
+        ([f"Content-Length: {LIMIT + 1:05000}"], b""),
+        ([f"Content-Length: {10**18}"], b""),
         (["Content-Length: 999999999999", "Expect: 100-continue"], b""),  # and not "100 Continue" first
         ([f"Content-Length: {len(HEAD) + 20 * LIMIT}"], HEAD + bytes(20 * LIMIT)),  # who sends on can read the answer
     ],
-    ids=["silent", "expects", "sends on"],
+    ids=["silent", "zeros", "19 digits", "expects", "sends on"],
 )
 def test_a_declared_length_beyond_the_limit_is_refused_unread(web: Service, headers: list[str], sent: bytes) -> None:
     with connect(web, *headers) as connection:
