@@ -90,7 +90,7 @@ class BodyLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
-        # The server refuses anything but digits of a number below 2 ** 64, but it takes any number of zeros before them.
+        # The server refuses what is no number below 2 ** 64, but takes any number of zeros before it.
         declared, received = int(headers.get("content-length", "").lstrip("0") or 0), 0
         expected = self._max_bytes if "transfer-encoding" in headers else declared
         reserved: int | None = None  # for this body

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import hmac
 import json
@@ -10,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.metadata import version
 from typing import Any
 
 import pytest
@@ -30,7 +32,8 @@ SECRET = f"whsec_{base64.b64encode(KEY).decode()}"
 
 
 class Receiver:
-    """Takes what is posted to it, and behaves as it is set: "well", with an "error", a "redirect", or "hangs"."""
+    """Takes what is posted to it, and behaves as it is set: "well", with an "error", a "redirect", "hangs" or
+    "trickles"."""
 
     def __init__(self) -> None:
         self.behaves = "well"
@@ -54,10 +57,17 @@ class Receiver:
         body = request.rfile.read(int(request.headers["Content-Length"]))
         name, at = request.headers["webhook-id"], request.headers["webhook-timestamp"]
         signed = hmac.new(KEY, f"{name}.{at}.".encode() + body, hashlib.sha256).digest()
+        assert request.headers["User-Agent"] == f"sgmethod/{version('sgmethod')}"
         assert request.headers["webhook-signature"] == f"v1,{base64.b64encode(signed).decode()}"
         self.tries.append(name)
         if self.behaves == "hangs":
             self.released.wait(TIMEOUT_S)
+            return
+        if self.behaves == "trickles":
+            request.wfile.write(b"HTTP/1.1 204 No Content\r\nX-Long: ")
+            with contextlib.suppress(OSError):
+                while not self.released.wait(0.05):
+                    request.wfile.write(b"a")
             return
         if self.behaves == "well":
             self.taken.append(json.loads(body))
@@ -103,13 +113,13 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
     for thread in threads:
         thread.start()
     jobs = []
-    for behaviour in ("error", "redirect", "hangs"):
+    for behaviour in ("error", "redirect", "hangs", "trickles"):
         receiver.behaves = behaviour
         jobs.append(ended(table))
         before = len(receiver.tries)
         wait_until(lambda before=before: len(receiver.tries) >= before + 3)
         wait_until(lambda: {each["data"]["id"] for each in other.taken} == set(jobs))
-    wait_until(lambda: table.counts().deliveries == 3)  # the other has taken the last before its sender notes that
+    wait_until(lambda: table.counts().deliveries == 4)  # the other has taken the last before its sender notes that
     assert receiver.taken == []
     monkeypatch.setattr(webhooks, "ANSWER_S", TIMEOUT_S)  # what is answered late on a busy machine is not sent again
     receiver.behaves = "well"
