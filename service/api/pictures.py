@@ -18,6 +18,7 @@ from service.api.files import (
     not_modified,
     picture_response,
     result_of,
+    stored_bitstream,
 )
 from service.api.problems import ProblemError
 from service.api.requests import (
@@ -96,9 +97,11 @@ async def preview_of_job(job: KnownJob, context: UseContext, request: Request) -
     Profile rd updates it at most once a second; profile paper has no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
-    key = job.result.bitstream_key if job.result else preview_key(job.id, job.attempt)
     try:
-        data = await context.store(context.storage.get, key)
+        if job.result:
+            data = await stored_bitstream(context, job, job.result)
+        else:
+            data = await context.store(context.storage.get, preview_key(job.id, job.attempt))
     except FileNotFoundError:
         return Response(status_code=204, headers=headers)
     headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'

@@ -220,3 +220,16 @@ def test_limits_of_previews(web: Service, start_service: StartService) -> None:
     assert_problem(web.client.post("/preview", content=large), 422, "limit is 1,000,000 pixels")
     short = start_service("web", decode_time_s=0.01)
     assert_problem(short.client.post("/preview", content=PHOTOGRAPH), 422, "time limit")
+
+
+def test_a_damaged_bitstream_is_not_served(web: Service) -> None:
+    """Clients would keep it for a year. Some of it could be drawn, and another whole file could be drawn, too."""
+    damaged = web.published(PICTURE)
+    paths = (f"/bitstreams/{damaged}.sg", f"/jobs/{damaged}/preview.sg", f"/decode/{damaged}.png?prefix=0.5")
+    other = PICTURE[:-1] + bytes([PICTURE[-1] ^ 1]), golden_path("v2-grey.sg").read_bytes()
+    for file in (PICTURE[:-1], b"", *other):
+        (web.data_dir / "bitstreams" / f"{damaged}.1.sg").write_bytes(file)
+        for path in paths:
+            before = web.log.read_text().count("its bitstream is damaged")
+            assert_problem(web.client.get(path), 500, "damaged")
+            assert web.log.read_text().count("its bitstream is damaged") == before + 1
