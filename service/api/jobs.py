@@ -16,7 +16,7 @@ from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters, while_client_waits
 from service.jobs.job import FINAL_STATES, Job, JobState
 from service.keys import Link
-from service.storage.files import source_key
+from service.storage.files import keys_of
 
 MAX_LINK_S = 7 * 86_400
 FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
@@ -119,7 +119,6 @@ async def remove(job: KnownJob, context: UseContext) -> Response:
     removed = await context.write(context.table.remove, job.id)
     if removed is not None:
         # A worker that runs it loses its claim at the next heartbeat, and removes its own files.
-        await context.store(context.discard, source_key(removed.id))
-        if removed.result is not None:
-            await context.store(context.discard, removed.result.bitstream_key)
+        for key in keys_of(removed.id, removed.attempt):
+            await context.store(context.discard, key)
     return Response(status_code=204)  # a Response, since JSON would have a Content-Type

@@ -39,6 +39,12 @@ def preview_key(job_id: str, attempt: int) -> str:
     return f"bitstreams/{job_id}.{attempt}.preview.sg"
 
 
+def keys_of(job_id: str, attempts: int) -> list[str]:
+    """Return the keys of all files that a job with so many attempts may have: a killed worker leaves its own behind."""
+    made = [key(job_id, attempt) for attempt in range(1, attempts + 1) for key in (bitstream_key, preview_key)]
+    return [source_key(job_id), *made]
+
+
 def job_of_key(key: str) -> str:
     """Return the id of the job that a file belongs to."""
     return key.partition("/")[2].partition(".")[0]

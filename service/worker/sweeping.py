@@ -6,7 +6,7 @@ import logging
 from dataclasses import dataclass
 
 from service.jobs.table import JobTable
-from service.storage.files import Storage, source_key
+from service.storage.files import Storage, keys_of, source_key
 
 log = logging.getLogger(__name__)
 
@@ -62,9 +62,7 @@ def pause_s(*kept_s: float) -> float:
 def _remove(table: JobTable, storage: Storage, job_id: str) -> list[str]:
     """Remove a job. Returns the keys of its files that could not be removed."""
     removed = table.remove(job_id)
-    keys = [] if removed is None else [source_key(job_id)]  # which may be kept for as long
-    if removed is not None and removed.result is not None:
-        keys.append(removed.result.bitstream_key)
+    keys = [] if removed is None else keys_of(job_id, removed.attempt)
     return [key for key in keys if not _removed(storage, key)]
 
 

@@ -14,10 +14,11 @@ from PIL import Image
 import sgmethod
 from service.api.files import MAX_CACHED_S
 from service.pictures import as_large, comparison_file
+from service.storage.files import bitstream_key, preview_key
 from sgmethod.view import View
 from tests.support import pictures
 from tests.support.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
-from tests.support.job_table import change
+from tests.support.job_table import change, claimed
 from tests.support.pictures import SMALL, page_of_text, saved
 from tests.support.service import Service, StartService, assert_problem, max_age
 
@@ -233,3 +234,16 @@ def test_a_damaged_bitstream_is_not_served(web: Service) -> None:
             before = web.log.read_text().count("its bitstream is damaged")
             assert_problem(web.client.get(path), 500, "damaged")
             assert web.log.read_text().count("its bitstream is damaged") == before + 1
+
+
+def test_delete_leaves_nothing_of_a_worker_that_was_killed(empty: Service) -> None:
+    job_id = empty.accepted()
+    with empty.table() as table:
+        for _ in range(2):
+            claim = claimed(table)
+            for key in (bitstream_key(job_id, claim.attempt), preview_key(job_id, claim.attempt)):
+                (empty.data_dir / key).write_bytes(b"left over")
+            assert table.release(claim)
+    assert len(empty.files()) == 5
+    assert empty.client.delete(f"/jobs/{job_id}").status_code == 204
+    assert empty.files() == []

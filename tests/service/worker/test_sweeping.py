@@ -151,8 +151,13 @@ def test_how_often_is_swept(kept_s: tuple[float, float], pause: float) -> None:
 
 
 def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Storage) -> None:
+    """With what a killed worker left behind."""
     finished(table, storage)
     submitted(table, storage)
+    killed = claimed(table)
+    for key in (bitstream_key(killed.id, 1), preview_key(killed.id, 1)):
+        storage.put(key, b"left over")
+    assert table.release(killed)
     refused = claimed(table)
     assert table.fail(refused, REFUSED)
     storage.delete(source_key(refused.id))
