@@ -28,6 +28,7 @@ from sgmethod.io.formats import name_of
 from sgmethod.io.pictures import SUFFIXES
 
 END_EARLY = signal.SIGUSR1  # sent by the sandbox to an encode that is to end early
+ALIVE = b"!"  # which the sandbox sends on the socket for requests, at least once a second
 FRAME_HEADER = struct.Struct(">II")
 MAX_TASK_BYTES = MAX_MESSAGE_BYTES = 1 << 16
 FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than both together

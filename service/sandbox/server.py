@@ -6,6 +6,7 @@ a fork. The sandbox ends when all its clients have closed their sockets, and its
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import select
@@ -21,12 +22,13 @@ from typing import NoReturn
 from pydantic import TypeAdapter
 
 from service.sandbox.confinement import SandboxError, confine, die_first, end_with, set_name
-from service.sandbox.frames import END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
+from service.sandbox.frames import ALIVE, END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
 WAITING_FORKS = 2
 MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
+ALIVE_EVERY_S = 1.0
 PAUSE_S = 0.25  # after a fork that ended without a task
 # Until a fork that has closed its descriptors is gone: it has the lowest priority, so a busy machine may let it wait.
 ENDS_S, POLL_S = 2.0, 5e-4
@@ -69,7 +71,9 @@ class Server:
         """Serve until all clients have disconnected."""
         while True:
             self._fork()
-            for key, _ in self._selector.select():
+            with contextlib.suppress(OSError):  # who started this does not read it at present
+                self._requests.send(ALIVE, socket.MSG_DONTWAIT)
+            for key, _ in self._selector.select(ALIVE_EVERY_S):
                 if key.fileobj is self._requests:
                     if not self._take():
                         return

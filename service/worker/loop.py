@@ -29,6 +29,7 @@ FOLLOW_S = 0.2  # how soon a request to stop is seen
 REGISTER_S = 2.0
 THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and unregistering may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
+BEGINS_SOON_S = 5.0  # after which this worker no longer reports that it is alive
 
 
 class Worker:
@@ -43,17 +44,17 @@ class Worker:
         self._sandbox = sandbox
         self._stop = stop
         self._name = f"{socket.gethostname()}:{os.getpid()}"
+        self._owed_since: float | None = None  # since when the sandbox has begun no task, though it was given some
 
     def run(self) -> None:
         """Claim and work until stopping is requested; sweep meanwhile."""
         log.info("worker %s: ready, threads: %d", self._name, self._settings.encode_threads)
         settings, stop = self._settings, self._stop
-        register = functools.partial(self._table.register, self._name)
         unregister = functools.partial(self._table.unregister, self._name)
         threads = [
             PeriodicThread("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
-            PeriodicThread("reporting", register, REGISTER_S, stop, unregister),
-            PeriodicThread("touching a file", functools.partial(touch, settings.data_dir), TOUCH_S, stop),
+            PeriodicThread("reporting", self._register, REGISTER_S, stop, unregister),
+            PeriodicThread("touching a file", self._touch, TOUCH_S, stop),
         ]
         for address in settings.webhook_addresses:
             send = functools.partial(send_next, self._table, address, settings.webhook_key)
@@ -67,6 +68,19 @@ class Worker:
             stop.wait(idle_s)
         for thread in threads[:2]:
             thread.join(THREADS_END_S)
+
+    @property
+    def works(self) -> bool:
+        """Whether jobs that this worker claims begin. A worker that waits for the database or the storage works."""
+        return self._owed_since is None or time.monotonic() - self._owed_since < BEGINS_SOON_S
+
+    def _register(self) -> None:
+        if self.works:
+            self._table.register(self._name)
+
+    def _touch(self) -> None:
+        if self.works:
+            touch(self._settings.data_dir)
 
     def _sweep(self) -> None:
         settings = self._settings
@@ -85,6 +99,7 @@ class Worker:
                     self._storage.delete(source_key(job.id))
         claim = self._table.claim(self._name)
         if claim is None:
+            self._owed_since = None
             return False
         log.info("job %s: attempt %d of worker %s", claim.id, claim.attempt, self._name)
         attempt = Attempt(self._table, self._storage, claim, self._stop)
@@ -110,6 +125,7 @@ class Worker:
             source = attempt.renewing_lease(functools.partial(self._storage.open, source_key(attempt.claim.id)))
         except FileNotFoundError:
             return JobError("crashed", "the source image is missing")
+        self._owed_since = self._owed_since or time.monotonic()
         with source, self._sandbox.start(self._task(attempt), source) as running:
             try:
                 return self._follow(running, attempt)
@@ -131,7 +147,10 @@ class Worker:
         """Relay progress to the job table and previews to the storage until the encode ends or must be ended."""
         started = time.monotonic()
         while not self._stop.requested:
-            for message in running.read(FOLLOW_S):
+            messages = running.read(FOLLOW_S)
+            if running.begun:
+                self._owed_since = None
+            for message in messages:
                 if isinstance(message, frames.TracePoint):
                     attempt.add(message.model_dump(exclude={"kind"}))
                 elif isinstance(message, frames.Preview):

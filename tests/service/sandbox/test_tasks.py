@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,13 +22,14 @@ from PIL import Image, ImageCms
 import sgmethod
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
-from service.sandbox import confinement, frames, server
-from service.sandbox.client import OutOfMemoryError, Sandbox, TaskError
+from service.sandbox import client, confinement, frames, server
+from service.sandbox.client import OutOfMemoryError, Sandbox, SandboxProcess, TaskError
+from service.sandbox.confinement import absent_layers
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
-from tests.support.processes import encoder_of, wait_until
+from tests.support.processes import TIMEOUT_S, encoder_of, wait_until
 from tests.support.service import FAKE_CODEC
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
@@ -149,6 +151,22 @@ def test_what_starts_tasks_has_one_thread_and_reads_nothing() -> None:
     with sandbox() as (tasks, number):
         assert isinstance(messages_of(tasks, task(), SMALL)[-1], Result)
         assert len([*Path("/proc", str(number), "task").iterdir()]) == 1
+
+
+def test_a_sandbox_that_hangs_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was left alone for ever. What it was asked is done by its successor."""
+    monkeypatch.setattr(client, "MAX_SILENT_LOOKS", 100)
+    process = SandboxProcess(1, absent_layers())
+    try:
+        wait_until(lambda: process.keep_alive() or process._silent_looks is not None)
+        first = process.process.pid
+        os.kill(first, signal.SIGSTOP)
+        with file_of(SMALL) as file, Sandbox(process.requests).start(task(), file) as running:
+            wait_until(lambda: process.keep_alive() or process.process.pid != first)
+            *_, result = until_end(running)
+        assert isinstance(result, Result)
+    finally:
+        process.stop(time.monotonic() + TIMEOUT_S)
 
 
 def test_one_that_is_to_end_early(taken_over: Sandbox) -> None:

@@ -14,11 +14,11 @@ from service.errors import JobTableError
 from service.jobs.job import EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.process.loops import StopSignal
-from service.sandbox.client import Sandbox
+from service.sandbox.client import Sandbox, SandboxUnavailableError
 from service.sandbox.frames import MAX_TASK_BYTES
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
-from service.worker import attempt as attempt_module
+from service.worker import attempt as attempt_module, loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
 from tests.support.job_table import LONG_S, claimed, job_of, settings, submitted
@@ -252,6 +252,26 @@ def test_unexpected_errors_do_not_end_a_worker(
     monkeypatch.setattr(worker, "run_one", fail)
     worker.run()
     assert "running a job failed unexpectedly" in caplog.text
+
+
+def test_a_worker_whose_jobs_do_not_begin_is_not_reported_alive(
+    table: Unsteady, worker: Worker, claim: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its sandbox was stopped for 140 s, and everything called it healthy."""
+    for name in ("BEGINS_S", "BEGINS_SOON_S"):
+        monkeypatch.setattr(loop, name, 0.0)
+    monkeypatch.setattr(loop, "touch", touched := [].append)
+    table.release(claim)
+    with pytest.raises(SandboxUnavailableError):
+        worker.run_one()
+    worker._register()
+    worker._touch()
+    assert (table.counts().workers, touched.__self__) == ({}, [])
+    table.remove(claim.id)
+    assert not worker.run_one()  # nothing is asked of the sandbox
+    worker._register()
+    worker._touch()
+    assert (len(table.counts().workers), len(touched.__self__)) == (1, 1)
 
 
 def test_a_missing_source(table: Unsteady, storage: Storage, worker: Worker, claim: Job) -> None:
