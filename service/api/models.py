@@ -93,7 +93,8 @@ class JobSummary(AcceptedView):
     image_expires_at: datetime | None = Field(description="until when the image of the finished job can be re-encoded")
     result: dict[str, Figure | list[str]] | None = Field(
         description="figures of the finished file; warnings has one sentence each for a missed target, a file larger "
-        "than its source, and a file without Gaussians; advice and better name a format that suits the image better"
+        "than its source, a file without Gaussians, and a time limit that cut the encode short on a busy machine; "
+        "advice and better name a format that suits the image better"
     )
     notes: list[str] = Field(description="what was dropped from the image, once done")
     error: JobError | None = Field(description="once failed")

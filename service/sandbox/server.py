@@ -28,14 +28,16 @@ from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_th
 WAITING_FORKS = 2
 MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
-ALIVE_EVERY_S = 1.0
+ALIVE_EVERY_S = 1.0  # and how often tasks are looked at
 PAUSE_S = 0.25  # after a fork that ended without a task
 # Until a fork that has closed its descriptors is gone: it has the lowest priority, so a busy machine may let it wait.
 ENDS_S, POLL_S = 2.0, 5e-4
 TAKEN_OVER = 70  # the exit status of a fork that had to be killed
 # Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
-# process and before encodes, since no request waits for an encode.
+# process and before encodes, since no request waits for an encode. Those that have used more than SHORT_CPU_S of a core
+# get the priority of an encode: two of one client left an encode 2 % of a core.
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
+SHORT_CPU_S = 0.5
 
 _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
 
@@ -44,14 +46,25 @@ class TaskProcess:
     """A forked process for one task.
 
     control: socket on which it receives the task, and whose end tells that the process has ended; answer: blocking
-    socket shared with the client, set once the task is known; status: exit status, once it has ended.
+    socket shared with the client, set once the task is known; status: exit status, once it has ended; is_long: whether
+    it has the priority of an encode.
     """
 
     def __init__(self, number: int, control: socket.socket) -> None:
         self.number = number
         self.control = control
         self.answer: socket.socket | None = None
-        self.status: int | None = None  # once it has ended
+        self.status: int | None = None
+        self.is_long = False
+
+    def lower_if_long(self) -> None:
+        """Give the task the priority of an encode if it has used more than SHORT_CPU_S."""
+        if self.is_long or self.answer is None or self.status is not None:
+            return
+        with contextlib.suppress(OSError):  # as for root without CAP_SYS_NICE, whose tasks are another user's
+            if time.clock_gettime(~self.number << 3 | 2) > SHORT_CPU_S:  # its id by clock_getcpuclockid()
+                self.is_long = True
+                os.setpriority(os.PRIO_PGRP, self.number, ENCODE_NICENESS)  # all its threads
 
 
 class Server:
@@ -81,6 +94,8 @@ class Server:
                     self._reap(key.data)
                 elif key.data.answer is not None:  # another event of this round may have closed it
                     self._serve(key.data, key.data.answer)
+            for fork in {key.data for key in self._selector.get_map().values() if key.data}:
+                fork.lower_if_long()
 
     def _fork(self) -> None:
         """Fork until WAITING_FORKS processes wait for tasks."""
@@ -105,7 +120,10 @@ class Server:
 
     def _take(self) -> bool:
         """Hand a task to a fork, and drop malformed requests. Returns False once all clients have disconnected."""
-        line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
+        try:
+            line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
+        except ConnectionResetError:  # they left words of this unread
+            return False
         if not line and _is_closed(self._requests):
             return False
         try:
@@ -202,6 +220,7 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
         die_first()
         _close_other_descriptors(control)
         set_name("waits for a task")
+        os.setpgid(0, 0)
         os.nice(PICTURE_NICENESS)
         warm_fork()
         held = socket.socket(fileno=control)  # open until this process ends: that tells the sandbox

@@ -25,9 +25,12 @@ from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
+from sgmethod.native import native
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
+CUT_SHORT = 0.9  # of the time limit: an encode that takes longer was cut short by it
+FAIR_CPU_SHARE = 0.5
 ERROR_LENGTH = 300  # characters of an error message sent to a client
 TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
 TINY_SIZE = (8, 8)
@@ -42,6 +45,8 @@ NOT_IMPORTED = {
         *("backend.tensors", "backend.pairs", "backend.tiles", "backend.together", "backend.tile_kernels"),
     )
 }
+
+CORES = native.available_cores()  # asked here: a confined task opens no file
 
 # Modules that libraries import only for some images.
 IMPORTED_LATE = (
@@ -85,7 +90,8 @@ class Answer:
 
 
 def set_threads(count: int) -> None:
-    """Set the number of threads that a task computes on. None is started before it is needed."""
+    """Set the number of threads that a task computes on, one a core at most. None is started before it is needed."""
+    count = min(count, CORES)
     sgmethod.set_threads(count)
     cv2.setNumThreads(count)
 
@@ -205,6 +211,7 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
     from sgmethod.metrics.advice import advice, better_file
 
     request = task.request
+    began_s, began_cpu_s = time.monotonic(), time.thread_time()
     with noted() as notes:
         pixels = read_input(file, keep_alpha=request.profile == "rd")
         encoded = encode(
@@ -220,8 +227,12 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
             measure=True,
         )
         size, db = len(encoded.data), encoded.stats.psnr
+        seconds, cpu_s = time.monotonic() - began_s, time.thread_time() - began_cpu_s
         figures = {**encoded.stats.to_dict(), **advice(better_file(pixels, size, db), size, db)}
     figures |= {"source_bytes": len(file), "notes": notes}
+    if seconds > CUT_SHORT * request.time_limit_s and cpu_s < FAIR_CPU_SHARE * seconds:
+        slow = f"the service was busy: the encode had a core for {cpu_s / seconds:.0%} of its time, and its time limit"
+        figures["warnings"] = [*encoded.stats.warnings, f"{slow} cut it short"]
     answer.send_result(frames.EncodeFigures(**frames.finite(figures)), encoded.data)
 
 

@@ -19,15 +19,15 @@ from service.sandbox.frames import Encode, Message, Preview, TracePoint
 from tests.support.data import ROOT
 from tests.support.processes import TIMEOUT_S
 
-# In place of an encode, a program in the file runs where the encoder would run: as confined, with `answer` at hand.
+# In place of an encode or a preview, a program in the file runs where the codec would: confined, with `answer` at hand.
 TAKEN_OVER = """
-import ctypes, json, mmap, os, resource, signal, socket, sys, time  # which a program cannot import any more
+import ctypes, json, mmap, os, resource, signal, socket, sys, threading, time  # which a program cannot import any more
 from service.sandbox import confinement, frames, server, tasks
 
 def run(task, file, answer):
     exec(file.decode(), {"task": task, "answer": answer, "frames": frames})
 
-tasks.PERFORM[frames.Encode] = run
+tasks.PERFORM[frames.Encode] = tasks.PERFORM[frames.MakePreview] = run
 
 """
 

@@ -13,7 +13,9 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -22,14 +24,14 @@ from PIL import Image, ImageCms
 import sgmethod
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
-from service.sandbox import client, confinement, frames, server
+from service.sandbox import client, confinement, frames, server, tasks
 from service.sandbox.client import OutOfMemoryError, Sandbox, SandboxProcess, TaskError
 from service.sandbox.confinement import absent_layers
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
-from tests.support.processes import TIMEOUT_S, encoder_of, wait_until
+from tests.support.processes import TIMEOUT_S, encoder_of, processes, wait_until
 from tests.support.service import FAKE_CODEC
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
@@ -200,6 +202,41 @@ def test_one_that_lets_go_of_its_sandbox_is_ended(taken_over: Sandbox) -> None:
     program = b"import os, time\nfor number in range(3, 64):\n    if number != answer._descriptor:\n        try:\n"
     program += b"            os.close(number)\n        except OSError:\n            pass\ntime.sleep(1000)"
     assert messages_of(taken_over, task(), program)[-1] == Ended(status=server.TAKEN_OVER)
+
+
+def test_a_picture_that_takes_long_gets_the_priority_of_an_encode() -> None:
+    """Two of one client left an encode 2 % of a core. All its threads get it, and no short picture."""
+    program = b"import threading, time\n"
+    program += b"def spin():\n    while True:\n        answer.end_early and None\n"
+    program += b"while not answer.end_early:\n    time.sleep(0.01)\nthreading.Thread(target=spin).start()\nspin()"
+    what = frames.MakePreview(**LIMITS, max_bytes=100)
+    with sandbox(TAKEN_OVER) as (tasks, parent), file_of(program) as file, tasks.start(what, file) as running:
+        wait_until(lambda: running.read(0.1) or running.begun)
+        family = processes().items()
+        (number,) = (number for number, one in family if (one.parent, one.name) == (parent, "preview"))
+
+        def niceness() -> list[int]:
+            return [os.getpriority(os.PRIO_PROCESS, int(each.name)) for each in Path(f"/proc/{number}/task").iterdir()]
+
+        assert niceness() == [min(os.getpriority(os.PRIO_PROCESS, 0) + server.PICTURE_NICENESS, server.ENCODE_NICENESS)]
+        wait_until(lambda: running.end_early() or niceness() == 2 * [server.ENCODE_NICENESS])
+
+
+@pytest.mark.parametrize(
+    ("limit_s", "cpu_share", "warned"), [(0.001, 0.3, True), (0.001, 0.9, False), (600, 0.3, False)]
+)
+def test_an_encode_says_what_a_busy_machine_cost_it(
+    monkeypatch: pytest.MonkeyPatch, limit_s: float, cpu_share: float, warned: bool
+) -> None:
+    """With a time limit, its file got worse without a word."""
+    monkeypatch.setattr(tasks.time, "thread_time", lambda: cpu_share * time.monotonic())
+    answers = SimpleNamespace(end_early=False, send=lambda _: None, send_preview=lambda _: None, send_result=Mock())
+    tasks.perform(task(limit_s), SMALL, answers)
+    figures, _ = answers.send_result.call_args.args
+    assert (
+        figures.warnings
+        == ["the service was busy: the encode had a core for 30% of its time, and its time limit cut it short"] * warned
+    )
 
 
 def test_one_that_the_system_kills_is_no_fault_of_its_client(taken_over: Sandbox) -> None:
