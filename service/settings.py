@@ -188,8 +188,8 @@ class Settings(BaseSettings):
         return keys
 
     @property
-    def max_queued_per_key(self) -> int:
-        """Maximum number of queued jobs of one API key."""
+    def max_queued_per_client(self) -> int:
+        """Maximum number of queued jobs of one API key, or of one address without keys."""
         return -(-self.queue_length // 2)
 
     @property

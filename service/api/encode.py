@@ -66,7 +66,7 @@ async def encode(
     job is done in time. If it fails in that time, 422 if the codec refused the image, else 500. Otherwise 202 and the
     job as JSON.
     """
-    await context.read(context.table.check_queue, caller.owner, key)  # before the body is read
+    await context.read(context.table.check_queue, caller.client, caller.owner, key)  # before the body is read
     async with image_and_fields(request) as (file, fields):
         options, fingerprint, job = read_options(fields), "", None
         if key is not None:  # first, since what would be refused now may have been accepted then
@@ -75,7 +75,7 @@ async def encode(
         if job is None:
             header = await context.tasks.read_header(caller.client, file)
             wanted = options.request(header, context.settings.max_time_limit_s)
-            new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, options.priority)
+            new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, options.priority, caller.client)
             async with context.accepting.turn(caller.client):
                 await file.seek(0)
                 job = await context.store(_accept, context, new, await file.read())

@@ -69,7 +69,7 @@ class NewJob:
     """A job to insert.
 
     fingerprint: digest of the client's request, compared when an idempotency key is used again; owner: owner of the API
-    key, None without keys.
+    key, None without keys; client: of whose jobs not too many may wait, the owner of a key or an address.
     """
 
     id: str
@@ -79,6 +79,7 @@ class NewJob:
     idempotency_key: str | None = None
     owner: str | None = None
     priority: Priority = "interactive"
+    client: str = ""
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,10 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
         "CREATE INDEX queue ON jobs (state, priority, number) WHERE state = 'queued'",
         "CREATE INDEX queue_by_owner ON jobs (owner, priority DESC, number) WHERE state = 'queued'",
     ),
+    (  # Version 6: whose jobs wait, which clients without API keys share too.
+        "ALTER TABLE jobs ADD COLUMN client TEXT NOT NULL DEFAULT ''",
+        "CREATE INDEX queue_by_client ON jobs (client) WHERE state = 'queued'",
+    ),
 )
 
 

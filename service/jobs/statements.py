@@ -10,9 +10,8 @@ SELECT epoch() - (SELECT created_at FROM jobs WHERE state = 'queued' ORDER BY nu
     (SELECT count(*) FROM deliveries) AS deliveries,
     coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """
-QUEUED = """
-SELECT CAST(coalesce(sum(jobs), 0) AS BIGINT) AS jobs FROM stored WHERE state = 'queued' AND owner = coalesce(?, owner)
-"""
+QUEUED = "SELECT CAST(coalesce(sum(jobs), 0) AS BIGINT) AS jobs FROM stored WHERE state = 'queued'"
+QUEUED_BY = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND client = ?"
 SELECT_JOB = "SELECT *, NULL AS position FROM jobs"
 # With positions, which take longer to find with each job that waits. Each is counted from that of the job before, since
 # to count from the front of the queue for each of a page takes 0.1 s when thousands wait.
@@ -30,10 +29,11 @@ SELECT chosen.*, CASE WHEN state = 'queued' THEN CAST(
     )) OVER (PARTITION BY state, priority ORDER BY number)
 AS BIGINT) END AS position FROM chosen ORDER BY number DESC
 """
-# Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at.
+# Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at. A client,
+# which may be somebody's address, is forgotten once its job runs.
 CLAIM = """
 UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
-    lease_until = epoch() + ?
+    lease_until = epoch() + ?, client = ''
 WHERE state = 'queued' AND number = (
     SELECT number FROM stored JOIN jobs ON number = (
         SELECT number FROM jobs AS own WHERE own.state = 'queued' AND own.owner = stored.owner

@@ -84,13 +84,13 @@ class JobTable(ABC):
             first = _first(db, job.owner, job.idempotency_key, job.fingerprint)
             if first is not None:
                 return first, False
-            self._check_queue(db, job.owner)
+            self._check_queue(db, job.client)
             self._check_quotas(db, job.owner, job.image.size_bytes)
             row = db.execute(
-                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, image_bytes,"
-                " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *, NULL AS position",
+                "INSERT INTO jobs (id, owner, client, priority, idempotency_key, fingerprint, request, image,"
+                " image_bytes, created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *, NULL AS position",
                 (
-                    *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
+                    *(job.id, job.owner or "", job.client, job.priority, job.idempotency_key, job.fingerprint),
                     *(as_json(job.request), as_json(job.image), job.image.size_bytes),
                 ),
             ).fetchone()
@@ -101,18 +101,18 @@ class JobTable(ABC):
         with self._connection() as db:
             return _first(db, owner, idempotency_key, fingerprint)
 
-    def check_queue(self, owner: str | None = None, idempotency_key: str | None = None) -> None:
-        """Raise LimitError if the queue is full for a new job; a job with a known key is not new."""
+    def check_queue(self, client: str = "", owner: str | None = None, idempotency_key: str | None = None) -> None:
+        """Raise LimitError if the queue is full for a new job of a client; a job with a known key is not new."""
         with self._connection() as db:
             if _with_key(db, owner, idempotency_key) is None:
-                self._check_queue(db, owner)
+                self._check_queue(db, client)
 
-    def _check_queue(self, db: Database, owner: str | None) -> None:
-        max_own = self._settings.max_queued_per_key
+    def _check_queue(self, db: Database, client: str) -> None:
+        max_own = self._settings.max_queued_per_client
         if _queued(db) >= self._settings.queue_length:
             raise LimitError("queue", "the queue is full; try again later")
-        if owner and _queued(db, owner) >= max_own:
-            raise LimitError("own_queue", f"this API key already has {max_own} jobs waiting; try again later")
+        if client and db.execute(sql.QUEUED_BY, (client,)).fetchone()["jobs"] >= max_own:
+            raise LimitError("own_queue", f"you already have {max_own} jobs waiting; try again later")
 
     def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
         quota, own_quota = self._settings.quota_bytes, self._settings.quota_bytes_per_key
@@ -347,9 +347,9 @@ def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | N
     return None if row is None else job_of(row)
 
 
-def _queued(db: Database, owner: str | None = None) -> int:
-    """Return the number of queued jobs, of one owner or of all."""
-    return int(db.execute(sql.QUEUED, (owner,)).fetchone()["jobs"])
+def _queued(db: Database) -> int:
+    """Return the number of queued jobs."""
+    return int(db.execute(sql.QUEUED).fetchone()["jobs"])
 
 
 def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str) -> Job | None:

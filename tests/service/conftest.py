@@ -188,8 +188,8 @@ def quick(start_for_all: StartService) -> Service:
 
 @pytest.fixture(scope="session")
 def small_queue(start_for_all: StartService, new_table: Callable[[], str]) -> Service:
-    """A web process without any worker, whose queue is soon full."""
-    return start_for_all("web", queue_length=SMALL_QUEUE, database_url=new_table())
+    """A web process without any worker, of whose queue one client may have SMALL_QUEUE places."""
+    return start_for_all("web", queue_length=2 * SMALL_QUEUE, database_url=new_table())
 
 
 @pytest.fixture

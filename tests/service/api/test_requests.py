@@ -285,9 +285,11 @@ def test_full_queue(empty: Service) -> None:
     for _ in range(SMALL_QUEUE - 1):
         empty.accepted()
     answer = empty.post()
-    assert_problem(answer, 429, "full")
+    assert_problem(answer, 429, f"{SMALL_QUEUE} jobs")
     assert int(answer.headers["retry-after"]) > 0
     assert len(empty.files()) == SMALL_QUEUE
+    with httpx2.Client(transport=httpx2.HTTPTransport(local_address="127.0.0.2")) as other:
+        assert other.post(f"{empty.url}/encode?bpp=1", content=SMALL).status_code == 202
     assert empty.post(key="first").json() == first.json()
     assert_problem(empty.post(key="new"), 429)
     assert empty.client.delete(first.json()["status_url"]).status_code == 204

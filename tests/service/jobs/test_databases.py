@@ -103,7 +103,7 @@ def test_nothing_reads_the_whole_table_or_queue(path: Path) -> None:
     def asked(table: SqliteJobTable, job_id: str) -> int:
         steps.clear()
         table.counts()
-        table.check_queue("bob")
+        table.check_queue("key bob", "bob")
         with pytest.raises(LimitError, match="storage quota"):
             table.submit(new(owner="ann"))
         assert table.glance(job_id)

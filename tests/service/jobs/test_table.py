@@ -195,10 +195,28 @@ def test_processes_share_a_table(database_url: str, tmp_path: Path) -> None:
     assert sorted(what_all_say(_claim_and_finish, 4, database_url, tmp_path)) == sorted(expected)
 
 
+def test_one_client_fills_half_of_the_queue(open_job_table: OpenTable) -> None:
+    """And is not remembered once its jobs no longer wait."""
+    table = open_job_table(LONG_S, queue_length=3)
+    submitted(table, client="192.0.2.1")
+    table.check_queue("192.0.2.1")
+    submitted(table, client="192.0.2.1")
+    for refused in (lambda: table.submit(new(client="192.0.2.1")), lambda: table.check_queue("192.0.2.1")):
+        with pytest.raises(LimitError, match="2 jobs") as refusal:
+            refused()
+        assert refusal.value.reason == "own_queue"
+    submitted(table, client="192.0.2.2")
+    claimed(table)
+    table.check_queue("192.0.2.1")
+    with table._connection() as db:
+        rows = db.execute("SELECT client FROM jobs ORDER BY number").fetchall()
+    assert [row["client"] for row in rows] == ["", "192.0.2.1", "192.0.2.2"]
+
+
 def test_queue_length_counts_waiting_jobs_only(open_job_table: OpenTable) -> None:
     table = open_job_table(LONG_S, queue_length=1)
     table.submit(new("key"))
-    for refused in (lambda: table.submit(new()), table.check_queue, lambda: table.check_queue("ann", "key")):
+    for refused in (lambda: table.submit(new()), table.check_queue, lambda: table.check_queue("key ann", "ann", "key")):
         with pytest.raises(LimitError) as refusal:
             refused()
         assert refusal.value.reason == "queue"
