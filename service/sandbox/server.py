@@ -30,9 +30,6 @@ MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
 ALIVE_EVERY_S = 1.0  # and how often tasks are looked at
 PAUSE_S = 0.25  # after a fork that ended without a task
-# Until a fork that has closed its descriptors is gone: it has the lowest priority, so a busy machine may let it wait.
-ENDS_S, POLL_S = 2.0, 5e-4
-TAKEN_OVER = 70  # the exit status of a fork that had to be killed
 # Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
 # process and before encodes, since no request waits for an encode. Those that have used more than SHORT_CPU_S of a core
 # get the priority of an encode: two of one client left an encode 2 % of a core.
@@ -45,8 +42,8 @@ _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
 class TaskProcess:
     """A forked process for one task.
 
-    control: socket on which it receives the task, and whose end tells that the process has ended; answer: blocking
-    socket shared with the client, set once the task is known; status: exit status, once it has ended; is_long: whether
+    control: socket on which it receives the task; answer: blocking socket shared with the client, set once the task is
+    known; status: exit status, once it has ended; is_long: whether
     it has the priority of an encode.
     """
 
@@ -77,8 +74,16 @@ class Server:
         self._requests = requests
         self._absent = absent
         self._waiting: list[TaskProcess] = []
+        self._forks: dict[int, TaskProcess] = {}  # all that have not ended, by number
         self._selector = selectors.DefaultSelector()
         self._selector.register(requests, selectors.EVENT_READ)
+        # A word comes here when a fork has ended. Its descriptors tell nothing: it may have closed them and stay.
+        self._ends, self._wakes = socket.socketpair()
+        for each in (self._ends, self._wakes):
+            each.setblocking(False)
+        self._selector.register(self._ends, selectors.EVENT_READ)
+        signal.set_wakeup_fd(self._wakes.fileno(), warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda _number, _frame: None)  # else nothing would be written there
 
     def run(self) -> None:
         """Serve until all clients have disconnected."""
@@ -90,11 +95,11 @@ class Server:
                 if key.fileobj is self._requests:
                     if not self._take():
                         return
-                elif key.fileobj is key.data.control:
-                    self._reap(key.data)
+                elif key.fileobj is self._ends:
+                    self._reap()
                 elif key.data.answer is not None:  # another event of this round may have closed it
                     self._serve(key.data, key.data.answer)
-            for fork in {key.data for key in self._selector.get_map().values() if key.data}:
+            for fork in self._forks.values():
                 fork.lower_if_long()
 
     def _fork(self) -> None:
@@ -107,14 +112,8 @@ class Server:
                     number = os.fork()
                     if number == 0:
                         run_fork(theirs.fileno(), parent, self._absent)
-                fork = TaskProcess(number, ours)
-                try:
-                    self._selector.register(ours, selectors.EVENT_READ, fork)
-                except OSError:  # its end would be missed
-                    os.kill(number, signal.SIGKILL)
-                    os.waitpid(number, 0)
-                    raise
-                self._waiting.append(fork)
+                self._forks[number] = TaskProcess(number, ours)
+                self._waiting.append(self._forks[number])
         except OSError as error:  # as when processes or memory run out
             print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
 
@@ -162,11 +161,18 @@ class Server:
         if not asked:
             self._close_answer(fork, answer)
 
-    def _reap(self, fork: TaskProcess) -> None:
-        """Collect a fork that closed control. If it still runs, assume it is compromised."""
-        self._selector.unregister(fork.control)
+    def _reap(self) -> None:
+        """Collect all forks that have ended."""
+        self._ends.recv(CONTROL_BYTES)
+        while self._forks:
+            number, status = os.waitpid(-1, os.WNOHANG)
+            if not number:
+                break
+            self._end(self._forks.pop(number), os.waitstatus_to_exitcode(status))
+
+    def _end(self, fork: TaskProcess, status: int) -> None:
+        fork.status = status
         fork.control.close()
-        fork.status = _ended(fork.number)
         if fork in self._waiting:
             self._waiting.remove(fork)
             print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
@@ -191,20 +197,6 @@ class Server:
         fork.answer = None
 
 
-def _ended(number: int) -> int:
-    """Return how a fork ended, or end it. A status of -SIGKILL says that the system killed it, and not this."""
-    until = time.monotonic() + ENDS_S
-    while True:
-        found, status = os.waitpid(number, os.WNOHANG)
-        if found:
-            return os.waitstatus_to_exitcode(status)
-        if time.monotonic() > until:
-            os.kill(number, signal.SIGKILL)
-            os.waitpid(number, 0)
-            return TAKEN_OVER
-        time.sleep(POLL_S)
-
-
 def _is_closed(connection: socket.socket) -> bool:
     """Whether the other end is closed. Reading nothing does not prove it, since a message may be empty."""
     poll = select.poll()
@@ -216,6 +208,8 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
     """Wait for a task and do it. The exit status is 0 once its result is sent."""
     status = 1
     try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         end_with(parent)
         die_first()
         _close_other_descriptors(control)
