@@ -2,13 +2,15 @@
 
 Container engines ask every few seconds for each worker, so this imports next to nothing. And it asks no database, since
 a worker that waits for one is alive. The file is a temporary one: with a database and a bucket, a worker needs no data
-folder.
+folder. As others may put anything beside it, it is in a folder that proves to be this user's.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+import stat
 import sys
 import tempfile
 import time
@@ -21,17 +23,15 @@ SILENT_S = 15.0  # after which a worker counts as dead
 
 def touch(data_dir: Path) -> None:
     """Note that a worker of this host is alive. Raises OSError."""
-    file = _file(data_dir)
-    try:
-        os.utime(file)
-    except FileNotFoundError:
-        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        file.touch()
+    folder = _own_folder() or Path(tempfile.mkdtemp(prefix=_prefix()))
+    (folder / _name(data_dir)).touch()
 
 
 def is_alive(data_dir: Path) -> bool:
     """Whether a worker of this host has touched its file lately."""
-    return -SILENT_S < _age_s(_file(data_dir)) < SILENT_S  # a file from the future proves nothing
+    folder = _own_folder()
+    # A file from the future proves nothing.
+    return folder is not None and -SILENT_S < _age_s(folder / _name(data_dir)) < SILENT_S
 
 
 def main() -> int:
@@ -42,9 +42,23 @@ def main() -> int:
     return 1
 
 
-def _file(data_dir: Path) -> Path:
+def _prefix() -> str:
+    return f"sgmethod-{os.geteuid()}-"
+
+
+def _own_folder() -> Path | None:
+    """Return the first folder of this name that belongs to this user and to nobody else."""
+    for folder in sorted(Path(tempfile.gettempdir()).glob(f"{_prefix()}*")):
+        with contextlib.suppress(FileNotFoundError):
+            found = folder.lstat()
+            if stat.S_ISDIR(found.st_mode) and (found.st_uid, found.st_mode & 0o077) == (os.geteuid(), 0):
+                return folder
+    return None
+
+
+def _name(data_dir: Path) -> str:
     service = zlib.crc32(os.fsencode(data_dir.absolute()))  # there may be several on this machine
-    return Path(tempfile.gettempdir()) / f"sgmethod-{os.geteuid()}" / f"{service:08x}-{socket.gethostname()}"
+    return f"{service:08x}-{socket.gethostname()}"
 
 
 def _age_s(file: Path) -> float:

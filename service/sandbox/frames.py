@@ -32,6 +32,7 @@ ALIVE = b"!"  # which the sandbox sends on the socket for requests, at least onc
 FRAME_HEADER = struct.Struct(">II")
 MAX_TASK_BYTES = MAX_MESSAGE_BYTES = 1 << 16
 FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than both together
+MAX_PREVIEW_BYTES = 4 << 20  # of a fit that is still running: what no quota counts is small, whatever the budget
 PICTURE_BYTES_PER_PIXEL = 4  # PNG of noise, one pixel wide; JPEG of thin noise takes more, which the first MB covers
 FORMAT_BYTES = 256  # the start of a file, which tells its format
 MAX_SENTENCE_LENGTH = 1000
@@ -178,8 +179,14 @@ class Task(Model):
 
     @property
     def max_file_bytes(self) -> int:
-        """Bytes of the longest file that it may send."""
+        """Bytes of the longest file that it may send as its result."""
         return 0 if self.bytes_per_pixel is None else FILE_BYTES + self.bytes_per_pixel * self.max_pixels
+
+    def max_bytes_after(self, message: Message) -> int:
+        """Bytes of the longest file that it may send with this message."""
+        if isinstance(message, Preview):
+            return MAX_PREVIEW_BYTES
+        return self.max_file_bytes if isinstance(message, Result) else 0
 
     @property
     def max_frames(self) -> int:
@@ -289,41 +296,52 @@ class FrameReader:
     def __init__(self, task: Task) -> None:
         self._task = task
         self._data = bytearray()
+        self._message: Message | None = None  # whose file is yet to come
         self._frames = 0
 
     def take(self, data: bytes) -> list[Message]:
         """Return the messages that these bytes complete. Raises FrameError."""
         self._data += data
         messages: list[Message] = []
-        while len(self._data) >= FRAME_HEADER.size:
-            text_bytes, file_bytes = FRAME_HEADER.unpack_from(self._data)
-            if text_bytes > MAX_MESSAGE_BYTES or file_bytes > self._task.max_file_bytes:
-                raise FrameError(f"a frame of {text_bytes} and {file_bytes} bytes, which is too long")
-            file_at = FRAME_HEADER.size + text_bytes
-            end = file_at + file_bytes
-            if len(self._data) < end:
-                break
-            with memoryview(self._data) as view:
-                text, file = bytes(view[FRAME_HEADER.size : file_at]), bytes(view[file_at:end])
-            del self._data[:end]
-            self._frames += 1
-            if self._frames > self._task.max_frames:
-                raise FrameError("too many frames")
-            messages.append(self._message(text, file))
+        while (message := self._next()) is not None:
+            messages.append(message)
         return messages
 
-    def _message(self, text: bytes, file: bytes) -> Message:
+    def _next(self) -> Message | None:
+        """Return the next message if it is complete. Its text comes first, and says how long its file may be."""
+        if len(self._data) < FRAME_HEADER.size:
+            return None
+        text_bytes, file_bytes = FRAME_HEADER.unpack_from(self._data)
+        if text_bytes > MAX_MESSAGE_BYTES:
+            raise FrameError(f"a message of {text_bytes} bytes, which is too long")
+        file_at = FRAME_HEADER.size + text_bytes
+        if len(self._data) < file_at:
+            return None
+        if self._message is None:
+            self._message = self._parsed(bytes(self._data[FRAME_HEADER.size : file_at]))
+        message = self._message
+        if file_bytes > self._task.max_bytes_after(message):
+            raise FrameError(f"a file of {file_bytes} bytes after the message {message.kind}, which is too long")
+        if len(self._data) < file_at + file_bytes:
+            return None
+        if isinstance(message, Preview | Result):
+            with memoryview(self._data) as view:
+                message = message.model_copy(update={"file": bytes(view[file_at : file_at + file_bytes])})
+        if isinstance(message, Result):
+            self._task.check(message)
+        del self._data[: file_at + file_bytes]
+        self._message = None
+        return message
+
+    def _parsed(self, text: bytes) -> Message:
+        self._frames += 1
+        if self._frames > self._task.max_frames:
+            raise FrameError("too many frames")
         try:
             message: Message = self._task.messages.validate_json(text)
         except ValidationError as error:  # whose text may hold what the task sent
             fault = error.errors()[0]
             raise FrameError(f"a message in which {fault['loc']} is wrong ({fault['type']})") from None
-        if isinstance(message, Preview | Result):
-            message = message.model_copy(update={"file": file})
-        elif file:
-            raise FrameError(f"a file after the message {message.kind}")
-        if isinstance(message, Result):
-            self._task.check(message)
         return message
 
 

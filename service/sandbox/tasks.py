@@ -83,8 +83,8 @@ class Answer:
         self.send(frames.Result(figures=figures, file=file))
 
     def send_preview(self, file: bytes) -> None:
-        """Send a preview, unless the last one was sent within PREVIEW_EVERY_S."""
-        if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
+        """Send a preview, unless it is large or the last one was sent within PREVIEW_EVERY_S."""
+        if len(file) <= frames.MAX_PREVIEW_BYTES and time.monotonic() - self._shown >= PREVIEW_EVERY_S:
             self._shown = time.monotonic()
             self.send(frames.Preview(file=file))
 

@@ -98,8 +98,9 @@ def test_a_worker_of_this_host_is_alive(
     run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Containers ask whether their own one is; others do not count, and no database is asked."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
-    data = tmp_path / "data"
+    shared, data = tmp_path / "tmp", tmp_path / "data"
+    shared.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(shared))
 
     def status(data_dir: Path = data) -> int:
         result = run_command("alive", data_dir=data_dir, database_url="postgresql://nobody@127.0.0.1:1/x")
@@ -107,9 +108,14 @@ def test_a_worker_of_this_host_is_alive(
         return result.status
 
     assert status() == 1
-    assert list(tmp_path.iterdir()) == []  # a look makes nothing
+    assert list(shared.iterdir()) == []  # a look makes nothing
+    link, open_to_all = (shared / f"sgmethod-{os.geteuid()}-{number}" for number in range(2))
+    link.symlink_to(tmp_path)  # of strangers, who may have come first
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
     touch(data)
-    (folder,) = (tmp_path / "tmp").iterdir()
+    touch(data)
+    (folder,) = {*shared.iterdir()} - {link, open_to_all}
     (ours,) = folder.iterdir()
     assert (status(), status(tmp_path / "of another service")) == (0, 1)
     for shift_s, expected in ((-20, 1), (20, 1), (0, 0)):

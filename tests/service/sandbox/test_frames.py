@@ -43,6 +43,12 @@ def frame(text: str | bytes, file: bytes = b"") -> bytes:
     return frames.FRAME_HEADER.pack(len(data), len(file)) + data + file
 
 
+def claiming(frame: bytes, file_bytes: int) -> bytes:
+    """The beginning of the frame with a file of that size."""
+    text = frame[frames.FRAME_HEADER.size :]
+    return frames.FRAME_HEADER.pack(len(text), file_bytes) + text
+
+
 def result(figures: Any, file: bytes = b"") -> bytes:
     return frame(json.dumps({"kind": "result", "figures": figures}), file)
 
@@ -79,7 +85,8 @@ def test_messages_arrive_whole_and_in_order() -> None:
     [
         (ENCODE, frame('{"kind": "other"}'), "union_tag_invalid"),
         (ENCODE, frames.FRAME_HEADER.pack(65537, 0), "too long"),
-        (ENCODE, frames.FRAME_HEADER.pack(2, frames.FILE_BYTES + 8 * 64 + 1), "too long"),
+        (ENCODE, claiming(encoded(), frames.FILE_BYTES + 8 * 64 + 1), "too long"),
+        (ENCODE, claiming(packed(frames.Preview()), frames.MAX_PREVIEW_BYTES + 1), "after the message preview"),
         (ENCODE, frame("[]"), "is wrong"),
         (ENCODE, frame("null"), "is wrong"),
         (ENCODE, frame("{"), "json_invalid"),
@@ -103,11 +110,11 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, frame('{"kind": "ended", "status": 0} x'), "json_invalid"),
         (ENCODE, frame('{"kind": "ended", "status": -99999}'), "status"),
         (ENCODE, packed(POINT.model_copy(update={"step": 10**400})), "step"),
-        (ENCODE, frame('{"kind": "begun"}', b"x"), "a file after the message begun"),
+        (ENCODE, frame('{"kind": "begun"}', b"x"), "after the message begun"),
         (DRAW, packed(POINT), "union_tag_invalid"),
         (DRAW, packed(frames.Preview(file=b"x")), "union_tag_invalid"),
         (DRAW, packed(Begun()) * 4, "too many frames"),
-        (DRAW, frames.FRAME_HEADER.pack(2, frames.FILE_BYTES + 4 * 64 + 1), "too long"),
+        (DRAW, claiming(result(None), frames.FILE_BYTES + 4 * 64 + 1), "too long"),
         (DRAW, result(None, b"<script>"), "JPEG was asked for, and this is something else"),
         (DRAW, result(None, b"\x89PNG\r\n\x1a\n"), "JPEG was asked for, and this is PNG"),
         (DRAW, result({}), "figures"),
@@ -115,7 +122,7 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (PREVIEW, preview(text="A" * 18), "more bytes"),
         (PREVIEW, preview(text="<br>"), "text"),
         (PREVIEW, preview(width=9), "more pixels"),
-        (ReadHeader(**LIMITS), result(None, b"x"), "too long"),
+        (ReadHeader(**LIMITS), claiming(header(1), 1), "too long"),
         (ReadHeader(**LIMITS), header(0), "width"),
         (ReadHeader(**LIMITS), header(9), "more pixels"),
     ],

@@ -21,7 +21,7 @@ from service.storage.files import DiskStorage, Storage, bitstream_key, source_ke
 from service.worker import attempt as attempt_module, loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.support.job_table import LONG_S, claimed, job_of, settings, submitted
+from tests.support.job_table import IMAGE, LONG_S, claimed, job_of, settings, submitted
 from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 
@@ -72,7 +72,7 @@ def worker(table: Unsteady, storage: Storage, stop: StopSignal) -> Iterator[Work
 
 @pytest.fixture
 def claim(table: Unsteady, storage: Storage) -> Job:
-    storage.put(source_key(submitted(table)), b"image")
+    storage.put(source_key(submitted(table)), bytes(IMAGE.size_bytes))
     return claimed(table)
 
 
@@ -306,4 +306,4 @@ def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop
     job = job_of(table, claim.id)
     assert job.error is not None
     assert (job.state, job.error.code) == ("failed", "crashed")
-    assert job.error.detail.startswith("the encoder sent an invalid message: a frame")
+    assert job.error.detail.startswith("the encoder sent an invalid message: a message of")
