@@ -30,13 +30,14 @@ SELECT chosen.*, CASE WHEN state = 'queued' THEN CAST(
 AS BIGINT) END AS position FROM chosen ORDER BY number DESC
 """
 # Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at. A client,
-# which may be somebody's address, is forgotten once its job runs.
+# which may be somebody's address, is forgotten once its job runs. A queued job with a lease is put off until then.
 CLAIM = """
 UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
     lease_until = epoch() + ?, client = ''
 WHERE state = 'queued' AND number = (
     SELECT number FROM stored JOIN jobs ON number = (
         SELECT number FROM jobs AS own WHERE own.state = 'queued' AND own.owner = stored.owner
+        AND coalesce(own.lease_until, 0) <= epoch()
         ORDER BY priority DESC, number LIMIT 1
     )
     LEFT JOIN stored AS busy ON busy.owner = stored.owner AND busy.state = 'running'
@@ -56,7 +57,7 @@ INSERT INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?
 ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 """
 DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_bytes, error = NULL, finished_at = epoch()"
-PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?, losses = losses + ?"
+PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?, losses = losses + ?, lease_until = epoch() + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
 CLAIMED = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is too long because the clock was set back.

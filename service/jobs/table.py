@@ -34,11 +34,14 @@ from service.settings import Settings
 
 log = logging.getLogger(__name__)
 
+# What happens to a job through no fault of its own.
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
+IMAGE_LOST = JobError("crashed", "the image is missing from the storage, or is not whole there")
 # A worker that was silent for half of its lease is watched for the other half before it counts as lost.
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
-MAX_LOSSES = 20  # lost workers until a job fails: few jobs are the cause, but one might be
+MAX_LOSSES = 20  # until a job fails: few jobs are the cause of a lost worker, but one might be
+PUT_OFF_S = 60.0  # until a job whose image is lost is tried again, so that others go on and operators have 20 minutes
 FORGET_AFTER_S = 900.0  # a worker that is silent for longer is removed
 
 
@@ -279,9 +282,9 @@ class JobTable(ABC):
 
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
         """Return the job after an attempt that failed; None if the attempt is not its latest."""
-        lost = error is WORKER_LOST  # as when it is restarted: not the job's fault
-        crashed = error.code == "crashed" and not lost
-        job = _update(db, sql.PUT_BACK, where, as_json(error), int(crashed), int(lost), *values)
+        lost = error in (WORKER_LOST, IMAGE_LOST)
+        crashed, put_off_s = error.code == "crashed" and not lost, PUT_OFF_S if error == IMAGE_LOST else None
+        job = _update(db, sql.PUT_BACK, where, as_json(error), int(crashed), int(lost), put_off_s, *values)
         again = (crashed or lost) and job is not None and job.crashes < MAX_ATTEMPTS and job.losses < MAX_LOSSES
         if job is not None and not again:
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
@@ -297,7 +300,7 @@ class JobTable(ABC):
     def release(self, claim: Job) -> bool:
         """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's."""
         with self._transaction() as db:
-            return self._change(db, claim, "state = 'queued', started_at = NULL") is not None
+            return self._change(db, claim, "state = 'queued', started_at = NULL, lease_until = NULL") is not None
 
     @staticmethod
     def _change(db: Database, claim: Job, assignments: str, *values: Any) -> Job | None:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import logging
 import math
 import os
 import signal
 import socket
 import time
+from typing import BinaryIO
 
 from service.alive import TOUCH_S, touch
-from service.jobs.job import JobError
-from service.jobs.table import JobTable
+from service.jobs.job import Job, JobError
+from service.jobs.table import IMAGE_LOST, JobTable
 from service.process.loops import PeriodicThread, StopSignal, log_errors
 from service.sandbox import frames
 from service.sandbox.client import KILLED, RunningTask, Sandbox, SandboxUnavailableError
@@ -121,16 +123,27 @@ class Worker:
 
         Raises ClaimLostError, StoppedError, OSError.
         """
-        try:
-            source = attempt.renewing_lease(functools.partial(self._storage.open, source_key(attempt.claim.id)))
-        except FileNotFoundError:
-            return JobError("crashed", "the source image is missing")
+        source = attempt.renewing_lease(functools.partial(self._source, attempt.claim))
+        if source is None:
+            return IMAGE_LOST
         self._owed_since = self._owed_since or time.monotonic()
         with source, self._sandbox.start(self._task(attempt), source) as running:
             try:
                 return self._follow(running, attempt)
             except frames.FrameError as error:
                 return JobError("crashed", f"the encoder sent an invalid message: {error}")
+
+    def _source(self, claim: Job) -> BinaryIO | None:
+        """Open the image of a job; None if it is missing or cut. Raises OSError."""
+        try:
+            source = self._storage.open(source_key(claim.id))
+        except FileNotFoundError:
+            self._storage.check()  # one that is away has no image either
+            return None
+        if source.seek(0, io.SEEK_END) == claim.image.size_bytes:
+            return source
+        source.close()
+        return None
 
     def _task(self, attempt: Attempt) -> frames.Encode:
         claim, threads = attempt.claim, self._settings.encode_threads

@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from service.errors import JobTableError
+from service.jobs import table as table_module
 from service.jobs.job import EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
+from service.jobs.table import IMAGE_LOST, MAX_LOSSES
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox, SandboxUnavailableError
 from service.sandbox.frames import MAX_TASK_BYTES
@@ -274,15 +276,38 @@ def test_a_worker_whose_jobs_do_not_begin_is_not_reported_alive(
     assert (len(table.counts().workers), len(touched.__self__)) == (1, 1)
 
 
-def test_a_missing_source(table: Unsteady, storage: Storage, worker: Worker, claim: Job) -> None:
+@pytest.mark.parametrize("stored", [None, b"", bytes(IMAGE.size_bytes - 1)])
+def test_an_image_that_is_missing_or_cut(
+    table: Unsteady, storage: Storage, worker: Worker, claim: Job, monkeypatch: pytest.MonkeyPatch, stored: bytes | None
+) -> None:
+    """It failed its job for good, or after four attempts in 4 s. Others go on, and it may come back."""
     assert table.release(claim)
-    storage.delete(source_key(claim.id))
-    for _ in range(4):
+    key = source_key(claim.id)
+    storage.delete(key) if stored is None else storage.put(key, stored)
+    assert worker.run_one()
+    job = job_of(table, claim.id)
+    assert (job.state, job.crashes, job.losses) == ("queued", 0, 1)
+    assert not worker.run_one()  # it is put off
+    other = submitted(table)
+    assert claimed(table).id == other
+    monkeypatch.setattr(table_module, "PUT_OFF_S", 0.0)
+    with table._transaction() as db:
+        db.execute("UPDATE jobs SET lease_until = 0 WHERE id = ?", (claim.id,))
+    for _ in range(MAX_LOSSES - 1):
         assert worker.run_one()
     job = job_of(table, claim.id)
-    assert job.error is not None
-    assert (job.state, job.error.detail) == ("failed", "the source image is missing")
+    assert (job.state, job.error) == ("failed", IMAGE_LOST)
     assert not worker.run_one()
+
+
+def test_a_storage_that_is_away_has_lost_no_image(table: Unsteady, worker: Worker, claim: Job, tmp_path: Path) -> None:
+    """As a folder that is not mounted yet."""
+    assert table.release(claim)
+    (tmp_path / "sources").rename(tmp_path / "elsewhere")
+    with pytest.raises(FileNotFoundError):
+        worker.run_one()
+    assert (job_of(table, claim.id).state, job_of(table, claim.id).losses) == ("queued", 0)
+    assert claimed(table).id == claim.id  # at once
 
 
 def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop: StopSignal, claim: Job) -> None:
