@@ -262,18 +262,19 @@ def test_a_worker_whose_jobs_do_not_begin_is_not_reported_alive(
     """Its sandbox was stopped for 140 s, and everything called it healthy."""
     for name in ("BEGINS_S", "BEGINS_SOON_S"):
         monkeypatch.setattr(loop, name, 0.0)
-    monkeypatch.setattr(loop, "touch", touched := [].append)
+    touched: list[Path] = []
+    monkeypatch.setattr(loop, "touch", touched.append)
     table.release(claim)
     with pytest.raises(SandboxUnavailableError):
         worker.run_one()
     worker._register()
     worker._touch()
-    assert (table.counts().workers, touched.__self__) == ({}, [])
+    assert (table.counts().workers, touched) == ({}, [])
     table.remove(claim.id)
     assert not worker.run_one()  # nothing is asked of the sandbox
     worker._register()
     worker._touch()
-    assert (len(table.counts().workers), len(touched.__self__)) == (1, 1)
+    assert (len(table.counts().workers), len(touched)) == (1, 1)
 
 
 @pytest.mark.parametrize("stored", [None, b"", bytes(IMAGE.size_bytes - 1)])
