@@ -10,7 +10,7 @@ import gc
 import logging
 import signal
 import socket
-from collections.abc import AsyncIterator, Callable, Collection
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from contextlib import asynccontextmanager
 from functools import cache
 from pathlib import Path
@@ -18,10 +18,10 @@ from typing import Any
 
 import uvicorn
 from anyio import to_thread
-from fastapi import FastAPI, Security
+from fastapi import FastAPI, Request, Security
 from fastapi.security import HTTPBearer
 from starlette.middleware.cors import CORSMiddleware
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -58,15 +58,27 @@ log = logging.getLogger(__name__)
 
 
 class PageFiles(StaticFiles):
-    """Serves the files of the pages.
+    """Serves the files of the pages, with a Content-Security-Policy.
 
     A web worker that loads modules is subject to the policy of its own file in Firefox, and to the page's in Chromium.
     """
 
+    def __init__(self, policy: str, **options: Any) -> None:
+        super().__init__(**options)
+        self._policy = policy
+
     def file_response(self, *args: Any, **options: Any) -> Response:
         response = super().file_response(*args, **options)
-        response.headers["Content-Security-Policy"] = FILE_POLICY
+        response.headers["Content-Security-Policy"] = self._policy
         return response
+
+    def page(self, name: str) -> Callable[[Request], Awaitable[Response]]:
+        """Return the handler of one page."""
+
+        async def answer(request: Request) -> Response:
+            return await self.get_response(name, request.scope)
+
+        return answer
 
 
 @asynccontextmanager
@@ -155,10 +167,12 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
     install_problem_handlers(app)
     # Authentication checks the key; this documents it.
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
-    app.mount("/static/sgmethod", PageFiles(packages=[("sgmethod", "javascript/src")]))  # the decoder and <sg-img>
-    app.mount("/static", PageFiles(directory=STATIC))
+    decoder = PageFiles(FILE_POLICY, packages=[("sgmethod", "javascript/src")])  # with <sg-img>
+    app.mount("/static/sgmethod", decoder)
+    app.mount("/static", PageFiles(FILE_POLICY, directory=STATIC))
+    pages = PageFiles(PAGE_POLICY, directory=STATIC)
     for path, file in (("/", "index.html"), ("/docs", "docs.html"), (PAGE, "problems.html")):
-        app.add_api_route(path, _page(STATIC / file), include_in_schema=False)
+        app.add_api_route(path, pages.page(file), include_in_schema=False)
     app.add_api_route("/openapi.json", _document(app), include_in_schema=False)
     return _with_middleware(app, context)
 
@@ -167,10 +181,6 @@ def _document(app: FastAPI) -> Callable[[], Response]:
     """Return the handler of the OpenAPI document, which the first request makes: at the start, others would wait."""
     body = cache(lambda: bytes(JSONResponse(app.openapi()).body))
     return lambda: Response(body(), media_type="application/json")
-
-
-def _page(path: Path) -> Callable[[], FileResponse]:
-    return lambda: FileResponse(path, headers={"Content-Security-Policy": PAGE_POLICY})
 
 
 def _with_middleware(app: FastAPI, context: Context) -> ASGIApp:

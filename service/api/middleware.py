@@ -23,6 +23,7 @@ log = logging.getLogger("access")
 
 ID_HEADER = "X-Request-Id"
 RESPONSE_HEADERS = {  # defaults
+    "Cache-Control": "no-cache",  # a browser would show the page and the decoder of before an upgrade
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",

@@ -82,6 +82,18 @@ def test_head_of_everything(web: Service, done: str) -> None:
         assert head.headers["content-type"] == get.headers["content-type"]
 
 
+def test_browsers_ask_again_for_the_page_and_its_decoder(web: Service) -> None:
+    """They kept both for days after an upgrade, and an older decoder cannot read new files."""
+    for path in ("/", "/docs", "/problems", "/static/main.js", "/static/sgmethod/file.js", "/openapi.json"):
+        answer = web.client.get(path)
+        assert (answer.status_code, answer.headers["cache-control"]) == (200, "no-cache"), path
+        if etag := answer.headers.get("etag"):
+            again = web.client.get(path, headers={"If-None-Match": etag})
+            assert (again.status_code, again.headers["cache-control"], again.content) == (304, "no-cache", b""), path
+        else:
+            assert path == "/openapi.json"
+
+
 def test_requests_have_ids_and_lines(start_service: StartService) -> None:
     web = start_service("web", api_keys=keys_of("ann"), link_secret="s" * 32)
     given = web.client.get("/livez", headers={"X-Request-Id": "mine-1"})
