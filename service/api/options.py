@@ -52,7 +52,10 @@ QUALITY_SCHEMA = {
     "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*QUALITIES]}]
 }
 BYTES_SCHEMA = {
-    "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)?[kM]B?$"}]
+    "anyOf": [
+        {"type": "number", "exclusiveMinimum": 0},
+        {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)?([kKmM][bB]?|[kKmM][iI][bB])$"},
+    ]
 }
 Number = float | SkipJsonSchema[None]
 
@@ -69,7 +72,7 @@ class EncodeOptions(BaseModel):
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
     bytes: Annotated[float | SkipJsonSchema[None], BeforeValidator(bytes_value), WithJsonSchema(BYTES_SCHEMA)] = _given(
-        "budget: maximum bytes, such as 20000, 20k or 1.5MB", 20_000
+        "budget: maximum bytes, such as 20000, 20k, 1.5MB or 20KiB", 20_000
     )
     quality: Annotated[
         float | SkipJsonSchema[None],

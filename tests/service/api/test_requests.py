@@ -14,8 +14,9 @@ import httpx2
 import pytest
 from PIL import Image
 
-from service.api.options import OPTION_SCHEMAS
+from service.api.options import OPTION_SCHEMAS, EncodeOptions
 from service.api.problems import REASONS
+from sgmethod.budget import bytes_value
 from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
 from tests.support.pictures import SMALL, png, saved
 from tests.support.processes import wait_until
@@ -146,6 +147,19 @@ def test_a_quality_is_a_number_or_a_name(web: Service) -> None:
     number, name = OPTION_SCHEMAS["quality"]["anyOf"]
     assert (number["maximum"], name["enum"]) == (100, ["preview", "web", "archive"])
     assert web.job(web.accepted(quality="web"))["budget"] == web.job(web.accepted(quality="60"))["budget"]
+
+
+def test_every_documented_form_of_a_size_is_described_and_accepted() -> None:
+    """The document's pattern forbade 20KiB, so clients made from it refused what the service takes."""
+    text = "".join((ROOT / name).read_text() for name in ("docs/command_line.md", "service/README.md"))
+    lines = "".join(line for line in text.splitlines() if "`20k`" in line)
+    sizes = set(re.findall(r"`([\d.]+[kKM]?i?B?)`", lines))
+    assert sizes == {"20000", "20k", "1.5MB", "20KiB", "1.5MiB"}
+    texts = next(form["pattern"] for form in OPTION_SCHEMAS["bytes"]["anyOf"] if form["type"] == "string")
+    for size in sizes | {"20kB"}:
+        assert size.isdigit() or re.fullmatch(texts, size), size
+        assert EncodeOptions.model_validate({"bytes": size}).bytes == bytes_value(size)
+    assert not re.fullmatch(texts, "20ki")  # which is refused
 
 
 def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:
