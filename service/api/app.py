@@ -27,8 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.callers import Authentication
 from service.api.context import Context, PictureCache
-from service.api.health import VERSION
-from service.api.metrics import Metrics
+from service.api.metrics import VERSION, Metrics
 from service.api.middleware import BodyLimit, RequestLog
 from service.api.probes import Probes
 from service.api.problems import PAGE, install_problem_handlers

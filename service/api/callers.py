@@ -21,6 +21,7 @@ from service.settings import Settings, listed
 # The page loads before a user can enter a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", PAGE, "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
+METRICS, METRICS_PATH = "metrics", "/metrics"  # the owner of keys that may do nothing else, for a Prometheus
 NETWORK_BITS = 64  # of an IPv6 address, which identify a customer's network
 UNKNOWN = "unknown"
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
@@ -112,7 +113,10 @@ class Authentication:
             return Caller(address)
         scheme, _, key = (header_line(Headers(scope=scope), "authorization") or "").partition(" ")
         # A key takes precedence over a link: an unknown key fails even on a valid link.
-        return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
+        caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
+        if caller.owner == METRICS and path != METRICS_PATH:
+            raise ProblemError(403, f"the key named {METRICS} may read {METRICS_PATH} alone", reason="key")
+        return caller
 
     def _check_site(self, headers: Headers, method: str) -> None:
         """Raise ProblemError 421 for an unknown host name, or 403 for a change requested by another site."""

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import logging
-from importlib.metadata import version
 
 from fastapi import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from service.api import models
 from service.api.context import UseContext
+from service.api.metrics import VERSION
 from service.api.probes import TIMEOUT_S
 from service.api.problems import ProblemError
 
 log = logging.getLogger(__name__)
 
-VERSION = version("sgmethod")
 STALLED_LEASES = 4  # for which jobs may wait while no worker reports
 
 

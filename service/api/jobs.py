@@ -12,6 +12,7 @@ from pydantic import Field
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext, context_of, no_such_job
+from service.api.metrics import WAITED_S
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters, while_client_waits
 from service.jobs.job import FINAL_STATES, Job, JobState
@@ -58,8 +59,12 @@ async def jobs(
 async def job_within(request: Request, job: Job, seconds: int) -> Job | None:
     """Wait for the job to end; None if it takes longer. Raises ProblemError 409 if it is removed meanwhile."""
     context = context_of(request)
+    began = time.monotonic()
     with context.waits.one(request.state.caller.client):
-        return await while_client_waits(request, _ended(job, time.monotonic() + seconds, context))
+        try:
+            return await while_client_waits(request, _ended(job, began + seconds, context))
+        finally:
+            setattr(request.state, WAITED_S, time.monotonic() - began)
 
 
 async def _ended(job: Job, deadline: float, context: Context) -> Job | None:

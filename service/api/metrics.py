@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from importlib.metadata import version
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, SummaryMetricFamily
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Info, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
+from prometheus_client.utils import floatToGoString
 from starlette.types import Scope
 
-from service.api.problems import REFUSAL
+from service.api.problems import NAMED_REASONS, REASONS, REFUSAL
 from service.jobs import outcomes
 from service.jobs.job import Counts
 from service.sandbox.confinement import LAYERS
 
+VERSION = version("sgmethod")
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
+WAITED_S = "waited_s"  # the attribute of request.state: seconds of waiting that the client asked for
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
 
 
@@ -60,8 +64,12 @@ def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
     for outcome in outcomes.OUTCOMES:
         words = f"Jobs {outcome}, since the job table was made."
         yield CounterMetricFamily(f"sgmethod_jobs_{outcome}", words, so_far.get(outcome, 0.0))
-    seconds, finished = so_far.get(outcomes.SECONDS, 0.0), int(so_far.get("finished", 0))
-    yield SummaryMetricFamily("sgmethod_encode_seconds", "From the claim of a job to its file.", finished, seconds)
+    for name, words in (
+        (outcomes.ENCODING, "From the claim of a job to its file."),
+        (outcomes.QUEUEING, "From the acceptance of a job to its last claim, of jobs that ended."),
+    ):
+        buckets = [(floatToGoString(bound_s), number) for bound_s, number in outcomes.histogram(so_far, name)]
+        yield HistogramMetricFamily(f"sgmethod_{name}", words, buckets, so_far.get(name, 0.0))
 
 
 class Metrics:
@@ -70,16 +78,22 @@ class Metrics:
     def __init__(self, absent: Collection[str] = ()) -> None:
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
+        Info("sgmethod_build", "The version that runs.", registry=registry).info({"version": VERSION})
         names = ("method", "route", "status")
         self.requests = Counter("sgmethod_requests", "Requests answered.", names, registry=registry)
         self.seconds = Histogram(
             "sgmethod_request_seconds",
-            "From the head of a request to the head of its answer.",
+            "From the head of a request to the head of its answer, without the wait for a job that it asked for.",
             ("route",),
             buckets=BUCKETS_S,
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
+        for reason in (
+            *REASONS.values(),
+            *NAMED_REASONS,
+        ):  # increase() does not see the value that a series begins with
+            self.refusals.labels(reason)
         self.waits = Gauge("sgmethod_waits", "Requests that wait for a job.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.decode_seconds = Histogram(
@@ -89,6 +103,8 @@ class Metrics:
             registry=registry,
         )
         self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
+        for found in ("no", "yes"):
+            self.cache.labels(found)
         self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
         self.free_bytes = Gauge("sgmethod_free_bytes", "Free bytes of the storage.", registry=registry)
         layer = "Whether a layer of the sandbox holds."
@@ -104,8 +120,8 @@ class Metrics:
         route = getattr(scope.get("route"), "path", "none")
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.requests.labels(method, route, status).inc()
-        self.seconds.labels(route).observe(seconds)
         state = scope["state"]
+        self.seconds.labels(route).observe(seconds - state.get(WAITED_S, 0.0))
         if REFUSAL in state:
             self.refusals.labels(state[REFUSAL]).inc()
 

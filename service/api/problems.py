@@ -46,6 +46,11 @@ REASONS = {
     **{400: "malformed", 401: "key", 404: "unknown", 405: "method", 406: "format", 409: "state"},
     **{410: "deleted", 413: "large", 415: "type", 421: "host", 422: "invalid", 500: "fault"},
 }
+# The reasons that problems name themselves. The counter of each begins with 0.
+NAMED_REASONS = (
+    *("queue", "own_queue", "quota", "own_quota", "turns", "own_turns"),
+    *("cut", "disk", "memory", "origin", "sandbox", "stall", "storage", "table"),
+)
 REFUSAL = "refusal"  # the attribute of request.state that holds the reason
 
 

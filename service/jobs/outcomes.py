@@ -6,7 +6,8 @@ Webhooks wait beside the jobs until they are delivered to the operator's address
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal, get_args
@@ -17,7 +18,8 @@ from service.jobs.statements import Database
 Outcome = Literal["finished", "failed", "retried", "cancelled"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed", "queued": "retried"}
-SECONDS = "encode_seconds"
+ENCODING, QUEUEING = "encode_seconds", "queue_seconds"
+BOUNDS_S = tuple(0.25 * 2**step for step in range(16))  # 0.25 s to 2.3 hours
 # Each pause is about as long as the delivery has waited until then, and so doubles.
 FIRST_PAUSE_S, MAX_PAUSE_S = 10.0, 3600.0
 RETRY_FOR_S = 3 * 86_400.0  # retry time of a delivery
@@ -51,10 +53,31 @@ def count(db: Database, outcome: Outcome) -> None:
 def conclude(db: Database, job: Job, addresses: Sequence[str]) -> None:
     """Count the outcome of an attempt; if the job ended with it, add a delivery for each address."""
     count(db, OUTCOME_OF[job.state])
-    if job.state == "done" and job.finished_at and job.started_at:
-        db.execute(ADD, (SECONDS, max(0.0, job.finished_at - job.started_at)))
+    if job.finished_at and job.started_at:
+        _observe(db, QUEUEING, job.started_at - job.created_at)
+        if job.state == "done":
+            _observe(db, ENCODING, job.finished_at - job.started_at)
     for address in addresses if job.state in FINAL_STATES else ():
         db.execute(ADD_DELIVERY, (job.id, address, _body(job)))
+
+
+def _observe(db: Database, name: str, seconds: float) -> None:
+    """Add a value to a histogram: to its sum, and to the count of its bucket."""
+    db.execute(ADD, (name, max(0.0, seconds)))
+    bound_s = next((bound_s for bound_s in BOUNDS_S if seconds <= bound_s), math.inf)
+    db.execute(ADD, (_bucket(name, bound_s), 1))
+
+
+def _bucket(name: str, bound_s: float) -> str:
+    return f"{name}_le_{bound_s:g}"
+
+
+def histogram(so_far: Mapping[str, float], name: str) -> Iterator[tuple[float, float]]:
+    """Yield each bound, and how many values were within it."""
+    number = 0.0
+    for bound_s in (*BOUNDS_S, math.inf):
+        number += so_far.get(_bucket(name, bound_s), 0.0)
+        yield bound_s, number
 
 
 def totals(db: Database) -> Mapping[str, float]:

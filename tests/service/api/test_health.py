@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import sqlite3
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, cast
@@ -17,9 +18,11 @@ import httpx2
 import pytest
 
 from service.api.context import WORK_THREADS
+from service.api.metrics import VERSION
 from service.api.probes import Parts, Probes
 from tests.support.data import PICTURE
 from tests.support.job_table import grow_older
+from tests.support.pictures import SMALL
 from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
@@ -144,9 +147,20 @@ def test_figures(start_service: StartService) -> None:
     outcomes = {name: seen[f"sgmethod_jobs_{name}_total"] for name in ("finished", "failed", "retried", "cancelled")}
     assert outcomes == {"finished": 1, "failed": 0, "retried": 0, "cancelled": 0}
     assert seen["sgmethod_encode_seconds_count"] == 1
+    assert seen["sgmethod_queue_seconds_count"] == seen['sgmethod_queue_seconds_bucket{le="+Inf"}'] == 1
+    assert seen[f'sgmethod_build_info{{version="{VERSION}"}}'] == 1
     assert seen["sgmethod_job_table_up"] == 1
     assert seen['sgmethod_refusals_total{reason="unknown"}'] == 2
     assert not [name for name in seen if re.search(r"such|BREW", name)]
+
+
+def test_waiting_for_a_job_is_no_slow_answer(start_service: StartService) -> None:
+    """One client that waited for its files was the p99 of all requests."""
+    web = start_service("web")
+    began = time.monotonic()
+    assert web.client.post("/encode?bpp=1&wait=2", content=SMALL).status_code == 202
+    took_s = time.monotonic() - began
+    assert web.figures()['sgmethod_request_seconds_sum{route="/encode"}'] < took_s - 2
 
 
 def test_refusals_by_reason(start_service: StartService) -> None:
@@ -157,7 +171,8 @@ def test_refusals_by_reason(start_service: StartService) -> None:
     for answer in (web.post(), web.post(b"", key="once"), web.post(bpp=-1)):
         assert answer.status_code in (422, 429)
     web.client.get("/livez?x=1")
-    reasons = {name: number for name, number in web.figures().items() if name.startswith("sgmethod_refusals_total")}
+    counted = {name: number for name, number in web.figures().items() if name.startswith("sgmethod_refusals_total")}
+    reasons = {name: number for name, number in counted.items() if number}
     expected = {"queue": 2, "invalid": 2}
     assert reasons == {f'sgmethod_refusals_total{{reason="{reason}"}}': number for reason, number in expected.items()}
 

@@ -91,6 +91,16 @@ def test_without_a_good_key(guarded: Service, authorization: str, path: str) -> 
     assert answer.headers["www-authenticate"] == "Bearer"
 
 
+def test_a_key_for_prometheus_reads_metrics_alone(start_service: StartService) -> None:
+    """The key in its configuration could remove jobs."""
+    web = start_service("web", api_keys=f"{KEYS},metrics:{digest('of-prometheus')}")
+    web.client.headers.update(bearer("of-prometheus"))
+    assert web.client.get("/metrics").status_code == 200
+    assert web.client.get("/livez").status_code == 200
+    for method, path in (("GET", "/jobs"), ("POST", "/encode"), ("POST", "/decode.png"), ("GET", "/metrics/x")):
+        assert_problem(web.client.request(method, path), 403, "/metrics alone")
+
+
 @pytest.mark.parametrize("path", ["/", "/docs", "/livez", "/readyz", "/openapi.json", "/static/main.js"])
 def test_what_needs_no_key(guarded: Service, path: str) -> None:
     assert guarded.client.get(path).status_code == 200

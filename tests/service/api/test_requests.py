@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from service.api.options import OPTION_SCHEMAS, EncodeOptions
-from service.api.problems import REASONS
+from service.api.problems import NAMED_REASONS, REASONS
 from sgmethod.budget import bytes_value
 from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
 from tests.support.pictures import SMALL, png, saved
@@ -36,9 +36,10 @@ def test_every_answer_has_the_security_headers(web: Service) -> None:
 def test_every_kind_of_problem_is_explained(web: Service) -> None:
     """Each at the address that its document names."""
     sources = "".join(path.read_text() for path in (ROOT / "service").rglob("*.py"))
-    reasons = {*REASONS.values(), *re.findall(r'reason="(\w+)"|LimitError\("(\w+)"', sources)}
-    reasons |= {*re.findall(r"problems#(\w+)", (ROOT / "docs" / "nginx.conf").read_text())}
-    kinds = {word for each in reasons for word in ([each] if isinstance(each, str) else each) if word}
+    named = {word for pair in re.findall(r'reason="(\w+)"|LimitError\("(\w+)"', sources) for word in pair if word}
+    assert named <= {*REASONS.values(), *NAMED_REASONS}
+    kinds = {*REASONS.values(), *NAMED_REASONS}
+    kinds |= {*re.findall(r"problems#(\w+)", (ROOT / "docs" / "nginx.conf").read_text())}
     problem = assert_problem(web.client.get("/nowhere"), 404)
     page = web.client.get(problem["type"])
     assert (page.status_code, page.headers["content-type"]) == (200, "text/html; charset=utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.job import EncodeResult, Job
-from service.jobs.outcomes import OUTCOMES, SECONDS
+from service.jobs.outcomes import BOUNDS_S, ENCODING, OUTCOMES, QUEUEING, histogram
 from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, JobTable
 from service.storage.files import source_key
 from tests.support.job_table import (
@@ -294,7 +295,9 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     totals = table.counts().totals
     counted = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
     assert {name: totals.get(name, 0) for name in OUTCOMES} == counted
-    assert totals[SECONDS] >= 0
+    for name, number in ((ENCODING, 1), (QUEUEING, 3)):
+        assert totals[name] >= 0
+        assert dict(histogram(totals, name)) == dict.fromkeys((*BOUNDS_S, math.inf), number)
 
 
 def test_jobs_are_counted_whoever_changes_them(table: JobTable) -> None:
