@@ -14,12 +14,13 @@ from service.errors import JobTableError, MissingPackagesError
 from service.opening import open_job_table, open_storage
 from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers
-from service.settings import MIN_FREE_UPLOADS, Settings
+from service.settings import IDLE_BYTES, MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 from sgmethod.memory import available
 
 SANDBOX_STARTS_S = 30.0  # at the latest
+ENCODE_BYTES = 650_000_000  # the least SG_JOB_MEMORY_BYTES with which 12 megapixels were encoded by default
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 
 
@@ -49,10 +50,14 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
 
 def _settings(settings: Settings) -> str:
     words = f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
-    needed, there_is = settings.workers * settings.job_memory_bytes, available()
-    if needed > there_is:
-        words += f"; encodes may take {needed:,} bytes of memory together, and there are {there_is:,}: lower "
-        words += "SG_WORKERS or SG_JOB_MEMORY_BYTES, or large pictures may fail"
+    left = max(0, available() - IDLE_BYTES)
+    share = min(settings.job_memory_bytes, left // settings.workers)
+    if settings.job_memory_bytes > left:
+        words += f"; SG_JOB_MEMORY_BYTES exceeds the {left:,} bytes of memory that the service itself leaves:"
+        words += " the system may kill an encode"
+    elif share < ENCODE_BYTES:
+        words += f"; an encode has {share:,} bytes of memory, and a photograph of 12 megapixels takes {ENCODE_BYTES:,}:"
+        words += " lower SG_WORKERS or SG_MAX_PIXELS, or such jobs fail"
     return words
 
 

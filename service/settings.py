@@ -29,6 +29,7 @@ MAX_SECONDS = 86_400.0  # small enough for the system and both databases
 MAX_RETENTION_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MIN_DECODE_BYTES = 512 << 20
 MAX_WORKERS = 64  # processes of one machine
+IDLE_BYTES = 190_000_000  # memory of a web process, a worker and the sandbox without work: docs/deploy.md, Memory
 MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
 WEBHOOK, ORIGIN = r"https?://[^/,\s][^,\s]*", r"https?://[^/,\s*]+"
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS", "SG_ISA"})  # the client's, and the kernels'
@@ -42,8 +43,11 @@ def default_workers() -> int:
 
 
 def default_job_memory_bytes() -> int:
-    """Return 8 GiB, or what this machine or container has if that is less."""
-    return max(min(available(), 8 * 2**30), 2**28)
+    """Return 8 GiB, or what an idle service leaves of this machine or container if that is less.
+
+    With all of it, the system would kill an encode before its limit refuses it.
+    """
+    return max(min(available() - IDLE_BYTES, 8 * 2**30), 2**28)
 
 
 def listed(text: str) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.settings import Settings
+from service.settings import IDLE_BYTES, Settings
 from sgmethod.memory import available
 
 TOTAL = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -54,7 +54,8 @@ def test_limits_follow_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """8 GiB were allowed in a container of 1 GB: the system killed encodes, and clients were blamed."""
     for memory, encode, decode in (
         (1 << 40, 8 << 30, 2 << 30),
-        (900 * MB, 900 * MB, 512 * MB),
+        (900 * MB, 900 * MB - IDLE_BYTES, 512 * MB),
+        (512 * MB, 512 * MB - IDLE_BYTES, 512 * MB - IDLE_BYTES),
         (64 * MB, 2**28, 2**28),
     ):
         monkeypatch.setattr("service.settings.available", lambda memory=memory: memory)

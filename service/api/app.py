@@ -13,6 +13,7 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from contextlib import asynccontextmanager
 from functools import cache
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,7 @@ def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], liste
     absent: layers that the sandbox lacks; listen: opens the socket, called once the application is complete. Raises
     JobTableError, MissingPackagesError, OSError.
     """
+    proxies = listed(settings.trusted_proxies)
     config = uvicorn.Config(
         _application(settings, sandbox, Metrics(absent), lambda: server.should_exit),
         ws="none",
@@ -123,8 +125,8 @@ def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], liste
         backlog=BACKLOG,
         server_header=False,
         root_path=settings.root_path,
-        proxy_headers=bool(settings.trusted_proxies),
-        forwarded_allow_ips=settings.trusted_proxies,
+        proxy_headers=bool(proxies),
+        forwarded_allow_ips=[*proxies, *map(_in_ipv6, proxies)],
         timeout_keep_alive=KEEP_ALIVE_S,
         timeout_graceful_shutdown=max(1, int(settings.stop_grace_s / 2)),
     )
@@ -134,6 +136,12 @@ def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], liste
         # is not a failure.
         signal.signal(number, server.handle_exit)
     server.run(sockets=[listen()])
+
+
+def _in_ipv6(proxy: str) -> str:
+    """Return a network as a socket of IPv6 sees it: there, an IPv4 address is one of ::ffff:0:0/96."""
+    network = ip_network(proxy)
+    return proxy if network.version == 6 else f"::ffff:{network.network_address}/{96 + network.prefixlen}"
 
 
 def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: Callable[[], bool]) -> ASGIApp:

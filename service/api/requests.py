@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
+import shutil
 import tempfile
 from collections.abc import AsyncIterator, Coroutine
-from contextlib import asynccontextmanager
-from typing import Annotated, Any, BinaryIO, TypeVar, cast
+from contextlib import ExitStack, asynccontextmanager
+from typing import Annotated, Any, BinaryIO, TypeVar
 
+from anyio import to_thread
 from fastapi import Query, Request
 from pydantic import BaseModel, ConfigDict
 from starlette.datastructures import Headers, UploadFile
@@ -109,16 +112,31 @@ async def idempotency_key(request: Request) -> str | None:
 
 @asynccontextmanager
 async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
-    """Read the whole body into a file, deleted at the end of the context. Raises ProblemError, from BodyLimit."""
-    file = cast(BinaryIO, tempfile.SpooledTemporaryFile(IN_MEMORY_BYTES))  # noqa: SIM115 - upload closes it
-    upload = UploadFile(file, size=0)
+    """Read the whole body into a file, deleted at the end of the context. Raises ProblemError, from BodyLimit.
+
+    A small one is in memory, and yet has a descriptor for the sandbox: a full disk does not keep it from being decoded.
+    """
+    upload = UploadFile(os.fdopen(os.memfd_create("body"), "w+b"), size=0)
     try:
         async for chunk in request.stream():
+            size = upload.size or 0
+            if size <= IN_MEMORY_BYTES < size + len(chunk):
+                upload.file = await to_thread.run_sync(_on_disk, upload.file)
             await upload.write(chunk)
         await upload.seek(0)
         yield upload
     finally:
         await upload.close()
+
+
+def _on_disk(file: BinaryIO) -> BinaryIO:
+    """Move a file from memory to a temporary file, and close it."""
+    with file, ExitStack() as stack:
+        moved = stack.enter_context(tempfile.TemporaryFile())
+        file.seek(0)
+        shutil.copyfileobj(file, moved)
+        stack.pop_all()
+    return moved
 
 
 @asynccontextmanager

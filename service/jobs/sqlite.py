@@ -6,7 +6,7 @@ import queue
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from service.errors import JobTableError
@@ -31,6 +31,11 @@ TRIGGERS = (
     f"CREATE TRIGGER jobs_go AFTER DELETE ON jobs BEGIN {REMOVE}; END",
     f"CREATE TRIGGER jobs_change AFTER UPDATE OF {COUNTED} ON jobs BEGIN {REMOVE}; {ADD}; END",
 )
+LOG_BYTES = 4_000_000  # about where SQLite begins its log anew: after 1,000 pages
+FILL_LOG = f"""
+PRAGMA cache_size = 10; BEGIN IMMEDIATE; CREATE TABLE room (bytes); INSERT INTO room VALUES (zeroblob({LOG_BYTES}));
+ROLLBACK
+"""
 SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON;"
 
 
@@ -70,10 +75,18 @@ class SqliteJobTable(JobTable):
         self._file, self._idle = file, queue.LifoQueue()
         try:
             self._set_up()
+            self._make_room()
         except JobTableError:
             self.close()
             self._file = None  # so that the next call sets it up
             raise
+
+    def _make_room(self) -> None:
+        """Bring the log to its full size by a change that is undone: on a full disk, jobs can then still be removed."""
+        with suppress(OSError, sqlite3.Error):  # as when there is no room already
+            if Path(f"{self._path}-wal").stat().st_size < LOG_BYTES:
+                with closing(self._connect()) as db:
+                    db.executescript(FILL_LOG)
 
     def _connect(self, timeout_s: float = BUSY_TIMEOUT_S) -> sqlite3.Connection:
         # A connection serves one thread at a time, but not always the same one.

@@ -108,9 +108,10 @@ def supervise(
 
 def listen(settings: Settings) -> socket.socket:
     """Open a listening socket at the host and port of the settings. Raises OSError, as when the port is in use."""
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    try:
-        return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    is_v6 = ":" in settings.host
+    family, both = (socket.AF_INET6 if is_v6 else socket.AF_INET), is_v6 and socket.has_dualstack_ipv6()
+    try:  # `both`: "::" is IPv4 too, as for other servers
+        return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG, dualstack_ipv6=both)
     except (OSError, UnicodeError) as error:
         why = getattr(error, "strerror", None) or error
         raise OSError(f"SG_HOST and SG_PORT, {settings.host}:{settings.port}: {why}") from error

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+import service.settings
+from service import checking
 from service.alive import touch
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
@@ -35,6 +37,27 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
     assert "0 queued, 0 running" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("memory", "settings", "words"),
+    [
+        (512 << 20, {}, "an encode has 346,870,912 bytes of memory"),
+        (1 << 30, {}, ""),
+        (10 << 30, {"workers": 8}, ""),  # as in each of the containers of docs/compose.scale.yaml
+        (4 << 30, {"workers": 8}, "lower SG_WORKERS"),
+        (1 << 30, {"job_memory_bytes": 1 << 30}, "the system may kill an encode"),
+    ],
+)
+def test_check_compares_the_memory_with_what_encodes_need(
+    monkeypatch: pytest.MonkeyPatch, memory: int, settings: dict[str, int], words: str
+) -> None:
+    """It warned of what encodes were allowed, even of other containers, and passed 512 MB without a word."""
+    for module in (checking, service.settings):
+        monkeypatch.setattr(module, "available", lambda: memory)
+    found = checking._settings(Settings(**{"workers": 1, **settings}))  # type: ignore[arg-type]
+    assert ("memory" in found) == bool(words)
+    assert words in found
 
 
 def test_check_tries_the_sandbox(run_command: RunCommand, tmp_path: Path) -> None:

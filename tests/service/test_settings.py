@@ -22,7 +22,7 @@ from tests.support.service import RunCommand
 
 COMPUTED = {
     "workers": "cores / 4, at least 1",
-    "job_memory_bytes": "8 GiB, or what the machine or container has",
+    "job_memory_bytes": "8 GiB, or less: what the machine or container has beyond 190 MB",
     **dict.fromkeys(("api_keys_file", "link_secret", "webhook_secret"), ""),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
-from tests.support.processes import TIMEOUT_S, run
+from tests.support.processes import TIMEOUT_S, run, wait_until
 from tests.support.service import RunCommand, Service, StartService, assert_problem, bearer, max_age
 
 SECRET = "0123456789abcdef" * 2
@@ -204,6 +205,18 @@ def test_others_are_let_in_by_keys_or_by_name(run_command: RunCommand, tmp_path:
 
 
 @pytest.mark.thorough
+def test_all_addresses_are_those_of_ipv4_too(start_service: StartService) -> None:
+    """With :: it refused IPv4, by which the image's health check asks; a proxy's address has another form there."""
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("this machine has no IPv6")
+    web = start_service("web", host="::", host_names="pictures.example", trusted_proxies="127.0.0.0/8")
+    port = httpx2.URL(web.url).port
+    assert httpx2.get(f"http://[::1]:{port}/livez").status_code == 200
+    answer = httpx2.get(f"http://127.0.0.1:{port}/livez?x", headers={"X-Forwarded-For": "9.9.9.9"})
+    assert_problem(answer, 422)
+    wait_until(lambda: " bytes, 9.9.9.9 invalid" in web.log.read_text())
+
+
 @pytest.mark.parametrize("settings", [{"api_keys": KEYS}, {"host_names": "pictures.example"}], ids=["keys", "names"])
 def test_others_are_let_in(start_service: StartService, settings: dict[str, str]) -> None:
     assert start_service("web", host="0.0.0.0", **settings).client.get("/livez").status_code == 200
