@@ -1,10 +1,11 @@
-"""The dashboard and the alerts of docs/monitoring."""
+"""The dashboard and the alerts of docs/monitoring, and the manifests of docs/kubernetes."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -89,3 +90,12 @@ def test_each_alert_fires_when_it_should_and_no_other(tmp_path: Path) -> None:
     file.write_text(json.dumps({"rule_files": [str(rules)], "evaluation_interval": "1m", "tests": cases}))
     checked, tested = run(PROMTOOL, "check", "rules", rules), run(PROMTOOL, "test", "rules", file)
     assert (checked.status, tested.status) == (0, 0), (checked, tested)
+
+
+@pytest.mark.thorough
+def test_manifests_are_valid() -> None:
+    pytest.importorskip("kubernetes_validate", reason="pip install kubernetes-validate")
+    program = Path(sys.executable).with_name("kubernetes-validate")
+    done = run(program, "--strict", *sorted((ROOT / "docs" / "kubernetes").glob("*.yaml")))
+    assert done.status == 0, done
+    assert len(re.findall(" passed for resource ", done.stdout + done.stderr)) == 8
