@@ -57,6 +57,7 @@ class Nginx:
         tls: bool = True,
     ) -> None:
         self.port = free_port()
+        self.folder = folder  # of its logs
         first, *second = [web.removeprefix("http://") for web in webs]
         text = DOCUMENTED.read_text()
         replaced = {
@@ -64,6 +65,7 @@ class Nginx:
             "127.0.0.1:8000": first,
             **({"# server 127.0.0.1:8001": f"server {second[0]}"} if second else {}),
             "/etc/nginx/tls": str(certificate.parent),
+            "/var/log/nginx": str(folder),
             **({} if tls else {"ssl http2;": ";"}),
             **(changes or {}),
         }

@@ -20,11 +20,12 @@ from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
 from tests.service.s3_server import S3Server
 from tests.support.browser import Chromium
+from tests.support.data import PICTURE
 from tests.support.nginx import Nginx
 from tests.support.pictures import SMALL, noisy_png
 from tests.support.postgres_server import PostgresServer
 from tests.support.processes import TIMEOUT_S, wait_until
-from tests.support.service import FAKE_CODEC, Service, StartService
+from tests.support.service import FAKE_CODEC, Service, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
@@ -112,6 +113,24 @@ def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
     wait_until(lambda: len(lines()) == len(names))
     assert all("127.0.0.3" in line for line in lines())
     assert "9.9.9.9" not in "".join(lines())
+
+
+def test_what_nginx_says_itself(start_proxy: StartProxy, start_service: StartService) -> None:
+    """Problems that say when to ask again, as the service's; and a log from which nobody can take a link."""
+    web = start_service("web", trusted_proxies="127.0.0.1")
+    times = {"proxy_connect_timeout 5s;": "proxy_connect_timeout 1s;", "65m;": "1m;"}
+    proxy = start_proxy([web.url], changes=times)
+    link = f"{proxy.url}/decode/{web.published(PICTURE)}.png?expires=9&signature=not-for-the-log"
+    assert httpx2.get(link, timeout=TIMEOUT_S).status_code == 200
+    assert_problem(httpx2.post(f"{proxy.url}/decode.png", content=bytes(2 << 20), timeout=TIMEOUT_S), 413)
+    web.stop()
+    answer = httpx2.get(link, timeout=TIMEOUT_S)
+    assert_problem(answer, 503)
+    assert answer.headers["retry-after"]
+    logs = {name: (proxy.folder / f"{name}.log").read_text() for name in ("access", "error")}
+    assert logs["access"].count(f"GET {urlsplit(link).path} HTTP") == 2
+    assert "not-for-the-log" not in "".join(logs.values())
+    assert "warn" not in logs["error"]
 
 
 def test_everything_restarts(
