@@ -42,7 +42,7 @@ def main() -> int:
     try:
         add_secrets(os.environ)
         settings = Settings()
-        set_up_logging()
+        set_up_logging(settings.log_format, settings.log_level)
     except ValidationError as error:
         _warn(map(_explain, error.errors()))
         return BAD_SETTING

@@ -18,6 +18,7 @@ from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
+from service.logs import LogFormat, LogLevel
 from sgmethod.io.image import ImageLimits
 from sgmethod.memory import available
 from sgmethod.native import native
@@ -123,6 +124,10 @@ class Settings(BaseSettings):
     max_pixels: int = Field(default=50_000_000, ge=1)  # of an image, and of a picture or view to draw
     max_decodes: int = Field(default=3, ge=1)
     decode_time_s: float = Field(default=10.0, gt=0, le=MAX_SECONDS)  # of a core
+
+    # Logs.
+    log_format: LogFormat = "text"
+    log_level: LogLevel = "info"
 
     @field_validator("*", mode="before")
     @classmethod

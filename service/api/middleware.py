@@ -8,16 +8,20 @@ import secrets
 import shutil
 import tempfile
 import time
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
 
 from anyio import to_thread
+from opentelemetry import trace
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.callers import address_of
+from service.api.callers import SAFE_METHODS, address_of
 from service.api.metrics import Metrics
 from service.api.problems import REFUSAL, RETRY_AFTER, ProblemError
 from service.api.requests import IN_MEMORY_BYTES
-from service.logs import request_id
+from service.logs import FIELDS, request_id
 
 log = logging.getLogger("access")
 
@@ -28,6 +32,8 @@ RESPONSE_HEADERS = {  # defaults
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+# Probes, and what clients ask again and again while they wait: seven in ten lines of a bulk run.
+OFTEN = frozenset({"/livez", "/readyz", "/metrics", "/jobs/{job_id}", "/jobs/{job_id}/preview.sg"})
 COPIES = 2  # of an upload: the temporary file, and what the storage keeps
 MAX_LOGGED_PATH = 200  # characters of the log; our own paths are shorter
 _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -68,11 +74,33 @@ class RequestLog:
         try:
             await self._app(scope, receive, note)
         finally:
-            client = state["caller"].client if "caller" in state else address_of(scope.get("client"))
             ms = 1000 * (time.monotonic() - started)
-            what = f"{method} {path[:MAX_LOGGED_PATH]!a} {status} {ms:.1f} ms {size} bytes"
-            log.info("%s", f"{what}, {client} {state.get(REFUSAL, '')}".rstrip())
+            fields = {"method": method, "path": path[:MAX_LOGGED_PATH], "status": status, "ms": round(ms, 1)}
+            fields |= {"bytes": size, "address": address_of(scope.get("client"))}
+            who = {"key": state["caller"].owner if "caller" in state else None, REFUSAL: state.get(REFUSAL)}
+            fields |= {name: value for name, value in who.items() if value}
+            _log_request(fields, getattr(scope.get("route"), "path", ""))
             request_id.reset(token)
+
+
+def _log_request(fields: Mapping[str, Any], route: str) -> None:
+    """Log a request: one of OFTEN that went well at level debug, any other at level info."""
+    often = route in OFTEN and fields["method"] in SAFE_METHODS and fields["status"] < HTTPStatus.BAD_REQUEST
+    what = "{method} {path!a} {status} {ms:.1f} ms {bytes} bytes, {address}".format_map(fields)
+    key = f" key {fields['key']}" if "key" in fields else ""
+    words = f"{what}{key} {fields.get(REFUSAL, '')}".rstrip()
+    log.log(logging.DEBUG if often else logging.INFO, "%s", words, extra={FIELDS: fields})
+
+
+class SpanIds:
+    """Middleware within FastAPI's span, if OpenTelemetry records it: notes the id of the request, which the log has."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        trace.get_current_span().set_attribute(f"http.response.header.{ID_HEADER.lower()}", [request_id.get()])
+        await self._app(scope, receive, send)
 
 
 class BodyLimit:

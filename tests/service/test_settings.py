@@ -102,7 +102,7 @@ BAD = {
     **{"SG_WORKERS": ("0", "65"), "SG_LEASE_S": ("nan",), "SG_STOP_GRACE_S": ("inf",), "SG_DECODE_TIME_S": ("0",)},
     **{"SG_JOB_MEMORY_BYTES": ("9" * 30,), "SG_MAX_PIXELS": ("9" * 30,), "SG_RETENTION_S": ("1e300",)},
     **{"SG_API_KEYS_FILE": ("/dev/null/keys",), "SG_DATA_DIR": ("\udcff",), "SG_STORAGE_URL": ("s3://b u", "ftp://x")},
-    "SG_DATABASE_URL": ("mysql://x",),
+    **{"SG_DATABASE_URL": ("mysql://x",), "SG_LOG_FORMAT": ("xml",), "SG_LOG_LEVEL": ("loud",)},
     "SG_TRUSTED_PROXIES": ("proxy.example", "10.0.0.1/8"),
     "SG_CORS_ORIGINS": ("a.example", "*,https://a.example"),
     **{"SG_HOST_NAMES": ("https://a.example",), "SG_ROOT_PATH": ("sg/",)},

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+import json
+import logging
 import re
 import select
 import shutil
 from contextlib import ExitStack
+from datetime import datetime, timedelta
 from email.utils import parsedate_to_datetime
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+from opentelemetry import trace
 from PIL import Image
 
+from service import logs
+from service.api.middleware import SpanIds
 from service.keys import digest
+from service.logs import request_id
 from service.pictures import MEDIA_TYPES
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
 from tests.support.processes import TIMEOUT_S, wait_until
-from tests.support.service import Service, StartService, assert_problem, bearer, keys_of
+from tests.support.service import RunCommand, Service, StartService, assert_problem, bearer, keys_of
 
 
 @pytest.mark.parametrize(
@@ -96,7 +105,7 @@ def test_browsers_ask_again_for_the_page_and_its_decoder(web: Service) -> None:
 
 def test_requests_have_ids_and_lines(start_service: StartService) -> None:
     web = start_service("web", api_keys=keys_of("ann"), link_secret="s" * 32)
-    given = web.client.get("/livez", headers={"X-Request-Id": "mine-1"})
+    given = web.client.get("/docs", headers={"X-Request-Id": "mine-1"})
     assert given.headers["x-request-id"] == "mine-1"
     forged = web.client.get("/jobs", headers={"X-Request-Id": 'a"b c'})
     assert re.fullmatch("[0-9a-f]{16}", forged.headers["x-request-id"])
@@ -108,11 +117,60 @@ def test_requests_have_ids_and_lines(start_service: StartService) -> None:
         return found if len(found) >= 3 else None
 
     by_id = {name: words for words, name in wait_until(lines) or ()}
-    assert re.fullmatch(r"GET '/livez' 200 [\d.]+ ms \d+ bytes, 127.0.0.1", by_id["mine-1"])
+    assert re.fullmatch(r"GET '/docs' 200 [\d.]+ ms \d+ bytes, 127.0.0.1", by_id["mine-1"])
     assert re.fullmatch(r"GET '/jobs' 401 .*, 127.0.0.1 key", by_id[forged.headers["x-request-id"]])
-    assert any(", key ann" in words for words in by_id.values())
+    assert any(", 127.0.0.1 key ann" in words for words in by_id.values())
     assert "not-for-the-log" not in web.log.read_text()
     assert "Bearer" not in web.log.read_text()
+
+
+def test_logs_as_json(start_service: StartService) -> None:
+    """For programs: members instead of words, a time with its zone, and without what is asked all the time."""
+    web = start_service("web", api_keys=keys_of("ann"), log_format="json")
+    done = web.published(PICTURE, "ann")
+    for path in ("/livez", "/metrics", f"/jobs/{done}", f"/decode/{done}.png", f"/jobs/{done[::-1]}"):
+        web.client.get(path, headers={**bearer("ann"), "X-Request-Id": "of-this"})
+
+    def lines() -> list[dict[str, Any]] | None:
+        found = [json.loads(line) for line in web.log.read_text().splitlines() if line.startswith("{")]
+        ours = [line for line in found if line["logger"] == "access"]
+        return ours if len(ours) >= 2 else None
+
+    first, second = wait_until(lines) or []
+    assert datetime.fromisoformat(first["time"]).utcoffset() == timedelta(0)
+    assert (first["level"], first["request_id"], first["key"]) == ("INFO", "of-this", "ann")
+    assert (first["method"], first["path"], first["status"]) == ("GET", f"/decode/{done}.png", 200)
+    assert (first["address"], first["bytes"] > 100) == ("127.0.0.1", True)
+    assert (second["status"], second["refusal"]) == (404, "unknown")
+
+
+def test_a_level_of_logs(run_command: RunCommand, tmp_path: Path) -> None:
+    """Ours is chosen; libraries are never asked for more than information."""
+    for level, expected in (("debug", (10, 20)), ("error", (40, 40))):
+        run_command("check", data_dir=tmp_path, log_level=level)
+        names = ("service.api.middleware", "python_multipart")
+        assert tuple(logging.getLogger(name).getEffectiveLevel() for name in names) == expected
+    logs.set_up_logging()
+
+
+def test_a_span_has_the_id_of_its_request() -> None:
+    """With which its lines in the log are found."""
+    noted: dict[str, Any] = {}
+
+    class Span(trace.NonRecordingSpan):
+        def set_attribute(self, key: str, value: Any) -> None:
+            noted[key] = value
+
+    async def app(*_: Any) -> None:
+        noted["passed on"] = True
+
+    async def ask() -> None:
+        request_id.set("mine-1")
+        with trace.use_span(Span(trace.INVALID_SPAN_CONTEXT)):
+            await SpanIds(app)({}, cast(Any, None), cast(Any, None))
+
+    asyncio.run(ask())
+    assert noted == {"http.response.header.x-request-id": ["mine-1"], "passed on": True}
 
 
 @pytest.mark.thorough
