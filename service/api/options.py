@@ -89,6 +89,9 @@ class EncodeOptions(BaseModel):
         description="visual looks best, fidelity invents nothing, psnr has the least squared error",
         json_schema_extra={"enum": list(TUNES)},
     )
+    texture: bool = Field(
+        default=True, description="false leaves out the noise that stands in for grain when tuned visual"
+    )
     effort: int = Field(
         default=DEFAULT_EFFORT,
         ge=min(EFFORTS),
@@ -126,7 +129,7 @@ class EncodeOptions(BaseModel):
         if not isinstance(settings, RdSettings) and find_spec("torch") is None:
             raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
         budget = self._feasible_budget(settings, image)
-        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
+        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort, self.texture)
 
     def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
         """Return the budget: if none was given, the default for the image."""

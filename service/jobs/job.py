@@ -52,6 +52,7 @@ class EncodeRequest:
     time_limit_s: float
     tune: SkipValidation[Tune] = "psnr"
     effort: int = DEFAULT_EFFORT
+    texture: bool = True
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ class Options(TypedDict, total=False):
     """Options of an encode, as in sgmethod.encode(). priority: "bulk" waits for jobs that are "interactive"."""
 
     tune: Tune | None
+    texture: bool
     effort: AnyInt
     time_limit_s: AnyFloat | None
     priority: Priority
