@@ -7,7 +7,6 @@ import json
 import os
 import sys
 import time
-import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -16,13 +15,12 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, TextIO
 
-from PIL import Image
-
 from sgmethod.cli import paths
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.naming import Conversion
+from sgmethod.cli.pace import Pace
 from sgmethod.cli.paths import STREAM
-from sgmethod.cli.terminal import Ticker, redraw, remaining
+from sgmethod.cli.terminal import Ticker, redraw
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.processes import usual_jobs
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
@@ -115,9 +113,8 @@ class _Report:
         self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
         self._shown = not arguments.quiet and os.isatty(2)
         says_pace = self._shown or not (arguments.quiet or self._json)
-        self._pixels = Counter({one: pixels_of(one) for one in set(pictures)} if says_pace else {})
-        self._done_pixels, self._all_pixels = 0, sum(self._pixels[picture] for picture in pictures)
-        self._left, self._jobs, self._pace = Counter(pictures), jobs_of(arguments, len(pictures)), ""
+        self._measure, self._pace = Pace(pictures) if says_pace else None, ""
+        self._left, self._jobs = Counter(pictures), jobs_of(arguments, pictures)
         self._began: dict[str, float] = {}
         self._lock = Lock()
         self._redraw()
@@ -137,9 +134,8 @@ class _Report:
     def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
         self._left -= Counter([outcome.input])
-        self._done_pixels += self._pixels[outcome.input]
-        left_s = tally.seconds * (self._all_pixels / self._done_pixels - 1) if self._done_pixels else None
-        pace = self._pace = f", {pace_of(tally.per_second)}{remaining(left_s)}"
+        if self._measure:
+            self._pace = f", {self._measure.after(outcome, tally)}"
         if self._shown:
             redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)
@@ -149,7 +145,7 @@ class _Report:
             names = {"input": outcome.input, "output": outcome.target}
             print(json.dumps({**names, **outcome.figures}, allow_nan=False), flush=True)
         elif not self._arguments.quiet:
-            count = "" if self._shown else f" ({done} of {self._whole}{pace})"
+            count = "" if self._shown else f" ({done} of {self._whole}{self._pace})"
             print(f"{one_line(f'{outcome.input} -> {outcome.target}')}: {outcome.summary}{count}", flush=True)
         self._redraw()
 
@@ -166,22 +162,6 @@ class _Report:
             redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
 
 
-def pixels_of(picture: str) -> int:
-    """Number of a picture's pixels by its header; 1 if it has none that Pillow reads."""
-    try:
-        with warnings.catch_warnings(action="ignore"), Image.open(picture) as image:
-            return image.width * image.height
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return 1
-
-
-def pace_of(per_second: float) -> str:
-    """Format a pace as seconds a picture or, if they take less than one, as pictures a second."""
-    if 0 < per_second < 1:
-        return f"{1 / per_second:.3g} s a picture"
-    return f"{per_second:{'.3g' if per_second < 100 else ',.0f'}} pictures/s"
-
-
 def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:
     """Create a task for each conversion."""
     return [Task(one.input, one) for one in conversions]
@@ -190,13 +170,18 @@ def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:
 def outcomes(tasks: list[Task[Conversion]], convert: Convert, arguments: argparse.Namespace) -> Finished[Conversion]:
     """Yield conversions as they are made."""
     make = partial(caught, partial(_converted, convert, arguments))
-    return finish_locally(make, tasks, min(jobs_of(arguments, len(tasks)), len(tasks)))
+    return finish_locally(make, tasks, min(jobs_of(arguments, [task.row.input for task in tasks]), len(tasks)))
 
 
-def jobs_of(arguments: argparse.Namespace, pictures: int) -> int:
-    """Return how many pictures are converted at a time: those of a server, and decodes, one after another."""
+def jobs_of(arguments: argparse.Namespace, pictures: Sequence[str]) -> int:
+    """Return how many pictures are converted at a time: those of a server, pipes and decodes, one after another.
+
+    Other processes do not have the pipes of a shell's <(...).
+    """
+    if any(paths.is_device(picture) for picture in pictures):
+        return 1
     is_remote = getattr(arguments, "server", None) is not None
-    return getattr(arguments, "jobs", 1) or (1 if is_remote else usual_jobs(pictures))
+    return getattr(arguments, "jobs", 1) or (1 if is_remote else usual_jobs(len(pictures)))
 
 
 def _converted(convert: Convert, arguments: argparse.Namespace, task: Task[Conversion]) -> Conversion:

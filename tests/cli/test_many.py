@@ -16,7 +16,6 @@ from PIL import Image
 
 from sgmethod import decode, encode
 from sgmethod.cli import naming
-from sgmethod.cli.several import pace_of
 from tests.cli.conftest import PHOTO, Run, assert_refused, on_terminal, start
 from tests.io.odd_files import tiff
 
@@ -239,10 +238,3 @@ def test_pillows_warnings_are_not_printed(jobs: str) -> None:
         encode("odd.tiff", effort=1)
     arguments = ["odd.tiff", "odder.tiff", "--output-dir", "out", "--jobs", jobs, "--effort", "1"]
     assert start("encode", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE).communicate()[1] == ""
-
-
-@pytest.mark.parametrize(
-    ("per_second", "words"), [(0.0895, "11.2 s a picture"), (0.999, "1 s a picture"), (2.5, "2.5 pictures/s")]
-)
-def test_a_slow_pace_is_in_seconds(per_second: float, words: str) -> None:
-    assert pace_of(per_second) == words

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import os
@@ -21,14 +20,11 @@ from PIL import Image
 
 from sgmethod import decode
 from sgmethod.cli import encoding, naming
-from sgmethod.cli.naming import Conversion
-from sgmethod.cli.several import _Report, pixels_of
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.client import RemoteEncoded
 from sgmethod.errors import ImageError
 from sgmethod.io.pictures import SUFFIXES, picture_file
 from sgmethod.many import processes
-from sgmethod.many.run import Tally
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Ran, Run, names, on_terminal, start, start_interruptible
@@ -254,18 +250,6 @@ def test_seconds_left() -> None:
     assert [remaining(seconds) for seconds in (None, 0.2, 119, 120, 32400)] == [
         *("", ", 0 s left", ", 119 s left", ", 2 min left", ", 9 h left")
     ]
-
-
-def test_the_rest_of_a_folder_is_counted_by_its_pixels(capsys: pytest.CaptureFixture[str]) -> None:
-    small, large, broken = "small.png", "large.png", "broken.jpg"
-    for name, side in ((small, 8), (large, 72)):
-        Image.new("RGB", (side, side), "teal").save(name)
-    Path(broken).write_text("no picture")
-    assert [pixels_of(one) for one in (small, large, broken)] == [64, 5184, 1]
-    report = _Report([small, large], argparse.Namespace(quiet=False, jobs=1, json=False))
-    report.show(Conversion("small", small, target="small.sg", summary="done"), Tally(encoded=1, seconds=1))
-    report.end()
-    assert capsys.readouterr().out.endswith("small.sg: done (1 of 2, 1 pictures/s, 81 s left)\n")
 
 
 def test_jobs_of_a_batch_are_found_again_on_a_server(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,70 @@
+"""How fast several pictures are converted, and how long the rest will take."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from sgmethod.cli.naming import Conversion
+from sgmethod.cli.terminal import remaining
+from sgmethod.errors import SgError
+from sgmethod.io import chunks, formats
+from sgmethod.io.opening import ImageLimits
+from sgmethod.many.run import Tally
+
+START_PIXELS = 100_000  # no encode is free: one of so many pixels takes twice as long for each as one of a megapixel
+
+
+class Pace:
+    """The pace of a run over these pictures; the rest of it is estimated by their pixels."""
+
+    def __init__(self, pictures: Sequence[str]) -> None:
+        found = {picture: pixels_of(picture) for picture in set(pictures)}
+        known = [pixels for pixels in found.values() if pixels is not None]
+        usual = sum(known) / max(len(known), 1)
+        self._weights = {
+            picture: START_PIXELS + (usual if pixels is None else pixels) for picture, pixels in found.items()
+        }
+        self._count, self._all = len(pictures), sum(self._weights[picture] for picture in pictures)
+        self._done = 0.0
+
+    def after(self, outcome: Conversion, tally: Tally) -> str:
+        """Count an outcome and format the pace, with the time left once as much is done as an average picture.
+
+        A failure is no measure of the others.
+        """
+        weight = self._weights[outcome.input]
+        if outcome.error:
+            self._count, self._all = self._count - 1, self._all - weight
+        else:
+            self._done += weight
+        is_measure = self._done and self._done * self._count >= self._all
+        left_s = tally.seconds * (self._all / self._done - 1) if is_measure else None
+        return pace_of(tally.per_second) + remaining(left_s)
+
+
+def pixels_of(picture: str) -> int | None:
+    """Number of a picture's pixels by its header; None if that does not tell."""
+    if not Path(picture).is_file():  # a pipe can be read only once
+        return None
+    try:
+        with warnings.catch_warnings(action="ignore"), Path(picture).open("rb") as file:
+            kind = formats.name_of(file.read(256))
+            file.seek(0)
+            if kind == "JPEG XL":  # whose reader decodes the whole picture
+                width, height, *_ = chunks.jpeg_xl_header(file.read())
+            else:
+                with formats.reader_of(kind)(file) as image:
+                    width, height = image.size
+        ImageLimits().check(width, height)
+    except (SgError, OSError, ValueError, SyntaxError, RuntimeError):
+        return None
+    return width * height
+
+
+def pace_of(per_second: float) -> str:
+    """Format a pace as seconds a picture or, if they take less than one, as pictures a second."""
+    if 0 < per_second < 1:
+        return f"{1 / per_second:.3g} s a picture"
+    return f"{per_second:{'.3g' if per_second < 100 else ',.0f'}} pictures/s"
