@@ -32,24 +32,39 @@ PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # time to wait for a server that is 
 
 def run_encode(arguments: argparse.Namespace) -> int:
     """Run sgmethod encode."""
-    conversions = naming.encodes(arguments)
+    if arguments.output_dir is not None:
+        return _encode_all(arguments)
+    conversion = naming.encode(arguments)
     traces = [] if arguments.trace is None else [paths.output(arguments.trace)]
-    paths.check_outputs([one.input for one in conversions], [*(one.target for one in conversions), *traces])
-    budget = _only_budget(arguments)
+    paths.check_outputs([conversion.input], [conversion.target, *traces])
+    _only_budget(arguments)  # fail before the picture is read
+    _check_method(arguments)
+    encode = partial(_encode, began=arguments.began, shown=not arguments.quiet and os.isatty(2))
+    return convert_one(conversion, encode, arguments, traces)
+
+
+def _encode_all(arguments: argparse.Namespace) -> int:
+    """Encode into a folder that has a manifest."""
+    if arguments.trace is not None:
+        raise CommandError("--trace cannot be combined with --output-dir")
+    options = {"budget": _only_budget(arguments), **_choices(arguments)}
+    options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
+    manifest = Manifest(arguments.output_dir, options)
+    conversions = naming.into_folder(arguments, naming.PICTURES, naming.sg_beside, manifest.sources)
+    paths.check_outputs([one.input for one in conversions], [one.target for one in conversions])
+    _check_method(arguments)
+    with manifest:
+        return convert_all(conversions, _encode, "encoded", arguments, manifest)
+
+
+def _check_method(arguments: argparse.Namespace) -> None:
+    """Fail once, not for each picture, if a server or a profile cannot be used. Raises SgError."""
     if arguments.server is not None:
         if arguments.seed != 0:
             raise CommandError("--seed cannot be combined with --server")
-        _client_for(arguments)  # fail once, not for each picture
+        _client_for(arguments)
     elif arguments.profile != "rd":
-        import_module("sgmethod.paper")  # fail once, not for each picture, if its packages are missing
-    if arguments.output_dir is not None:
-        options = {"budget": budget, **_choices(arguments)}
-        options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
-        with Manifest(arguments.output_dir, options) as manifest:
-            return convert_all(conversions, _encode, "encoded", arguments, manifest)
-    (conversion,) = conversions
-    encode = partial(_encode, began=arguments.began, shown=not arguments.quiet and os.isatty(2))
-    return convert_one(conversion, encode, arguments, traces)
+        import_module("sgmethod.paper")
 
 
 def _only_budget(arguments: argparse.Namespace) -> Budget | None:

@@ -46,12 +46,8 @@ def _renamed(source: str, known: set[str], suffix: str) -> str:
     return str(path.with_suffix(suffix) if path.suffix.lower() in known else path.with_name(path.name + suffix))
 
 
-def encodes(arguments: argparse.Namespace) -> list[Conversion]:
-    """List the conversions of encode, pictures to .sg files. Raises CommandError."""
-    if arguments.output_dir is not None:
-        if arguments.trace is not None:
-            raise CommandError("--trace cannot be combined with --output-dir")
-        return into_folder(arguments, PICTURES, sg_beside)
+def encode(arguments: argparse.Namespace) -> Conversion:
+    """Name the output of encode for a single picture. Raises CommandError."""
     if arguments.resume:
         raise CommandError("--resume needs --output-dir")
     source, target = _pair(arguments, "out.sg")
@@ -63,7 +59,7 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
         target = STREAM if source == STREAM else sg_beside(source)
     elif not (target.lower().endswith(SUFFIX) or paths.is_device(target)):
         raise CommandError(f"the output {target} must end in .sg; to encode several pictures, use --output-dir out")
-    return [Conversion.from_paths(source, target)]
+    return Conversion.from_paths(source, target)
 
 
 def decodes(arguments: argparse.Namespace) -> list[Conversion]:
@@ -86,16 +82,22 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
     return names[0], paths.output(names[1]) if len(names) == 2 else None
 
 
-def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
+def into_folder(
+    arguments: argparse.Namespace,
+    known: set[str],
+    renamed: Callable[[str], str],
+    before: Mapping[str, str] | None = None,
+) -> list[Conversion]:
     """List conversions of files, and of folders' files with a known extension, into the output folder.
 
-    Where a.jpg has taken the name of a.png, that keeps its extension: a.sg and a.png.sg. Raises SgError.
+    Where a.jpg has taken the name of a.png, that keeps its extension: a.sg and a.png.sg. before: names that earlier
+    runs gave, as in Names. Raises SgError.
     """
     if arguments.output is not None:
         raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
         raise CommandError("--output-dir cannot be combined with standard input")
-    names, made = Names(Path(arguments.output_dir)), []
+    names, made = Names(Path(arguments.output_dir), before), []
     for source in (one for name in arguments.names for one in files_of(name, known)):
         short = Path(renamed(source))
         name = names.take(source, short.name, Path(source).name + short.suffix)

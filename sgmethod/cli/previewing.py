@@ -28,9 +28,10 @@ def run_preview(arguments: argparse.Namespace) -> int:
     """Run sgmethod preview."""
     _check(arguments)
     if arguments.output_dir is not None:
-        conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside)
+        manifest = Manifest(arguments.output_dir, {"preview": True, "bytes": arguments.bytes})
+        conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside, manifest.sources)
         paths.check_outputs([one.input for one in conversions], [one.target for one in conversions])
-        with Manifest(arguments.output_dir, {"preview": True, "bytes": arguments.bytes}) as manifest:
+        with manifest:
             return convert_all(conversions, _preview, "made", arguments, manifest)
     listed = ([name] if name == STREAM else naming.files_of(name, PICTURES) for name in arguments.names)
     wanted = [Conversion.from_paths(source, STREAM) for names in listed for source in names]

@@ -31,9 +31,9 @@ def encode_many(
 ) -> Tally:
     """Encode any number of pictures to output_dir/NAME.sg, with a manifest, output_dir/manifest.jsonl.
 
-    items: paths of pictures, NAME being the file's without its suffix, or with it if another file has that name, in
-    capitals or not; or pairs (NAME, picture) with a picture as encode() takes it. They are taken one by one, and may
-    come from a generator.
+    items: paths of pictures, NAME being the file's without its suffix, or with it if another file has that name, here
+    or in the manifest, in capitals or not; or pairs (NAME, picture) with a picture as encode() takes it. They are taken
+    one by one, and may come from a generator.
     jobs: pictures encoded at a time, 1 to 256, each in a process with its share of the threads. A script that asks for
     more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for

@@ -38,12 +38,12 @@ def into_folder(
     folder.mkdir(parents=True, exist_ok=True)
     with Manifest(folder, options) as manifest:
         run = Run[Row](manifest, resume, len(items) if isinstance(items, Sized) else None)
-        return run.finish(finish(folder, run.rest(_tasks(items, folder))), on_row)
+        return run.finish(finish(folder, run.rest(_tasks(items, folder, manifest.sources))), on_row)
 
 
-def _tasks(items: Iterable[Item], folder: Path) -> Iterator[Task[Row]]:
+def _tasks(items: Iterable[Item], folder: Path, before: Mapping[str, str]) -> Iterator[Task[Row]]:
     """Yield a task for each picture. Raises SgError for a name that is invalid or used twice."""
-    names = Names(folder)
+    names = Names(folder, before)
     for item in items:
         name, picture = item if isinstance(item, tuple) else (checked_path(item).stem, item)
         if not isinstance(name, str) or not name or checked_path(name).name != name:

@@ -16,8 +16,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from sgmethod.errors import SgError
 
@@ -52,8 +53,9 @@ def text_of(options: Mapping[str, object]) -> str:
 
 
 class Manifest:
-    """The manifest of a folder, for a run with these options.
+    """The manifest of a folder, for a run with these options: read at once, and open for writing as a context.
 
+    sources: by name, the file name of the picture that a file was made from; empty for one in memory.
     Raises SgError if it cannot be written, or is another file of that name.
     """
 
@@ -61,16 +63,16 @@ class Manifest:
         self._folder, self._path = Path(folder), Path(folder) / FILE
         self._asked = f"{version('sgmethod')} {text_of(options)}"
         self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
+        self.sources: dict[str, str] = {}
+        self._torn_at: int | None = None
+        self._read()
+
+    def __enter__(self) -> Manifest:
         # Each line is one write: if that is killed in the middle, no other line is touched.
         with self._errors_named():
             self._file = self._path.open("ab", buffering=0)
-        try:
-            self._read()
-        except BaseException:
-            self._file.close()
-            raise
-
-    def __enter__(self) -> Manifest:
+            if self._torn_at is not None:
+                self._file.truncate(self._torn_at)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -78,24 +80,31 @@ class Manifest:
 
     def _read(self) -> None:
         end = 0
-        with self._errors_named(), self._path.open("rb") as lines:
+        with self._errors_named(), self._lines() as lines:
             for number, line in enumerate(lines, 1):
                 written = line.rstrip(b"\0")  # left by a power cut if the line has not reached the disk
                 if not written.startswith(BEGINNING[: len(written)]):
                     raise SgError(f"{self._path} is not a manifest of sgmethod (line {number}): move it away")
                 if not line.endswith(b"\n"):
-                    self._file.truncate(end)  # its writer was killed
+                    self._torn_at = end  # its writer was killed
                     return
                 end += len(line)
                 try:
                     row = json.loads(line)
-                    name, made = row["name"], (row["key"], row["bytes"])
+                    name, made, source = row["name"], (row["key"], row["bytes"]), row["input"] or ""
                     if row["error"] is None:
-                        self._made[name] = made
+                        self._made[name], self.sources[name] = made, Path(source).name
                     else:
                         self._made.pop(name, None)
+                        self.sources.pop(name, None)
                 except (ValueError, KeyError, TypeError) as error:
                     raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
+
+    def _lines(self) -> BinaryIO:
+        try:
+            return self._path.open("rb")
+        except (FileNotFoundError, NotADirectoryError):  # which the folder's creation reports
+            return BytesIO()
 
     def key(self, source: str | None) -> str:
         """Hash what decides the bytes: version, options, the picture's size and time. Empty for a missing picture."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unicodedata import normalize
@@ -16,28 +17,38 @@ class Names:
     (macOS): there, two names may be one file. Names do not depend on the file system, so that the same pictures give
     the same files everywhere: of two names that are one anywhere, the later becomes its alternative. The file system
     is asked only where there is none.
+
+    before: names of files that earlier runs have made, and of the pictures that these were made from. Such a name is
+    taken by a picture of the same name alone.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, before: Mapping[str, str] | None = None) -> None:
         self._folder = folder
         self._taken: dict[str, list[tuple[str, str]]] = {}  # by what is ignored, names and their sources
+        self._owners: dict[str, set[str]] = {}
+        for name, picture in (before or {}).items():
+            self._owners.setdefault(_like(name), set()).add(picture)
 
     def take(self, source: str, name: str, alternative: str | None = None) -> str:
         """Return the name of a source's file, or the alternative if another source has taken one like it.
 
         Raises SgError if that is taken too, or if the sources are files of the same name: their alternatives would be.
         """
-        like = self._like(name)
-        if alternative is not None and like and all(Path(source).name != Path(owner).name for _, owner in like):
-            name, like = alternative, self._like(alternative)
+        if alternative is not None and self._is_of_another(source, name, alternative):
+            name = alternative
+        like = self._taken.setdefault(_like(name), [])
         for other, owner in like:
             if name == other or self._are_one(name, other):
                 raise SgError(f"{owner} and {source} would both become {self._folder / name}")
         like.append((name, source))
         return name
 
-    def _like(self, name: str) -> list[tuple[str, str]]:
-        return self._taken.setdefault(normalize("NFC", name.casefold()), [])
+    def _is_of_another(self, source: str, name: str, alternative: str) -> bool:
+        """Whether a name belongs to another picture, of this run or an earlier one."""
+        picture = Path(source).name
+        taken = [Path(owner).name for _, owner in self._taken.get(_like(name), [])]
+        owners, others = (self._owners.get(_like(one), set()) for one in (name, alternative))
+        return bool((taken and picture not in taken) or (picture not in owners and (owners or picture in others)))
 
     def _are_one(self, name: str, other: str) -> bool:
         """Ask the file system whether two names are one file. Raises OSError."""
@@ -45,3 +56,7 @@ class Names:
         with TemporaryDirectory(prefix=".names.", dir=self._folder) as empty:
             (Path(empty) / other).touch()
             return (Path(empty) / name).exists()
+
+
+def _like(name: str) -> str:
+    return normalize("NFC", name.casefold())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from unicodedata import normalize
 
@@ -61,6 +62,32 @@ def test_a_folder_that_ignores_case_is_told(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(SgError, match=r"'a' and the picture 'A' would both become .*A\.sg: give other names"):
         encode_many([("a", Image.new("RGB", (8, 8))), ("A", Image.new("RGB", (8, 8)))], tmp_path, effort=1)
     assert [path.name for path in tmp_path.glob("*.sg")] == ["a.sg"]
+
+
+@pytest.mark.parametrize("line", ["encode --no-clobber", "encode --resume", "encode", "preview --resume", "library"])
+def test_a_name_stays_with_its_picture(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A picture that is added later takes no file of another, although its name comes first."""
+    monkeypatch.chdir(tmp_path)
+    Path("photos").mkdir()
+
+    def run() -> dict[str, str]:
+        if line == "library":
+            encode_many(sorted(Path("photos").iterdir()), "out", resume=True, effort=1)
+        else:
+            effort = ["--effort", "1"] if "encode" in line else []
+            assert main([*line.split(), "photos", "--output-dir", "out", "--quiet", *effort]) == 0
+        rows = map(json.loads, Path("out/manifest.jsonl").read_text().splitlines())
+        return {row["name"]: Path(row["input"]).name for row in rows}
+
+    Image.new("RGB", (8, 8), "red").save("photos/b.png")
+    assert run() == {"b.sg": "b.png"}
+    first = Path("out/b.sg").read_bytes()
+    for added, name in (("a.jpg", "a.sg"), ("b.jpg", "b.jpg.sg"), ("B.gif", "B.gif.sg")):
+        Image.new("RGB", (8, 8), "blue").save(f"photos/{added}")
+        assert run()[name] == added
+    assert run() == {"a.sg": "a.jpg", "b.sg": "b.png", "b.jpg.sg": "b.jpg", "B.gif.sg": "B.gif"}
+    assert {path.name for path in Path("out").glob("*.sg")} == {"a.sg", "b.sg", "b.jpg.sg", "B.gif.sg"}
+    assert Path("out/b.sg").read_bytes() == first
 
 
 def test_a_run_resumes_with_the_same_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
