@@ -61,10 +61,12 @@ wheel: $(VENV)/.test ## build the source archive and a wheel in dist, check both
 	build/wheel/bin/python tests/smoke.py
 
 npm: ## build the npm package in dist, for browsers and Node
-	$(INSTALL_NPM) && npm run --silent build && mkdir -p ../../dist && npm pack --silent --pack-destination ../../dist
+	$(INSTALL_NPM) && npm run --silent build && mkdir -p ../../dist && npm pack --silent --pack-destination ../../dist >packed
+	@echo "Next, in the folder of your site: npm install $(CURDIR)/dist/$$(cat build/npm/packed) sharp"
 
 demo: ## build the page on which anybody tries previews in build/demo: static files, for any server
 	$(INSTALL_NPM) && node demo/build.mjs ../.. ../demo
+	@echo 'Next, to open it in a browser: npx serve build/demo'
 
 INSTALL_NPM = mkdir -p build/npm && cp -r sgmethod/javascript/. LICENSE build/npm/ && cd build/npm \
   && npm install --silent --no-audit --no-fund --no-package-lock

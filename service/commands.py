@@ -166,7 +166,7 @@ def _announce(settings: Settings) -> socket.socket:
             f"SG_HOST={settings.host}: others could post, list and delete jobs without a key; set SG_API_KEYS_FILE, or "
             "SG_HOST_NAMES to the names under which everyone may"
         )
-    print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings)}", flush=True)
+    print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings, listener)}", flush=True)
     return listener
 
 
@@ -175,9 +175,11 @@ def _warn(sentences: Iterable[str]) -> None:
         print(sentence, file=sys.stderr, flush=True)
 
 
-def _for_whom(settings: Settings) -> str:
-    keys = len(settings.key_names)
-    return f"for {keys} API key{'s' * (keys > 1)}" if keys else "open to everyone who can reach it"
+def _for_whom(settings: Settings, listener: socket.socket) -> str:
+    if keys := len(settings.key_names):
+        return f"for {keys} API key{'s' * (keys > 1)}"
+    is_local = is_loopback(listener) and not settings.host_names  # with names, a proxy may pass others on
+    return "for this machine alone, without API keys" if is_local else "open to everyone who can reach it"
 
 
 def _where(settings: Settings) -> str:

@@ -55,12 +55,12 @@ def test_paths_in_documents_exist() -> None:
 
 
 def test_curl_in_the_readmes_fails_when_the_service_does() -> None:
-    """Otherwise an error would lie in photo.sg. Waits are shorter than the 60 s after which proxies give up."""
+    """And says why. Waits are shorter than the 60 s after which proxies give up."""
     for document in ("README.md", "service/README.md"):
         commands = re.findall(r"^curl .*", (ROOT / document).read_text(), re.MULTILINE)
         assert len(commands) > 1
         for command in commands:
-            assert "--fail" in command, command
+            assert "-sS --fail-with-body" in command, command
             assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
 
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sgmethod.client import Client
 
 PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # time to wait for a server that is busy or restarts
+SHORTEST_LIMIT_S = 1e-3  # what a time limit leaves at least
 
 
 def run_encode(arguments: argparse.Namespace) -> int:
@@ -85,11 +86,14 @@ def _encode(
 ) -> Conversion:
     """Read, encode and write one picture. began: value of perf_counter when the user's wait began, if before now."""
     began = time.perf_counter() if began is None else began
+    before = time.perf_counter()
     image = paths.read(conversion.input)
-    encode = _encode_here if arguments.server is None else _encode_there
+    read_s = time.perf_counter() - before  # of a pipe, perhaps minutes
+    encode = partial(_encode_here, began + read_s) if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
         try:
-            data, figures, trace, notes = encode(conversion, arguments, image, show)
+            listener = show or getattr(arguments, "on_progress", None)  # for a folder, its report
+            data, figures, trace, notes = encode(conversion, arguments, image, listener)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{paths.name_of(conversion.target)} was not written") from None
     figures["seconds"] = round(time.perf_counter() - began, 4)  # including imports and transfers
@@ -115,16 +119,20 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _encode_here(_: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:
+def _encode_here(began: float, _: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:
+    """Encode in this process. began: value of perf_counter from which a time limit counts, imports included."""
     from sgmethod.codec import encode
     from sgmethod.metrics.advice import advice, better_file
 
     pixels, notes = paths.read_pixels(image, keep_alpha=arguments.profile == "rd")
+    choices = _choices(arguments)
+    if arguments.time_limit is not None and arguments.time_limit > 0:
+        choices["time_limit_s"] = max(arguments.time_limit - (time.perf_counter() - began), SHORTEST_LIMIT_S)
     encoded = encode(
         pixels,
         _only_budget(arguments),
         arguments.profile,
-        **_choices(arguments),
+        **choices,
         seed=arguments.seed,
         on_progress=show,
         measure=arguments.json,

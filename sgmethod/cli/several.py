@@ -24,6 +24,7 @@ from sgmethod.cli.terminal import Ticker, redraw
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.processes import usual_jobs
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
+from sgmethod.trace import TracePoint
 
 SOME_FAILED = 1
 Figures = dict[str, Any]
@@ -88,6 +89,7 @@ def convert_all(
     run = Run[Conversion](manifest, getattr(arguments, "resume", False))
     wanted = list(run.rest(tasks_of(kept)))
     report = _Report([one.row.input for one in wanted], arguments)
+    arguments.on_progress = report.advance if report.shows_progress else None
     try:
         tally = run.finish(outcomes(wanted, convert, arguments), report.show)
     except KeyboardInterrupt:
@@ -115,7 +117,9 @@ class _Report:
         says_pace = self._shown or not (arguments.quiet or self._json)
         self._measure, self._pace = Pace(pictures) if says_pace else None, ""
         self._left, self._jobs = Counter(pictures), jobs_of(arguments, pictures)
+        self.shows_progress = self._shown and self._jobs == 1  # of a single picture, made in this process
         self._began: dict[str, float] = {}
+        self._share = 0.0  # of the picture that is being converted
         self._lock = Lock()
         self._redraw()
         self._ticker = Ticker(self._tick) if self._shown else None
@@ -126,6 +130,10 @@ class _Report:
             self._ticker.end()
             redraw(sys.stderr, "")
 
+    def advance(self, point: TracePoint) -> None:
+        """Note the progress of the picture, which is drawn with the next tick."""
+        self._share = max(self._share, point.share)
+
     def show(self, outcome: Conversion, tally: Tally) -> None:
         """Print a line for an outcome."""
         with self._lock:
@@ -134,6 +142,7 @@ class _Report:
     def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
         self._left -= Counter([outcome.input])
+        self._share = 0.0
         if self._measure:
             self._pace = f", {self._measure.after(outcome, tally)}"
         if self._shown:
@@ -158,7 +167,8 @@ class _Report:
         if self._shown and self.done < self._whole:
             now_s = time.perf_counter()
             running = [(name, now_s - self._began.setdefault(name, now_s)) for name in islice(self._left, self._jobs)]
-            names = ", ".join(f"{one_line(Path(name).name)} {seconds:.0f} s" for name, seconds in running)
+            share = f" {self._share:.0%}" if self._share else ""
+            names = ", ".join(f"{one_line(Path(name).name)}{share} {seconds:.0f} s" for name, seconds in running)
             redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
 
 

@@ -20,6 +20,7 @@ from sgmethod.backend.protocol import Moments
 from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, StreamV1, file_bytes, record_bits
 from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
+from sgmethod.paper.adam import Adam
 from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import loss_of
 from sgmethod.scene import Gaussians
@@ -82,10 +83,8 @@ class Tuner:
         self.steps = 0
         spans = [(high - low).amax().item() for low, high in (self.ranges[:2], self.ranges[2:])]
         rates = [s.range_rate * spans[i // 2] for i in range(4)]
-        groups = [{"params": [r], "lr": lr, "initial_lr": lr} for r, lr in zip(self.ranges, rates, strict=True)]
-        if s.adaptive_bitwidth:
-            groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
-        self.optimiser = torch.optim.Adam(groups, betas=(s.optimiser.beta1, s.optimiser.beta2), eps=1e-15)
+        rates.append(s.bits_rate if s.adaptive_bitwidth else 0.0)
+        self.optimiser = Adam([*self.ranges, self.soft_bits], rates, (s.optimiser.beta1, s.optimiser.beta2))
         self.moments = Moments.none(self.n)
         self.fit_budget()
         self.best, self._kept = math.inf, (self._state(), self.shift)
@@ -139,7 +138,9 @@ class Tuner:
             mse, found = self.loss(quantised.numpy())
             self._keep_if_best(mse)
             grad = Parameters.sharing(found)
-        grads = torch.autograd.grad([quantised.means, quantised.factors], leaves, [grad.means, grad.factors])
+        # A scalar: for gradients of tensors, torch.autograd first loads SymPy for seconds.
+        slope = (quantised.means * grad.means).sum() + (quantised.factors * grad.factors).sum()
+        grads = torch.autograd.grad(slope, leaves)
         with torch.no_grad():
             for leaf in leaves:
                 leaf.requires_grad_(False)
@@ -178,11 +179,7 @@ class Tuner:
         # L_b, or with a budget in its place the price at which the mean bitwidth stays the same.
         price = others[4].mean() if s.bits_by_budget and self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
-        for parameter, value in zip([*self.ranges, self.soft_bits], others, strict=True):
-            parameter.grad = value
-        for group in self.optimiser.param_groups:
-            group["lr"] = group["initial_lr"] * rate
-        self.optimiser.step()
+        self.optimiser.step(others, rate)
         self._widen()
 
     def stream(self, profile: str) -> StreamV1:

@@ -8,14 +8,18 @@ import os
 import re
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from sgmethod import decode, encode
-from sgmethod.cli import naming
+from sgmethod import SgError, codec, decode, encode
+from sgmethod.cli import encoding, naming, paths, several
+from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Run, assert_refused, on_terminal, start
 from tests.io.odd_files import tiff
 
@@ -110,6 +114,27 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     assert re.fullmatch(rf"a\.sg -> out/a\.png: .* bytes\n{after}", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
+
+
+def test_how_much_of_a_large_picture_on_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks: list[Callable[[], None]] = []
+
+    def encode(*_: object, on_progress: Callable[[TracePoint], None], **__: object) -> None:
+        on_progress(TracePoint(1.0, 1, 100, 20.0, 0, 9, "joint", 0.34))
+        ticks[0]()
+        raise SgError("enough")
+
+    monkeypatch.setattr(os, "isatty", lambda _: True)
+    monkeypatch.setattr(several, "Ticker", lambda draw: ticks.append(draw) or Mock())
+    monkeypatch.setattr(codec, "encode", encode)
+    PHOTO.save("other.png")
+    seen = run("encode", "photo.png", "other.png", "--output-dir", "out").err
+    assert re.findall(r"\r(\d of 2).*?: (\S+)( \d+%)? \d s\x1b", seen) == [
+        ("0 of 2", "photo.png", ""),
+        ("0 of 2", "photo.png", " 34%"),
+        ("1 of 2", "other.png", ""),
+        ("1 of 2", "other.png", " 34%"),
+    ]
 
 
 def test_short_options_and_names_between_options(run: Run) -> None:
@@ -227,6 +252,33 @@ def test_seconds_are_those_that_somebody_waits(run: Run, monkeypatch: pytest.Mon
     began = next(clock) + 1
     lines = run("encode", "photo.png", "--output-dir", "out", "--gaussians", "9").out.splitlines()
     assert lines[-1].endswith(f", {next(clock) - 1 - began:.1f} s")
+
+
+@pytest.mark.parametrize(("limit", "left"), [("20", 11.5), ("5", encoding.SHORTEST_LIMIT_S)])
+def test_a_time_limit_counts_from_the_start_of_the_command(
+    run: Run, monkeypatch: pytest.MonkeyPatch, limit: str, left: float
+) -> None:
+    """Of the clock, whoever has the processor; not while a pipe is awaited. The command took 13 s for a limit of 10."""
+    now_s, asked = [1000.0], []
+    monkeypatch.setattr(time, "perf_counter", lambda: now_s[0])
+
+    def takes(seconds: float, function: Callable[..., Any]) -> Callable[..., Any]:
+        def slow(*arguments: Any, **named: Any) -> Any:
+            now_s[0] += seconds
+            return function(*arguments, **named)
+
+        return slow
+
+    def asked_for(*_: object, time_limit_s: float, **__: object) -> None:
+        asked.append(time_limit_s)
+        raise SgError("enough")
+
+    monkeypatch.setattr(paths, "check_outputs", takes(1.5, paths.check_outputs))
+    monkeypatch.setattr(paths, "read", takes(60, paths.read))
+    monkeypatch.setattr(paths, "read_pixels", takes(7, paths.read_pixels))
+    monkeypatch.setattr(codec, "encode", asked_for)
+    assert run("encode", "photo.png", "out.sg", "--time-limit", limit).status == 2
+    assert asked == [left]
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import sys
 import tempfile
 import time
@@ -17,7 +18,7 @@ from service import checking
 from service.alive import touch
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
-from service.commands import _where
+from service.commands import _for_whom, _where
 from service.settings import Settings
 from tests.support.job_table import IMAGE
 from tests.support.postgres_server import PostgresServer
@@ -115,6 +116,20 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
 def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], words: str) -> None:
     """It printed that data were in a folder, where a database and a bucket held them all."""
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("host", "settings", "words"),
+    [
+        ("127.0.0.1", {}, "for this machine alone, without API keys"),
+        ("127.0.0.1", {"host_names": "pictures.example"}, "open to everyone who can reach it"),
+        ("0.0.0.0", {"host_names": "pictures.example"}, "open to everyone who can reach it"),
+    ],
+)
+def test_for_whom_the_service_is(tmp_path: Path, host: str, settings: dict[str, str], words: str) -> None:
+    """It printed on 127.0.0.1 that it was open to everyone. With names, a proxy passes others on."""
+    with socket.create_server((host, 0)) as listener:
+        assert _for_whom(Settings(data_dir=tmp_path, **settings), listener) == words  # type: ignore[arg-type]
 
 
 def test_a_worker_of_this_host_is_alive(
