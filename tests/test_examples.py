@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
+import signal
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -96,33 +97,47 @@ def test_bulk_client(tmp_path: Path) -> None:
     assert sorted(path.stem for path in (tmp_path / "out").glob("*.sg")) == NAMES
 
 
-def test_data_set_on_ray(tmp_path: Path) -> None:
-    """On two nodes, of which one is killed midway: nothing is lost, and nothing is recorded twice."""
+def nodes_of_ray() -> tuple[str, Callable[[], None], Callable[[], None]]:
+    """The address of a cluster with two nodes, and how to kill one and to end all."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    photos, out = tmp_path / "photos", tmp_path / "out"
-    photos.mkdir()
-    for number in range(24):
-        shutil.copy(PHOTOGRAPHS / f"{NAMES[number % len(NAMES)]}.png", photos / f"{number:02}.png")
-    program = (ROOT / "examples" / "data_set_on_ray.py").read_text().replace("SHARD = 100", "SHARD = 4")
-    (tmp_path / "on_ray.py").write_text(program)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     lost = cluster.add_node(num_cpus=1)
-    environment = {**os.environ, "RAY_ADDRESS": cluster.address}
-    command = [sys.executable, "on_ray.py", "photos", "out"]
+    return cluster.address, lambda: cluster.remove_node(lost, allow_graceful=False), cluster.shutdown
+
+
+def nodes_of_dask() -> tuple[str, Callable[[], None], Callable[[], None]]:
+    pytest.importorskip("distributed")
+    from distributed import LocalCluster
+
+    cluster = LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None)
+    return cluster.scheduler_address, lambda: os.kill(cluster.workers[1].pid, signal.SIGKILL), cluster.close
+
+
+@pytest.mark.parametrize(("kind", "cluster"), [("ray", nodes_of_ray), ("dask", nodes_of_dask)])
+def test_data_set_on_a_cluster(tmp_path: Path, kind: str, cluster: Callable[..., Any]) -> None:
+    """On two nodes, of which one is killed midway: nothing is lost, and nothing is recorded twice."""
+    names = [f"{number:02}" for number in range(24)]
+    (tmp_path / "photos").mkdir()
+    for number, name in enumerate(names):
+        with Image.open(PHOTOGRAPHS / f"{NAMES[number % len(NAMES)]}.png") as photo:
+            photo.resize((24, 18)).save(tmp_path / "photos" / f"{name}.png")
+    address, kill_one, end = cluster()
+    program = ROOT / "examples" / "data_set_on_cluster.py"
+    command = [sys.executable, str(program), "photos", "out", kind, address]
     try:
-        running = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True)
-        until = time.monotonic() + 120
-        while len(list(out.glob("*/*.sg"))) < 6 and time.monotonic() < until:
-            time.sleep(0.02)
-        cluster.remove_node(lost, allow_graceful=False)
-        first, _ = running.communicate(timeout=120)
-        again = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        running = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+        assert running.stdout
+        lines = [running.stdout.readline() for _ in range(6)]
+        kill_one()
+        lines += running.stdout.readlines()
+        assert running.wait() == 0
+        again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     finally:
-        cluster.shutdown()
-    assert "0 failed, 0 shards left" in first.splitlines()[-1]
-    assert again.stdout.splitlines()[-1].startswith("0 encoded, 24 there already, 0 failed")
-    lines = [line for file in sorted(out.glob("*/manifest.jsonl")) for line in file.read_text().splitlines()]
-    assert sorted(json.loads(line)["name"] for line in lines) == [f"{number:02}.sg" for number in range(24)]
-    assert sorted(path.name for path in out.glob("*/*.sg")) == [f"{number:02}.sg" for number in range(24)]
+        end()
+    assert "24 encoded, 0 there already, 0 failed\n" in lines  # Ray ends with an empty line
+    assert again.stdout.splitlines()[-1] == "0 encoded, 24 there already, 0 failed"
+    rows = [json.loads(line) for line in (tmp_path / "out" / "manifest.jsonl").read_text().splitlines()]
+    assert sorted(row["name"] for row in rows) == [f"{name}.sg" for name in names]
+    assert sorted(path.stem for path in (tmp_path / "out").glob("*.sg")) == names

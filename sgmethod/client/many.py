@@ -13,12 +13,12 @@ from typing import Any
 
 from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.client.client import Client
-from sgmethod.errors import ServerError
+from sgmethod.errors import ServerError, SgError
 from sgmethod.io.files import bytes_of
-from sgmethod.many.folder import Item, Made, into_folder, written
+from sgmethod.many.folder import Item, Made, finish_elsewhere, into_folder
 from sgmethod.many.manifest import Row, text_of
-from sgmethod.many.processes import MAX_JOBS, as_they_finish
-from sgmethod.many.run import Finished, OnRow, Tally, Task, caught
+from sgmethod.many.processes import MAX_JOBS
+from sgmethod.many.run import Finished, OnRow, Tally, Task
 
 
 def encode_many(
@@ -46,13 +46,8 @@ def encode_many(
         encoded = client.encode(image, idempotency_key=key, **options)
         return encoded.data, encoded.figures, encoded.notes
 
-    def write(folder: Path, made: Future[Made], task: Task[Row]) -> Row:
-        return written(lambda _: made.result(), folder, task)
-
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
-        # Files are written here: a thread that outlives the run must not replace those of the next one.
-        for task, made in as_they_finish(partial(_in_thread, partial(make, folder)), tasks, threads):
-            yield caught(partial(write, folder, made), task)
+        return finish_elsewhere(partial(_in_thread, partial(make, folder)), folder, tasks, threads)
 
     return into_folder(items, output_dir, options, finish, resume, on_row)
 
@@ -63,9 +58,10 @@ def key_of(target: Path, options: Mapping[str, object], image: bytes) -> str:
     return hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
 
 
-def _in_thread(make: Callable[[Task[Row]], Made], task: Task[Row]) -> Future[Made]:
+def _in_thread(make: Callable[[Task[Row]], Made], task: Task[Row]) -> Future[Made | SgError]:
     """Begin a task in a thread that nothing waits for after an error or Ctrl-C: a server may be busy for hours."""
-    future: Future[Made] = Future()
+    future: Future[Made | SgError] = Future()
+    future.set_running_or_notify_cancel()
 
     def run() -> None:
         try:

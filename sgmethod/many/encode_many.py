@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -14,17 +15,20 @@ from sgmethod.budget import BUDGET_KINDS, Budget
 from sgmethod.codec import encode
 from sgmethod.errors import SgError, noted
 from sgmethod.io.image import Input
-from sgmethod.many.folder import Item, Made, into_folder, written
+from sgmethod.many.folder import Item, Made, finish_elsewhere, into_folder, written
 from sgmethod.many.manifest import Row
 from sgmethod.many.processes import MAX_JOBS
 from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, finish_locally
+
+GIVEN, MAX_GIVEN = 1000, 100_000  # pictures that an executor is given at a time
 
 
 def encode_many(
     items: Iterable[Item],
     output_dir: str | os.PathLike[str],
     *,
-    jobs: AnyInt = 1,
+    jobs: AnyInt | None = None,
+    executor: Executor | None = None,
     resume: bool = False,
     on_row: OnRow[Row] | None = None,
     **options: Any,
@@ -34,24 +38,48 @@ def encode_many(
     items: paths of pictures, NAME being the file's without its suffix, or with it if another file has that name, here
     or in the manifest, in capitals or not; or pairs (NAME, picture) with a picture as encode() takes it. They are taken
     one by one, and may come from a generator.
-    jobs: pictures encoded at a time, 1 to 256, each in a process with its share of the threads. A script that asks for
-    more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
+    jobs: pictures encoded at a time, 1 (the default) to 256, each in a process with its share of the threads. A script
+    that asks for more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
+    executor: where pictures are encoded instead, such as a cluster; it is given `jobs` of them at a time (by default
+    1,000, at most 100,000) and is not shut down. It reads pictures that are paths; files and manifest are written here.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for
     paths, the picture's size and time; pictures in memory are known by name alone.
     on_row: called with each finished picture's line of the manifest, and with the progress of the run.
     options: keyword arguments of encode().
 
     A picture that cannot be encoded is recorded with its error; the rest continues. Raises SgError for a name that is
-    invalid or used twice (if the folder ignores case, "a" and "A" are one) and for a manifest that cannot be written,
-    and OSError if the folder cannot be created.
+    invalid or used twice (if the folder ignores case, "a" and "A" are one), for a manifest that cannot be written and
+    for an executor that has broken, and OSError if the folder cannot be created. Other errors of an executor are raised
+    as they are: run again with resume.
     """
-    jobs = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
+    if executor is not None and not isinstance(executor, Executor):
+        raise SgError(f"an executor must be a concurrent.futures.Executor, not {type(executor).__name__}")
+    usual, most = (1, MAX_JOBS) if executor is None else (GIVEN, MAX_GIVEN)
+    number = checked_integer(usual if jobs is None else jobs, "the number of jobs", 1, most)
 
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
+        if executor is not None:
+            return _finish_by(executor, options, folder, tasks, number)
         make = partial(caught, partial(written, partial(_encode, options), folder.absolute()))
-        return finish_locally(make, tasks, jobs)
+        return finish_locally(make, tasks, number)
 
     return into_folder(items, output_dir, _with_one_budget(options), finish, resume, on_row)
+
+
+def _finish_by(
+    executor: Executor, options: dict[str, Any], folder: Path, tasks: Iterator[Task[Row]], most: int
+) -> Finished[Row]:
+    """Finish tasks by an executor. Raises SgError if it has broken."""
+
+    def begin(task: Task[Row]) -> Future[Made | SgError]:
+        picture = task.picture  # the executor's processes may have another current folder
+        there = Path(picture).absolute() if isinstance(picture, str | os.PathLike) else picture
+        return executor.submit(_encoded_or_error, options, there)
+
+    try:
+        yield from finish_elsewhere(begin, folder, tasks, most)
+    except BrokenExecutor as error:
+        raise SgError(f"the executor has broken: {error}; run again with another one, and resume") from error
 
 
 def _with_one_budget(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,6 +93,16 @@ def _with_one_budget(options: Mapping[str, Any]) -> dict[str, Any]:
             others = {name: value for name, value in options.items() if name not in BUDGET_KINDS}
             return {**others, "budget": (given.kind, float(given.value))}
     return dict(options)
+
+
+def _encoded_or_error(options: dict[str, Any], picture: Input) -> Made | SgError:
+    """Encode a picture; return expected errors, because some executors raise them as errors of their own."""
+    try:
+        return _encode(options, picture)
+    except MemoryError:
+        return SgError("out of memory")
+    except (SgError, OSError) as error:
+        return SgError(str(error))
 
 
 def _encode(options: dict[str, Any], picture: Input) -> Made:

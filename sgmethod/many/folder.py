@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
+from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,8 @@ from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.image import Input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.names import Names
-from sgmethod.many.run import Finished, OnRow, Run, Tally, Task
+from sgmethod.many.processes import as_they_finish
+from sgmethod.many.run import Finished, OnRow, Run, Tally, Task, caught
 
 Item = str | os.PathLike[str] | tuple[str, Input]
 Made = tuple[bytes, Mapping[str, Any], list[str]]  # a file, its figures, what was dropped from the picture
@@ -57,6 +60,27 @@ def _tasks(items: Iterable[Item], folder: Path, before: Mapping[str, str]) -> It
         except SgError as error:
             raise SgError(f"{error}: give other names, as pairs (name, picture)") from None
         yield Task(picture, Row(file_name, path))
+
+
+def finish_elsewhere(
+    begin: Callable[[Task[Row]], Future[Made | SgError]], folder: Path, tasks: Iterable[Task[Row]], most: int
+) -> Finished[Row]:
+    """Write files into a folder as they are made elsewhere, at most `most` at a time.
+
+    They are written here: what outlives the run must not replace the files of the next one.
+    """
+
+    def write(future: Future[Made | SgError], task: Task[Row]) -> Row:
+        def result(_: Any) -> Made:
+            made = future.result()
+            if isinstance(made, SgError):
+                raise made
+            return made
+
+        return written(result, folder, task)
+
+    for task, future in as_they_finish(begin, tasks, most):
+        yield caught(partial(write, future), task)
 
 
 def written(make: Callable[[Any], Made], folder: Path, task: Task[Row]) -> Row:

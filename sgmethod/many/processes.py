@@ -70,15 +70,23 @@ def in_processes(
 def as_they_finish(
     begin: Callable[[Item], Future[Result]], items: Iterable[Item], most: int
 ) -> Iterator[tuple[Item, Future[Result]]]:
-    """Yield each item and its future as they finish, beginning further ones so that `most` are under way."""
+    """Yield each item and its future as they finish, beginning further ones so that `most` are under way.
+
+    If the loop ends early, those that have not begun are cancelled.
+    """
     waiting = iter(items)
     running: dict[Future[Result], Item] = {}
-    while True:
-        running |= {begin(item): item for item in islice(waiting, most - len(running))}
-        if not running:
-            return
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            yield running.pop(future), future
+    try:
+        while True:
+            for item in islice(waiting, most - len(running)):
+                running[begin(item)] = item
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future
+    finally:
+        for future in running:
+            future.cancel()
 
 
 @contextmanager

@@ -11,3 +11,10 @@ def doubled(item: int) -> int:
     if item < 0:
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * item
+
+
+class Killer:
+    """A picture whose arrival kills a process, as one may for which memory runs out."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return doubled, (-1,)

@@ -12,6 +12,8 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -26,6 +28,7 @@ from sgmethod.errors import noted
 from sgmethod.io.image import warn
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import PROFILES
+from tests.many.killing import Killer
 from tests.rd.short import short
 from tests.support.pictures import photo
 
@@ -213,6 +216,69 @@ def test_nothing_waits_for_a_busy_server_after_an_error() -> None:
     for thread in threads:
         thread.join(60)
     assert sorted(path.stat().st_size for path in Path("out").glob("*.sg")) == [0]
+
+
+# --- an executor
+
+
+def test_an_executor_makes_the_same_files() -> None:
+    """And the same manifest; it is not shut down, and a run that resumes makes nothing twice."""
+    Path("bad.png").write_bytes(b"hello")
+    pictures = [*paths(), ("array", np.asarray(PHOTO)), "missing.png"]
+    with ThreadPoolExecutor(2) as executor:
+        assert counts(encode_many(pictures, "out", executor=executor, gaussians=9)) == (4, 0, 2)
+        assert counts(encode_many(pictures, "out", executor=executor, resume=True, gaussians=9)) == (0, 4, 2)
+        with pytest.raises(TypeError, match="qualty"):
+            many(executor=executor, qualty=3)
+    errors = {row["name"]: row["error"] for row in rows()}
+    assert errors["bad.sg"].startswith("the file is not a PNG")
+    assert "No such file" in errors["missing.sg"]
+    encode_many(pictures[:3], "alone", gaussians=9)
+    for name in ("0.sg", "1.sg", "2.sg"):
+        assert Path("out", name).read_bytes() == Path("alone", name).read_bytes()
+    for wrong in (2, "dask", ThreadPoolExecutor):
+        with pytest.raises(SgError, match=r"^an executor must be a concurrent\.futures\.Executor, not "):
+            many(executor=wrong)
+
+
+def test_an_executor_that_loses_a_worker() -> None:
+    """The run ends, what was done is kept, and another executor makes the rest, each picture once."""
+    items: list[Any] = [("a", PHOTO), ("b", PHOTO), ("lost", Killer()), ("c", PHOTO)]
+    context = get_context("spawn")
+    with (
+        ProcessPoolExecutor(1, context) as executor,
+        pytest.raises(SgError, match=r"^the executor has broken: .*; run again with another one, and resume$"),
+    ):
+        encode_many(items, "out", executor=executor, jobs=1, gaussians=9, effort=1)
+    done = [row["name"] for row in rows()]
+    assert done == ["a.sg", "b.sg"]
+    items[2] = ("lost", PHOTO)
+    with ProcessPoolExecutor(1, context) as executor:
+        tally = encode_many(items, "out", executor=executor, resume=True, gaussians=9, effort=1)
+    assert counts(tally) == (2, 2, 0)
+    assert [row["name"] for row in rows()] == ["a.sg", "b.sg", "lost.sg", "c.sg"]
+
+
+def test_an_executor_is_given_few_pictures_ahead_and_those_are_cancelled() -> None:
+    """Their paths are absolute, as its processes may have another current folder."""
+    given: list[Future[Any]] = []
+    taken: list[Any] = []
+
+    class Waits(Executor):
+        def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
+            given.append(Future())
+            taken.append(arguments[1])
+            if len(given) == 1:
+                given[0].set_result(function(*arguments))
+            return given[-1]
+
+    def fails(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        encode_many((f"{number % 3}.png" for number in range(3)), "out", executor=Waits(), jobs=2, on_row=fails)
+    assert [one.cancelled() for one in given] == [False, True]
+    assert taken == [Path("0.png").absolute(), Path("1.png").absolute()]
 
 
 # --- the manifest

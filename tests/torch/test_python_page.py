@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -51,7 +52,8 @@ def test_the_examples() -> None:
 @pytest.mark.usefixtures("files")
 def test_the_page_of_data_sets() -> None:
     number, names = ran("datasets.md")
-    assert number == 4
+    assert number == 5
+    assert len(list(Path("encoded").glob("*.sg"))) == 4
     assert names["right"] > 0.9
 
 
