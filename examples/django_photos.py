@@ -26,8 +26,8 @@ PAGE = """<!doctype html>
 <meta charset="utf-8">
 <title>Photographs</title>
 <style>
-sg-img { display: block; height: min-content; max-width: 40em; }
-sg-img img { display: block; width: 100%; height: 100%; object-fit: cover; }
+sg-img { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); height: min-content; max-width: 40em; }
+sg-img img { display: block; min-width: 100%; max-width: 100%; height: 100%; object-fit: cover; }
 </style>
 <script type="module" src="/sgmethod/sg-img.js"></script>
 {% for photo in photos %}

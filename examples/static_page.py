@@ -28,8 +28,8 @@ PAGE = """<!doctype html>
 """
 STYLE = """
 body { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 30em), 1fr)); gap: 1em; margin: 1em; }
-sg-img { display: block; height: min-content; }
-sg-img img { display: block; width: 100%; height: 100%; object-fit: cover; }
+sg-img { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); height: min-content; }
+sg-img img { display: block; min-width: 100%; max-width: 100%; height: 100%; object-fit: cover; }
 """
 
 

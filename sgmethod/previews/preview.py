@@ -77,8 +77,8 @@ class Preview:
         also reserve the space; where a content security policy forbids them, the two rules in docs/previews.md do that.
         Arguments as in html(); characters limits the <img>.
         """
-        image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover", characters)
-        return f'<sg-img preview="{self.text}" style="display:block;height:min-content">{image}</sg-img>'
+        image = self._img(src, alt, "display:block;min-width:100%;max-width:100%;height:100%;object-fit:cover", characters)
+        return f'<sg-img preview="{self.text}" style="display:grid;grid:minmax(0, 1fr) / minmax(0, 1fr);height:min-content">{image}</sg-img>'
 
     def _img(self, src: str, alt: str, style: str, characters: int) -> str:
         if self._pixels.shape[2] == 4:

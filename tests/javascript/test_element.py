@@ -162,14 +162,14 @@ OWNED = {
         const one = put(`<sg-img preview="${text}"></sg-img>`);
         frame().body.append(one);
         return [seen(one), seen(one.shadowRoot.firstElementChild)];""",
-        ["block", "grid"],
+        ["grid", "grid"],
     ),
     "made here for another document": (
         """
         const one = Object.assign(document.createElement("sg-img"), { src: photo });
         frame().body.append(one);
         return [seen(one), inner(one).src];""",
-        ["block", "PHOTO"],
+        ["grid", "PHOTO"],
     ),
     "properties": (
         """

@@ -52,6 +52,16 @@ LAYOUTS: dict[str, tuple[str, str, float | None]] = {
     "a fixed height in a flex row": ("display: flex; flex-wrap: wrap", "width: 200px; height: 100px", 2),
     "a fixed height in a block": ("width: 300px", "height: 200px", 1.5),
     "as high as a grid's row": ("display: grid; grid: auto-flow 100px / repeat(4, 200px)", "height: 100%", 2),
+    "figures that float": ("display: flow-root", "float: left", None),
+    "figures as inline blocks": ("", "display: inline-block", None),
+    "figures as table cells": ("display: table", "display: table-cell", None),
+    "figures in a row that shrinks": ("display: flex; width: 300px", "", None),
+    "figures in a centred column": ("display: flex; flex-direction: column; align-items: center", "", None),
+    "figures in a centred grid": ("display: grid; place-items: center", "", None),
+    "figures that fit their content": ("", "width: fit-content", None),
+    "figures that float where it is narrow": ("width: 50px; display: flow-root", "float: left", None),
+    "figures as narrow table cells": ("display: table; width: 50px", "display: table-row", None),
+    "never enlarged": ("width: 70px", "width: fit-content", None),
 }
 MEASURE = """
     return [...document.querySelectorAll("section")].map((section) => [section.title,
@@ -93,17 +103,32 @@ def page_of(kind: str) -> tuple[str, str]:
     return rules, html
 
 
-def assert_own_aspects(page: Page) -> None:
-    """Photograph, preview and element are at the same place, and as wide and high as they should be."""
+def assert_own_aspects(page: Page) -> list[Any]:
+    """Photograph, preview and element are at the same place, and as wide and high as they should be. Returns where."""
     wrong: dict[str, list[Any]] = {}
-    for title, photographs in page.run(MEASURE):
+    found = page.run(MEASURE)
+    for title, photographs in found:
         for i, (img, host, canvas) in enumerate(photographs):
             expected = LAYOUTS[title][2] or SIZES[i][0] / SIZES[i][1]
             same = [abs(a - b) < 1 for other in (host, canvas) if other for a, b in zip(img, other, strict=True)]
+            if title == "never enlarged":
+                same.append(img[2] == min(SIZES[i][0], 70))
             if not (img[3] > 1 and img[2] / img[3] == pytest.approx(expected, rel=0.02) and all(same)):
                 wrong.setdefault(title, []).append((i, img, host, canvas))
         assert len(photographs) == len(SIZES)
-    assert {title: len(found) for title, found in wrong.items()} == {}, json.dumps(wrong)
+    assert {title: len(places) for title, places in wrong.items()} == {}, json.dumps(wrong)
+    return [[title, [img for img, *_ in photographs]] for title, photographs in found]
+
+
+def assert_same_places(before: list[Any], after: list[Any]) -> None:
+    """Nothing has moved, by more than rounding."""
+    moved = {
+        title: (place, now)
+        for (title, places), (_, places_now) in zip(before, after, strict=True)
+        for place, now in zip(places, places_now, strict=True)
+        if max(abs(a - b) for a, b in zip(place, now, strict=True)) > 1
+    }
+    assert moved == {}
 
 
 @pytest.mark.parametrize(
@@ -113,13 +138,13 @@ def test_each_photograph_has_its_own_aspect_ratio(each_browser: Page, site: Site
     for name, text in zip(("style.css", "index.html"), page_of(kind), strict=True):
         (site.folder / name).write_text(text)
     each_browser.open(site.url)
-    if kind != "alone":
-        assert_own_aspects(each_browser)  # as without JavaScript
+    early = assert_own_aspects(each_browser) if kind != "alone" else None  # as without JavaScript
     each_browser.run("return import('/sgmethod/sg-img.js').then(() => undefined)")
     wait_until(lambda: each_browser.run(DRAWN))
-    assert_own_aspects(each_browser)
+    previewed = assert_own_aspects(each_browser)
     for i, size in enumerate(SIZES):
         Image.new("RGB", size, (90, 40 * i % 256, 90)).save(site.folder / f"{i}.jpg")
     each_browser.run(LOAD)
     wait_until(lambda: each_browser.run(LOADED))
-    assert_own_aspects(each_browser)
+    for before in filter(None, (early, previewed)):
+        assert_same_places(before, assert_own_aspects(each_browser))

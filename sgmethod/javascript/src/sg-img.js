@@ -9,18 +9,18 @@ const FADE_MS = 300;
 // Properties of an <img>; in lower case, its attributes.
 const OF_IMG = "loading decoding fetchPriority crossOrigin referrerPolicy alt width height sizes srcset src".split(" ");
 const SHADOW_STYLE = `
-:host { display: block; height: min-content; object-fit: cover }
+:host { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); height: min-content; object-fit: cover }
 :host([hidden]), [hidden] { display: none }
 div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100%;
   overflow: hidden; border-radius: inherit }
-img, canvas, ::slotted(*) { grid-area: 1 / 1; width: 100%; height: 100% }
+img, canvas, ::slotted(*) { grid-area: 1 / 1; min-width: 100%; max-width: 100%; height: 100% }
 div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inherit }
 ::slotted(picture) { display: contents }
 canvas { position: absolute; pointer-events: none }
 @media print { canvas { display: none } }`;
 // For what ::slotted() does not reach. The page's own rules win, because they are in no layer.
 const PAGE_STYLE = `@layer { sg-img > picture > img {
-  grid-area: 1 / 1; width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
+  grid-area: 1 / 1; min-width: 100%; max-width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
 
 const waiting = new Set(); // elements' turns to draw, in order
 const sheets = new WeakMap(); // by document, since a style sheet belongs to one
