@@ -34,6 +34,9 @@ SOFT_PX, SOFT_BYTES = 10.0, 200
 DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 HTML_CHARACTERS = 500  # of a tag without JavaScript
+# The two rules in docs/previews.md.
+ELEMENT_STYLE = "display:grid;grid:minmax(0, 1fr) / minmax(0, 1fr);height:min-content"
+IMG_STYLE = "display:block;min-width:100%;max-width:100%;height:100%;object-fit:cover"
 
 
 @dataclass(frozen=True)
@@ -64,11 +67,12 @@ class Preview:
     def html(self, src: str, alt: str = "", characters: int = HTML_CHARACTERS) -> str:
         """Return an <img> that shows the picture as a small WebP until it has loaded, without JavaScript.
 
-        The <img> is as wide as its container. The WebP is the best that keeps the tag within `characters`
-        characters. A transparent picture has none, since the WebP would show through.
+        The <img> is as wide as its container. The WebP is the best that keeps the tag within `characters` characters;
+        if none does, there is the average colour. Where a page letterboxes the photograph, as by object-fit: contain,
+        the WebP does not show beside it. A transparent picture has none, since the WebP would show through.
         src: the picture's URL, already quoted; alt: its alternative text.
         """
-        return self._img(src, alt, "width:100%;height:auto", characters)
+        return self._img(src, alt, "width:100%;height:auto", "contain", characters)
 
     def element(self, src: str, alt: str = "", characters: int = HTML_CHARACTERS) -> str:
         """Return an <sg-img>, as wide as its container, that draws the preview over the <img> inside it.
@@ -77,16 +81,15 @@ class Preview:
         also reserve the space; where a content security policy forbids them, the two rules in docs/previews.md do that.
         Arguments as in html(); characters limits the <img>.
         """
-        image = self._img(src, alt, "display:block;min-width:100%;max-width:100%;height:100%;object-fit:cover", characters)
-        return f'<sg-img preview="{self.text}" style="display:grid;grid:minmax(0, 1fr) / minmax(0, 1fr);height:min-content">{image}</sg-img>'
+        image = self._img(src, alt, IMG_STYLE, "cover", characters)
+        return f'<sg-img preview="{self.text}" style="{ELEMENT_STYLE}">{image}</sg-img>'
 
-    def _img(self, src: str, alt: str, style: str, characters: int) -> str:
+    def _img(self, src: str, alt: str, style: str, fit: str, characters: int) -> str:
         if self._pixels.shape[2] == 4:
             return self._tag(src, alt, style)
-        style += f";background:{self.color}"
-        drawn = " url({}) center/cover"
-        uri = webp_uri(self._pixels, characters - len(self._tag(src, alt, style + drawn.format(""))))
-        return self._tag(src, alt, style + (drawn.format(uri) if uri else ""))
+        drawn = f"{style};background:url({{}}) center / {fit} no-repeat"
+        uri = webp_uri(self._pixels, characters - len(self._tag(src, alt, drawn.format(""))))
+        return self._tag(src, alt, drawn.format(uri) if uri else f"{style};background:{self.color}")
 
     def _tag(self, src: str, alt: str, style: str) -> str:
         known = f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'

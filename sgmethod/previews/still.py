@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 
 import numpy as np
 from PIL import Image
@@ -37,9 +38,18 @@ def webp_uri(pixels: Pixels, characters: int) -> str:
 
 
 def _reduced(picture: Image.Image, side: int) -> Image.Image:
-    scale = min(side / max(picture.size), 1)
-    width, height = (max(round(scale * own), 1) for own in picture.size)
-    return picture.resize((width, height), Image.Resampling.LANCZOS)
+    """Reduce a picture to a longer side of about that length.
+
+    Of the lengths close by, take the one whose aspect ratio is closest to the picture's: contained in the photograph's
+    box, the WebP would leave a strip of the page beside it.
+    """
+    longer = max(picture.size)
+    sizes = []
+    for length in range(side - side // 8, side + side // 8 + 1):
+        width, height = (max(round(min(length / longer, 1) * own), 1) for own in picture.size)
+        off = abs(math.log(width * picture.height / (height * picture.width)))
+        sizes.append((round(off, 3), abs(length - side), (width, height)))
+    return picture.resize(min(sizes)[2], Image.Resampling.LANCZOS)
 
 
 def _best_quality(picture: Image.Image, max_bytes: int) -> bytes:

@@ -81,6 +81,35 @@ def test_a_bad_text_is_a_warning(page: Chromium, site: Site) -> None:
     assert page.run(STATE)["drawn"] == 0
 
 
+PREVIEWED = """
+    const all = [...document.querySelectorAll("sg-img")];
+    return all.flatMap((one, i) => (one.shadowRoot.querySelector("canvas") ? [i] : []));
+"""
+
+
+def test_only_previews_near_the_viewport_take_memory(each_browser: Page, site: Site) -> None:
+    """They are drawn again when they come back; and those that reserve the space of their photographs stay."""
+    each_browser.open(site.url)
+    img = '<img src="none.webp" width="300" height="200" loading="lazy" alt="">'
+    show(each_browser, f'<sg-img style="width: 300px" preview="{GOOD}">{img}</sg-img>' * 200)
+    screen = each_browser.run("return innerHeight / document.querySelector('sg-img').offsetHeight")
+
+    def drawn() -> list[int]:
+        found: list[int] = each_browser.run(PREVIEWED)
+        return found
+
+    wait_until(lambda: 0 in drawn())
+    assert len(drawn()) <= 3 * screen + 2
+    each_browser.run("document.querySelector('sg-img:last-of-type').scrollIntoView()")
+    wait_until(lambda: 199 in drawn() and 0 not in drawn())
+    assert len(drawn()) <= 3 * screen + 2
+    each_browser.run("scrollTo(0, 0)")
+    wait_until(lambda: 0 in drawn() and 199 not in drawn())
+    show(each_browser, f'<sg-img preview="{OTHER}"><img src="none.webp" alt=""></sg-img>' * 3)
+    each_browser.run("scrollTo(0, document.body.scrollHeight)")
+    wait_until(lambda: {0, 1, 2} < set(drawn()) and 202 in drawn())
+
+
 # Each answers with what it sees of a new <sg-img>. Tag and property names are those of an <img>, which is the model.
 HELP = f"""
     const turns = async () => {{ for (let i = 0; i < 3; i++) await new Promise((done) => setTimeout(done)); }};
@@ -156,6 +185,21 @@ OWNED = {
         const { objectFit, objectPosition } = getComputedStyle(one.querySelector("img"));
         return [...box(one, 300), objectFit, objectPosition];""",
         [80, 80, "cover", "0% 50%"],
+    ),
+    "a placeholder": (  # stays until there is more to see, and leaves the page's own attribute as it is
+        """
+        const seen = [];
+        for (const [preview, src] of [[text, photo], [text, "/none"], ["nothing", "/none"]]) {
+            const html = `<sg-img preview="${preview}"><picture><img src="${src}"></picture></sg-img>`;
+            const img = put(html).querySelector("img");
+            img.style.backgroundImage = "url(data:image/webp;base64,AAAA)"; // as an attribute, the policy forbids it
+            const style = img.getAttribute("style");
+            if (src === photo) await loaded(img);
+            await turns();
+            seen.push(getComputedStyle(img).backgroundImage !== "none", img.getAttribute("style") === style);
+        }
+        return seen;""",
+        [False, True, False, True, True, True],
     ),
     "moved into another document": (
         """

@@ -64,12 +64,23 @@ LAYOUTS: dict[str, tuple[str, str, float | None]] = {
     "never enlarged": ("width: 70px", "width: fit-content", None),
 }
 MEASURE = """
-    return [...document.querySelectorAll("section")].map((section) => [section.title,
-        [...section.querySelectorAll("sg-img")].map((one) => {
-            const [img, canvas] = ["img", "canvas"].map((name) => one.shadowRoot?.querySelector(name));
-            const boxes = [one.querySelector("img") ?? img, one, canvas].map((part) => part?.getBoundingClientRect());
-            return boxes.map((box) => box && [box.x, box.y, box.width, box.height]);
-        })]);
+    const part = (one, name) => one.querySelector(name) ?? one.shadowRoot?.querySelector(name);
+    const measured = async (one) => {
+        while (COVERED && !part(one, "canvas")) { // those far from the viewport have none
+            one.scrollIntoView();
+            await new Promise((done) => setTimeout(done, 10));
+        }
+        const boxes = [part(one, "img"), one, part(one, "canvas")].map((other) => other?.getBoundingClientRect());
+        return boxes.map((box) => box && [box.x, box.y + scrollY, box.width, box.height]);
+    };
+    return (async () => {
+        const found = [];
+        for (const section of document.querySelectorAll("section")) {
+            found.push([section.title, []]);
+            for (const one of section.querySelectorAll("sg-img")) found.at(-1)[1].push(await measured(one));
+        }
+        return found;
+    })();
 """
 LOAD = """
     const all = [...document.querySelectorAll("sg-img")].map((one) => one.querySelector("img") ?? one);
@@ -80,7 +91,6 @@ LOADED = """
     const all = [...document.querySelectorAll("sg-img")].map(inner);
     return all.every((img) => img.complete && img.naturalWidth);
 """
-DRAWN = "return [...document.querySelectorAll('sg-img')].every((one) => one.shadowRoot?.querySelector('canvas'))"
 KINDS = {
     "img": '<sg-img preview="{text}"><img {known}></sg-img>',
     "picture": '<sg-img preview="{text}"><picture><img {known}></picture></sg-img>',
@@ -103,10 +113,10 @@ def page_of(kind: str) -> tuple[str, str]:
     return rules, html
 
 
-def assert_own_aspects(page: Page) -> list[Any]:
+def assert_own_aspects(page: Page, covered: bool = False) -> list[Any]:
     """Photograph, preview and element are at the same place, and as wide and high as they should be. Returns where."""
     wrong: dict[str, list[Any]] = {}
-    found = page.run(MEASURE)
+    found = page.run(MEASURE.replace("COVERED", str(covered).lower()))
     for title, photographs in found:
         for i, (img, host, canvas) in enumerate(photographs):
             expected = LAYOUTS[title][2] or SIZES[i][0] / SIZES[i][1]
@@ -140,11 +150,11 @@ def test_each_photograph_has_its_own_aspect_ratio(each_browser: Page, site: Site
     each_browser.open(site.url)
     early = assert_own_aspects(each_browser) if kind != "alone" else None  # as without JavaScript
     each_browser.run("return import('/sgmethod/sg-img.js').then(() => undefined)")
-    wait_until(lambda: each_browser.run(DRAWN))
-    previewed = assert_own_aspects(each_browser)
+    previewed = assert_own_aspects(each_browser, covered=True)
     for i, size in enumerate(SIZES):
         Image.new("RGB", size, (90, 40 * i % 256, 90)).save(site.folder / f"{i}.jpg")
     each_browser.run(LOAD)
     wait_until(lambda: each_browser.run(LOADED))
+    now = assert_own_aspects(each_browser)
     for before in filter(None, (early, previewed)):
-        assert_same_places(before, assert_own_aspects(each_browser))
+        assert_same_places(before, now)

@@ -57,6 +57,27 @@ def test_plain_html(page: Chromium, site: Site) -> None:
     wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
 
 
+def test_nothing_but_the_page_is_beside_a_photograph_that_is_contained(page: Chromium, tmp_path: Path) -> None:
+    """Not the WebP either, which is placed as the photograph is, or goes when that is there."""
+    Image.new("RGB", (200, 400), "#c06030").save(tmp_path / "photo.png")  # upright, in boxes that lie
+    shutil.copytree(JAVASCRIPT, tmp_path / "sgmethod")
+    preview = sgmethod.preview(tmp_path / "photo.png", 64)
+    html, element = preview.html("photo.png"), preview.element("photo.png")
+    assert "url(data:image" in html and "url(data:image" in element
+    box = "width: 400px !important; height: 200px !important; object-fit: contain !important"
+    rules = f"body {{ margin: 0; background: #0f0 }} sg-img, img {{ display: block; {box} }}"
+    body = f'{html}{element}<script type="module" src="sgmethod/sg-img.js"></script>'
+    (tmp_path / "index.html").write_text(f"<!doctype html><style>{rules}</style>{body}")
+    with served(tmp_path) as site:
+        page.open(site.url)
+        page.run("for (const img of document.images) img.loading = 'eager'")
+        wait_until(lambda: page.run("return [...document.images].every((img) => img.complete)"))
+        wait_until(lambda: page.run(PICTURE) == ["", True, True])
+        shown = np.asarray(Image.open(io.BytesIO(page.driver.get_screenshot_as_png())).convert("RGB"))
+    for row in (100, 300):
+        assert shown[row, [60, 200, 340]].tolist() == [[0, 255, 0], [0xC0, 0x60, 0x30], [0, 255, 0]]
+
+
 def test_a_tag_shows_a_webp_then_the_preview_then_the_photograph(page: Chromium, tmp_path: Path) -> None:
     shutil.copy(PHOTOGRAPH, tmp_path / "photo.png")
     shutil.copytree(JAVASCRIPT, tmp_path / "sgmethod")

@@ -25,9 +25,10 @@ from sgmethod.metrics import psnr
 from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
+from sgmethod.previews.still import webp_uri
 from sgmethod.profiles import PROFILES
 from tests.rd.short import short
-from tests.support.data import ROOT, code_in
+from tests.support.data import code_in
 from tests.support.pictures import photo, saved
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
@@ -148,7 +149,8 @@ def test_html(made: Preview) -> None:
     assert (attributes["src"], attributes["alt"]) == ('a"b.jpg', "<a> & b")
     assert (attributes["width"], attributes["height"], attributes["loading"]) == ("1200", "900", "lazy")
     style = attributes["style"] or ""
-    assert style.startswith(f"width:100%;height:auto;background:{made.color} url(data:image/webp;base64,")
+    assert style.startswith("width:100%;height:auto;background:url(data:image/webp;base64,")
+    assert style.endswith(") center / contain no-repeat")
     picture = Image.open(io.BytesIO(base64.b64decode(style.split("base64,")[1].split(")")[0])))
     shown = picture.convert("RGB").resize(LARGE.size, Image.Resampling.BICUBIC)
     assert psnr(np.asarray(shown), np.asarray(LARGE)) > 17  # seen: 18.4
@@ -168,19 +170,26 @@ def test_html_is_as_long_as_allowed(made: Preview) -> None:
 
 def test_html_of_a_long_strip() -> None:
     made = sgmethod.preview(np.zeros((1, 6000), np.uint8), 60)
-    assert "center/cover" in made.html("a.png")
+    assert "url(" in made.html("a.png")
+
+
+def test_a_webp_has_the_aspect_ratio_of_its_picture() -> None:
+    """Or the page would show beside it, where it is contained in the photograph's box."""
+    for characters in (200, 300, 500):
+        uri = webp_uri(np.asarray(LARGE.resize((200, 140))), characters)
+        picture = Image.open(io.BytesIO(base64.b64decode(uri.split(",")[1])))
+        assert picture.width / picture.height == pytest.approx(200 / 140, rel=0.01)
 
 
 def test_element(made: Preview) -> None:
     """It is what sgmethod/javascript/src/sg-img.js takes: with an <img> within, which shows a WebP to readers without
     scripts, and with the rules of docs/previews.md as styles."""
-    rules = re.findall(r"^(sg-img.*) { (.*); }$", (ROOT / "docs" / "previews.md").read_text(), re.M)
-    styles = {selector: rule.replace(": ", ":").replace("; ", ";") for selector, rule in rules}
+    rules = re.findall(r"^(sg-img.*?) {(.*?)}$", code_in("docs/previews.md", heading="Plain HTML")[1], re.M | re.S)
+    styles = {name: re.sub(r"([:;])\s+", r"\1", rule.strip()).removesuffix(";") for name, rule in rules}
     (outer, attributes), (inner, image) = Tags(made.element("a.jpg", "b")).tags
     assert (outer, attributes) == ("sg-img", {"preview": made.text, "style": styles["sg-img"]})
-    style, shown = (image.pop("style") or "").split(";background:")
-    assert style == styles["sg-img img"]
-    assert shown.startswith(f"{made.color} url(data:image/webp;base64,")
+    style, pictures = re.subn(r"url\(data:image/webp;base64,\S+\) ", "", image.pop("style") or "")
+    assert (style, pictures) == (styles["sg-img img"], 1)
     same = {"src": "a.jpg", "alt": "b", "width": "1200", "height": "900", "loading": "lazy", "decoding": "async"}
     assert (inner, image) == ("img", same)
 

@@ -6,6 +6,7 @@ import { decodePreview } from "./preview.js";
 
 const SLICE_MS = 8; // of drawing at a time, so that a page of many stays responsive
 const FADE_MS = 300;
+const NEAR = "50%"; // of the viewport's sides
 // Properties of an <img>; in lower case, its attributes.
 const OF_IMG = "loading decoding fetchPriority crossOrigin referrerPolicy alt width height sizes srcset src".split(" ");
 const SHADOW_STYLE = `
@@ -18,9 +19,11 @@ div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inh
 ::slotted(picture) { display: contents }
 canvas { position: absolute; pointer-events: none }
 @media print { canvas { display: none } }`;
-// For what ::slotted() does not reach. The page's own rules win, because they are in no layer.
+// For what ::slotted() does not reach. The page's own rules win, because they are in no layer; but a placeholder, which
+// would stay beside a photograph that does not fill its box, goes when there is more to see.
 const PAGE_STYLE = `@layer { sg-img > picture > img {
-  grid-area: 1 / 1; min-width: 100%; max-width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
+  grid-area: 1 / 1; min-width: 100%; max-width: 100%; height: 100%; object-fit: inherit; object-position: inherit }
+sg-img:state(--shown) img[style*="data:image/"] { background: none !important } }`;
 
 const waiting = new Set(); // elements' turns to draw, in order
 const sheets = new WeakMap(); // by document, since a style sheet belongs to one
@@ -59,10 +62,23 @@ function sheetsOf(page) {
 
 export class SgImage extends (globalThis.HTMLElement ?? Object) {
   static observedAttributes = ["preview", ...OF_IMG.map((name) => name.toLowerCase())];
+  static #viewport =
+    globalThis.IntersectionObserver &&
+    new IntersectionObserver(
+      (entries) => {
+        for (const { target, isIntersecting } of entries) {
+          target.#isNear = isIntersecting;
+          later(target.#update);
+        }
+      },
+      { rootMargin: NEAR, scrollMargin: NEAR },
+    );
   #own = document.createElement("img");
   #frame = document.createElement("div");
   #canvas = null; // shows the preview until the photograph is there
-  #drawn = null; // the text of that preview
+  #drawn = null; // the text of that preview, or one that is damaged
+  #isNear = false; // to the viewport: a canvas takes a thousand times the memory of its text
+  #states = this.attachInternals?.().states; // old Chromium takes no states without dashes; jsdom has none
 
   static {
     for (const name of ["preview", ...OF_IMG]) {
@@ -105,6 +121,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
     const [shadowSheet, pageSheet] = sheetsOf(this.ownerDocument);
     this.shadowRoot.adoptedStyleSheets = [shadowSheet];
     if (!page.adoptedStyleSheets.includes(pageSheet)) page.adoptedStyleSheets.push(pageSheet);
+    SgImage.#viewport?.observe(this);
     later(this.#update);
   }
 
@@ -124,23 +141,30 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
     if (!this.isConnected || !this.animate) return; // jsdom and its like have no canvas either
     const [img, text] = [this.#img, this.preview];
     this.#own.hidden = img !== this.#own;
-    if (!text || (img.complete && img.naturalWidth)) return this.#uncover();
-    if (text === this.#drawn) return;
+    const isLoaded = img.complete && img.naturalWidth > 0;
+    // The canvas reserves the space if the photograph does not; then it stays.
+    const isSized = img.hasAttribute("width") && img.hasAttribute("height");
+    if (!text || isLoaded || (isSized && !this.#isNear)) this.#uncover();
+    else if (text !== this.#drawn) this.#draw(text, isSized);
+    this.#states?.[isLoaded || this.#canvas ? "add" : "delete"]("--shown");
+  };
+
+  #draw(text, isSized) {
     try {
       const preview = decodePreview(text);
       const canvas = document.createElement("canvas");
       [canvas.width, canvas.height] = [preview.width, preview.height];
       canvas.getContext("2d").putImageData(preview, 0, 0);
-      // The canvas reserves the space if the photograph does not.
-      if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.position = "static";
+      if (!isSized) canvas.style.position = "static";
       this.#canvas?.remove();
       this.#frame.append(canvas);
       [this.#canvas, this.#drawn] = [canvas, text];
     } catch (error) {
       this.#uncover();
+      this.#drawn = text; // one warning is enough
       console.warn("sg-img has no preview:", error.message, this);
     }
-  };
+  }
 
   #uncover() {
     const canvas = this.#canvas;

@@ -21,6 +21,6 @@ export interface Attributes {
  * @throws TypeError if preview is something else
  */
 export function elementOf(
-  preview: Pick<Preview, "text" | "width" | "height" | "color"> & Pick<Attributes, "src" | "uri" | "script">,
+  preview: Pick<Preview, "text" | "width" | "height"> & Pick<Attributes, "src" | "uri" | "script">,
   attributes?: Attributes,
 ): string;

@@ -7,9 +7,9 @@ const ENTITIES = { "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "'": "
  * below the photograph until the preview is drawn; script: the address of sg-img.js, for pages that do not load it. */
 export function elementOf(preview, attributes) {
   if (typeof preview?.text !== "string") throw new TypeError("preview must be what encodePreview() returns");
-  const { text, width, height, color } = preview;
+  const { text, width, height } = preview;
   const { src, uri, script, ...others } = { src: preview.src, uri: preview.uri, script: preview.script, ...attributes };
-  const style = uri ? `background:${color} url(${uri}) center/cover` : null;
+  const style = uri ? `background-image:url(${uri})` : null; // placed by the page's rules
   const img = { src, alt: "", width, height, loading: "lazy", decoding: "async", style, ...others };
   const loader = script ? `<script${written({ type: "module", async: "", src: script })}></script>` : "";
   return `<sg-img${written({ preview: text })}>${loader}<img${written(img)}></sg-img>`;
