@@ -151,6 +151,8 @@ class SgFile:
         return self._draw(View(scale, region, prefix, texture).within(self.size, width, height))
 
     def _draw(self, view: View) -> NDArray[np.uint8]:
+        if view.prefix < 1:
+            self._stream.scene()  # a file whose end is damaged is refused, whatever part is drawn
         if view.is_whole:
             return draw_whole(self._stream, view.prefix, view.texture)
         scene = self._stream.scene(view.prefix)

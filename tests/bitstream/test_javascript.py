@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import base64
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import sgmethod
+from sgmethod import BitstreamError
+from sgmethod.bitstream import container
 from sgmethod.native import native
 from tests.support import javascript_settings
-from tests.support.data import JAVASCRIPT, ROOT
+from tests.support.data import JAVASCRIPT, ROOT, damaged as tampered, golden
 from tests.support.node import answer_of, node
 
 FILES = 2000  # of each kind
@@ -97,6 +101,40 @@ def test_it_decodes_and_refuses_the_same() -> None:
     assert answers == [None if values is None else base64.b64encode(values).decode() for values in expected]
     accepted = sum(values is not None for values in expected[len(whole) :])
     assert FILES / 5 < accepted < FILES  # so that both are tried
+
+
+PART = """
+const { decode } = await import(`${src}/decoder.js`);
+console.log(JSON.stringify(given.map((file) => {
+  try {
+    return decode(new Uint8Array(Buffer.from(file, "base64")), { prefix: 0.5 }).data.length;
+  } catch (error) {
+    return error.name;
+  }
+})));
+"""
+
+
+def test_a_damaged_tail_is_refused_whatever_part_is_drawn() -> None:
+    whole = golden(2)["v2-color"]
+    changed = [tampered(whole, place, bytes([value]), 0) for place in (0.9, 0.95, 0.99) for value in range(0, 256, 9)]
+    files = [file for file in changed if refused(lambda file=file: container.parse(file).gaussians())]
+    assert len(files) > 20
+    for file in files:
+        assert len(container.parse(file).gaussians(0.5)) > 0  # the first half is as it was
+        assert refused(lambda file=file: sgmethod.decode(file, view=sgmethod.View(prefix=0.5)))
+    encoded = [base64.b64encode(file).decode() for file in (whole, *files)]
+    size, *names = answer_of(PART, encoded)
+    assert size > 0
+    assert names == ["SgError"] * len(files)
+
+
+def refused(call: Callable[[], object]) -> bool:
+    try:
+        call()
+    except BitstreamError:
+        return True
+    return False
 
 
 def test_it_has_the_tables(tmp_path: Path) -> None:
