@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
 import shutil
 from collections.abc import Iterator
@@ -17,8 +18,9 @@ from sgmethod.bitstream.text import from_text
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from tests.javascript.site import Site, served
-from tests.support.browser import Chromium, Page, assert_open_to_all
+from tests.support.browser import Chromium, Page, assert_open_to_all, bytes_of
 from tests.support.data import PHOTOGRAPHS, PICTURE, ROOT, STATIC
+from tests.support.pictures import saved
 from tests.support.processes import run, wait_until
 
 pytestmark = pytest.mark.thorough
@@ -26,7 +28,6 @@ pytestmark = pytest.mark.thorough
 PARROT = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 COFFEE = STATIC / "samples" / "coffee.sg"
 PACKAGES = ROOT / "build" / "npm"
-MAX_BYTES = 150_000  # of the first load
 CHARACTERS = "return [...document.querySelectorAll('figcaption span')].map((one) => one.textContent)"
 STAGE = """
     const { width, height } = document.getElementById("canvas");
@@ -72,7 +73,7 @@ def given(page: Page, data: bytes, name: str) -> str:
     """The text of the preview of a photograph that is dropped on the page."""
     before = text_of(page)
     page.give("drop", data, name)
-    wait_until(lambda: text_of(page) != before)
+    wait_until(lambda: text_of(page) not in ("", before))
     return text_of(page)
 
 
@@ -84,7 +85,8 @@ def test_a_photograph_becomes_previews_and_a_file(each_browser: Page, demo: Site
     wait_until(lambda: "Python package" in each_browser.text("#file-words"))
     first = set(demo.asked)
     sizes = [(demo.folder / (name.lstrip("/") or "index.html")).stat().st_size for name in first - {"/favicon.ico"}]
-    assert sum(sizes) <= MAX_BYTES
+    (most,) = re.findall(r"the page loads at most (\d+) kB", (ROOT / "docs" / "previews.md").read_text())
+    assert sum(sizes) <= 1000 * int(most)
     demo.asked.clear()
 
     text = given(each_browser, PARROT, "parrot.png")
@@ -154,6 +156,50 @@ def test_sizes_snippets_and_zoom_by_keyboard(shown: Page) -> None:
     assert shown.run(STAGE) != seen[-1]
     shown.click("#compare")
     assert shown.complaints() == []
+
+
+LEFT = """
+    const text = (id) => document.getElementById(id).value ?? document.getElementById(id).textContent;
+    const pictures = document.querySelectorAll(".shown :is(img, canvas, sg-img)").length;
+    const busy = document.querySelectorAll("[aria-busy=true]").length;
+    const isDisabled = document.getElementById("save").disabled;
+    return [text("text"), text("element"), text("file-words"), pictures, isDisabled, busy];
+"""
+
+
+def test_nothing_of_the_last_photograph_stays_while_the_next_is_worked_on(shown: Page) -> None:
+    wait_until(lambda: shown.run(LEFT)[4:] == [False, 0])
+    for data, name, busy in ((PARROT, "parrot.png", 7), (COFFEE.read_bytes(), "coffee.sg", 0)):
+        drop = f"""
+            const given = new DataTransfer();
+            given.items.add(new File([{bytes_of(data)}], "{name}"));
+            dispatchEvent(new DragEvent("drop", {{ cancelable: true, dataTransfer: given }}));
+        """
+        assert shown.run(drop + LEFT) == ["", "", "", 0, True, busy]
+        shown.says("made here" if busy else "coffee.sg", "#file-words")
+    assert shown.run(LEFT)[:2] == ["", ""]  # of a file there is no preview
+    assert shown.complaints() == []
+
+
+def test_a_transparent_picture_shows_through_its_previews_alone(page: Chromium, demo: Site) -> None:
+    """No sign of a broken image, and no black."""
+    picture = np.zeros((200, 300, 4), np.uint8)
+    picture[60:140, 90:210] = (200, 80, 40, 255)
+    page.open(demo.url)
+    previewed(page)
+    given(page, saved(Image.fromarray(picture), "PNG"), "transparent.png")
+    previewed(page)
+    photograph, *others = page.run(
+        "return [...document.querySelectorAll('.shown')].map((one) => one.getBoundingClientRect())"
+    )
+    shown = np.asarray(Image.open(io.BytesIO(page.driver.get_screenshot_as_png())).convert("RGB")).astype(int)
+
+    def border(box: dict[str, float]) -> np.ndarray:
+        left, top, width, height = (round(box[name]) for name in ("x", "y", "width", "height"))
+        return shown[top + 8 : top + height - 8, left + 8 : left + width // 8]
+
+    for box in others[:2]:  # the preview, and WebP
+        assert np.abs(border(box) - border(photograph)[0, 0]).max() < 40
 
 
 def test_what_cannot_be_read_is_said(shown: Page) -> None:

@@ -17,6 +17,8 @@ const tiles = {};
 let photograph = null; // { blob, name, width, height }
 let file = null; // the bytes of the .sg file that is shown
 let ready = null; // the one that came with the photograph
+let name = ""; // of what was chosen
+let opened = 0; // photographs and files so far
 let timer = 0;
 
 function complain(error) {
@@ -26,7 +28,15 @@ function complain(error) {
 }
 
 /** What an event begins; what goes wrong is said, unless something newer has begun. */
-const doing = (task) => (...given) => Promise.resolve(task(...given)).catch((error) => error.isStale || complain(error));
+const doing =
+  (task) =>
+  (...given) =>
+    Promise.resolve(task(...given)).catch((error) => {
+      if (error.isStale) return;
+      setBusy(false);
+      setWorking("");
+      complain(error);
+    });
 
 function addTile(name, title, words = "") {
   const [figure, shown, caption, bold] = ["figure", "div", "figcaption", "b"].map((tag) => document.createElement(tag));
@@ -44,7 +54,39 @@ function addTile(name, title, words = "") {
 function fill(name, content, words) {
   tiles[name].shown.replaceChildren(content);
   tiles[name].note.textContent = words;
+  tiles[name].shown.ariaBusy = null;
 }
+
+function setBusy(isBusy) {
+  const places = [...Object.values(tiles).map(({ shown }) => shown), $("text"), $("element")];
+  for (const one of places) one.ariaBusy = isBusy ? "true" : null;
+}
+
+function setWorking(words) {
+  $("working").textContent = words;
+  $("working").hidden = !words;
+}
+
+/** Forget what was shown, and say what is done about the next; nothing if there is none. */
+function clear(words = "") {
+  filer?.stop();
+  maker.forget();
+  photograph = file = ready = null;
+  for (const one of Object.keys(tiles)) fill(one, said(["photograph", "ours"].includes(one) ? words : ""), "");
+  $("text").value = $("element").textContent = $("file-words").textContent = "";
+  $("save").disabled = true;
+  stage.setPhotograph(null);
+  setBusy(Boolean(words));
+  setWorking(words);
+  return ++opened;
+}
+
+/** Wait for a part of what is to be shown; where that fails, there is nothing to show. */
+const orNothing = (promise) =>
+  promise.catch((error) => {
+    if (!error.isStale) clear();
+    throw error;
+  });
 
 function said(words) {
   const p = document.createElement("p");
@@ -76,18 +118,22 @@ function showSize() {
 
 /** Make the preview, and then what is as long. */
 async function showPreviews() {
+  setBusy(true);
+  tiles.photograph.shown.ariaBusy = null;
+  for (const made of ["ours", "webp", "blurhash", "thumbhash"]) tiles[made].note.textContent = "";
   const before = performance.now();
   const { text, bytes: small } = await maker.ask("preview", { bytes: bytes() });
   const seconds = (performance.now() - before) / 1000;
   const one = Object.assign(document.createElement("sg-img"), { preview: text, alt: "The preview" });
   fill("ours", one, `${chars(text.length)}, made in ${seconds.toFixed(1)} s`);
   $("text").value = text;
+  $("text").ariaBusy = $("element").ariaBusy = null;
   $("element").textContent = `<script type="module" async src="sg-img.js"></script>
 <link rel="stylesheet" href="sg-img.css">
 <sg-img preview="${text}">
-  <img src="${photograph.name}" alt="" width="${photograph.width}" height="${photograph.height}" loading="lazy">
+  <img src="${name}" alt="" width="${photograph.width}" height="${photograph.height}" loading="lazy">
 </sg-img>`;
-  if (!file && !ready) await stage.show(small); // until there is a larger one
+  if (!file && !ready) doing(stage.show)(small); // until there is a larger one
   const characters = text.length;
   const { blob, length } = await maker.ask("webp", { characters });
   if (blob) fill("webp", imgOf(blob, "WebP"), chars(length));
@@ -108,51 +154,52 @@ async function showFile(bytes, words) {
 /** Make the .sg file of the photograph, or take the one of a sample. */
 async function makeFile(given) {
   filer?.stop();
-  $("working").hidden = true;
+  setWorking("");
+  $("save").disabled = true;
   if (given) return showFile(given, ", made by the Python package, whose encoder gets more out of a file than this page’s.");
   const limit = 1000 * $("kilobytes").value;
   filer = startWorker();
-  $("working").textContent = `Making a file of ${sizeOf(limit)}, which takes up to half a minute`;
-  $("working").hidden = false;
+  setWorking(`Making a file of ${sizeOf(limit)}, which takes up to half a minute`);
   const began = performance.now();
   await filer.ask("open", { blob: photograph.blob });
   const made = await filer.ask("file", { bytes: limit });
-  $("working").hidden = true;
+  setWorking("");
   await showFile(made, `, made here in ${((performance.now() - began) / 1000).toFixed(1)} s. The Python package is faster, and its files are better.`);
 }
 
-async function open(blob, name, given = null) {
-  filer?.stop();
-  maker.forget();
-  file = null;
-  $("save").disabled = true;
-  $("file-words").textContent = "";
-  const size = await maker.ask("open", { blob });
-  photograph = { blob, name, ...size };
+async function open(blob, given = null) {
+  clear(`Reading ${name}`);
+  const size = await orNothing(maker.ask("open", { blob }));
+  photograph = { blob, ...size };
   document.documentElement.style.setProperty("--ratio", `${size.width} / ${size.height}`);
   const img = imgOf(blob, "The photograph");
   fill("photograph", img, `${size.width} × ${size.height}, ${sizeOf(blob.size)}`);
-  stage.setPhotograph(img, size);
+  stage.setPhotograph(img);
+  fill("ours", said("Making the preview"), "");
   ready = given;
   $("kilobytes").options[0].hidden = !ready;
   $("kilobytes").value = ready ? "" : FIRST_KILOBYTES;
   await Promise.all([doing(showPreviews)(), ready && makeFile(ready)]);
-  if (!ready && photograph.blob === blob) await makeFile(); // last, since it takes all of a core for seconds
+  if (!given && photograph?.blob === blob) await makeFile(); // last, since it takes all of a core for seconds
 }
 
-async function openSample(name) {
-  const [picture, sg] = await Promise.all(["webp", "sg"].map((kind) => fetch(`samples/${name}.${kind}`)));
-  await open(await picture.blob(), `${name}.webp`, new Uint8Array(await sg.arrayBuffer()));
+async function openSample(sample) {
+  const mine = clear(`Loading ${sample}.webp`);
+  const [picture, sg] = await orNothing(Promise.all(["webp", "sg"].map((kind) => fetch(`samples/${sample}.${kind}`))));
+  const [blob, bytes] = [await picture.blob(), new Uint8Array(await sg.arrayBuffer())];
+  if (mine !== opened) return; // something else was chosen meanwhile
+  name = `${sample}.webp`;
+  await open(blob, bytes);
 }
 
 async function openFiles([given]) {
   if (!given) return;
   for (const button of $("samples").children) button.ariaPressed = "false";
-  if (!given.name.endsWith(".sg")) return open(given, given.name);
-  filer?.stop();
-  $("working").hidden = true;
-  stage.setPhotograph(null, null);
-  await showFile(new Uint8Array(await given.arrayBuffer()), `: ${given.name}`);
+  name = given.name;
+  if (!name.endsWith(".sg")) return open(given);
+  clear();
+  fill("photograph", said("A file, which is shown below"), "");
+  await orNothing(given.arrayBuffer().then((data) => showFile(new Uint8Array(data), `: ${given.name}`)));
   $("stage").scrollIntoView();
 }
 
@@ -168,8 +215,8 @@ async function copy(button) {
 }
 
 function save() {
-  const name = `${(photograph?.name ?? "photograph").replace(/\.\w+$/, "")}.sg`;
-  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(new Blob([file])), download: name });
+  const download = `${name.replace(/\.\w+$/, "")}.sg`;
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(new Blob([file])), download });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }

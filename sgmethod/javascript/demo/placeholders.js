@@ -38,14 +38,17 @@ const base64Length = (bytes) => 4 * Math.ceil(bytes / 3);
 async function bare(blob) {
   const bytes = new Uint8Array(await blob.arrayBuffer());
   const view = new DataView(bytes.buffer);
+  const chunks = {};
   for (let at = 12, end; at < bytes.length; at = end) {
     end = at + 8 + view.getUint32(at + 4, true) + (bytes[at + 4] & 1);
-    if (view.getUint32(at) !== 0x56503820) continue; // "VP8 "
-    const file = new Uint8Array([...bytes.subarray(0, 12), ...bytes.subarray(at, end)]);
-    new DataView(file.buffer).setUint32(4, file.length - 8, true);
-    return new Blob([file], { type: "image/webp" });
+    chunks[String.fromCharCode(...bytes.subarray(at, at + 4))] = bytes.slice(at, end);
   }
-  return blob;
+  const { VP8X: header, ALPH: alpha, "VP8 ": colours } = chunks;
+  if (!colours) return blob;
+  if (alpha) header[8] &= ~0x20; // it says that there is a colour profile
+  const file = await new Blob([bytes.subarray(0, 12), ...(alpha ? [header, alpha] : []), colours]).arrayBuffer();
+  new DataView(file).setUint32(4, file.byteLength - 8, true);
+  return new Blob([file], { type: "image/webp" });
 }
 
 /** The WebP that is closest to the picture, in base64 no longer than that; without a blob if none is so small. */

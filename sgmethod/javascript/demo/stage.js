@@ -14,6 +14,7 @@ export function newStage(drawer, element, canvas) {
   let photograph = null;
   let isCompared = false;
   let [isBusy, isStale] = [false, false];
+  let asked = 0; // files to show, so far
 
   const least = () => Math.min(canvas.width / size.width, canvas.height / size.height);
 
@@ -161,7 +162,12 @@ export function newStage(drawer, element, canvas) {
     zoom,
     /** Show a file. Promises that it is drawn; fails if it cannot be decoded. */
     async show(file) {
+      const mine = ++asked;
+      const check = () => {
+        if (mine !== asked) throw Object.assign(new Error("not needed any more"), { isStale: true });
+      };
       const found = await drawer.ask("info", { file });
+      check();
       const isOther = !size || Math.abs(found.width / found.height - size.width / size.height) > 0.01;
       [bytes, drawn] = [file, isOther ? null : drawn];
       if (drawn) drawn.region = drawn.region.map((value) => value * (found.width / size.width));
@@ -170,11 +176,13 @@ export function newStage(drawer, element, canvas) {
       centre = centre.map((value) => value * grown);
       scale /= grown;
       await (isOther || isFitted ? fit() : place());
+      check();
     },
     /** The photograph that the file shows; null if there is none. */
     setPhotograph(img) {
       photograph = img;
-      drawn = size = null;
+      bytes = drawn = size = null;
+      asked++;
       isFitted = true;
       context.clearRect(0, 0, canvas.width, canvas.height);
     },

@@ -18,6 +18,7 @@ img, canvas, ::slotted(*) { grid-area: 1 / 1; min-width: 100%; max-width: 100%; 
 div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inherit }
 ::slotted(picture) { display: contents }
 canvas { position: absolute; pointer-events: none }
+img:not([src], [srcset]) { opacity: 0 } /* or a browser's sign of a broken image shows through */
 @media print { canvas { display: none } }`;
 // For what ::slotted() does not reach. The page's own rules win, because they are in no layer; but a placeholder, which
 // would stay beside a photograph that does not fill its box, goes when there is more to see.

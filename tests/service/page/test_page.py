@@ -12,13 +12,29 @@ import pytest
 
 from service.keys import digest
 from sgmethod.budget import DEFAULT_BUDGET
+from tests.javascript.site import served
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER
 from tests.support.browser import Chromium, Page, assert_open_to_all
-from tests.support.data import golden_path
+from tests.support.data import STATIC, golden_path
 from tests.support.node import assert_as_python
 from tests.support.pictures import SLOW, SMALL
 from tests.support.processes import encoder_of, wait_until
 from tests.support.service import Service, StartService
+
+
+@pytest.mark.thorough
+def test_the_bar_of_a_waiting_job_is_empty(firefox: Page) -> None:
+    """Firefox fills a bar without a value."""
+    with served(STATIC) as site:
+        colours = firefox.run(f"""
+            document.body.innerHTML = "<progress></progress><progress value=0.5></progress>";
+            const sheet = Object.assign(document.createElement("link"), {{ rel: "stylesheet", href: "{site.url}style.css" }});
+            document.head.append(sheet);
+            const bar = (one) => getComputedStyle(one, "::-moz-progress-bar").backgroundColor;
+            const bars = () => [...document.querySelectorAll("progress")].map(bar);
+            return new Promise((done) => sheet.addEventListener("load", () => done(bars())));
+        """)
+    assert colours[0] == "rgba(0, 0, 0, 0)" != colours[1]
 
 
 def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> None:
