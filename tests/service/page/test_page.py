@@ -28,7 +28,8 @@ def test_the_bar_of_a_waiting_job_is_empty(firefox: Page) -> None:
     with served(STATIC) as site:
         colours = firefox.run(f"""
             document.body.innerHTML = "<progress></progress><progress value=0.5></progress>";
-            const sheet = Object.assign(document.createElement("link"), {{ rel: "stylesheet", href: "{site.url}style.css" }});
+            const sheet = document.createElement("link");
+            Object.assign(sheet, {{ rel: "stylesheet", href: "{site.url}style.css" }});
             document.head.append(sheet);
             const bar = (one) => getComputedStyle(one, "::-moz-progress-bar").backgroundColor;
             const bars = () => [...document.querySelectorAll("progress")].map(bar);
