@@ -252,11 +252,14 @@ const { elementOf } = await import(`${src}/encoder/element.js`);
 const preview = { text: "woOAaA", width: 30, height: 20, color: "#102030", dark: true, bytes: new Uint8Array(3) };
 const all = [
   { src: "a.jpg" },
-  { src: "a?b&c=<'>", alt: 'A "red" door', uri: "data:image/webp;base64,AAAA", width: 60, loading: null },
+  { src: "a?b&c=<'>", alt: 'A "red" door', uri: "data:image/webp;base64,AAAA", width: "60", loading: null },
 ];
 const own = { ...preview, src: "b.jpg", uri: "data:,", script: "/sg-img.js" };
 const made = all.map((attributes) => elementOf(preview, attributes));
 made.push(elementOf(own), elementOf(own, { uri: "", script: "" }));
+const none = Object.fromEntries("src uri script alt width loading style".split(" ").map((name) => [name, undefined]));
+made.push(...[none, { style: "border: 0" }, { style: null }].map((attributes) => elementOf(own, attributes)));
+made.push(...[{ width: 60 }, { height: 5 }, { width: 60, height: 50 }].map((size) => elementOf(preview, size)));
 try {
   elementOf("woOAaA", { src: "a.jpg" });
 } catch (error) {
@@ -279,7 +282,7 @@ def test_an_element_as_html() -> None:
         "src": "a?b&c=<'>",
         "alt": 'A "red" door',
         "width": "60",
-        "height": "20",
+        "height": "40",
         "decoding": "async",
     }
     shown["style"] = "background-image:url(data:image/webp;base64,AAAA)"
@@ -287,5 +290,9 @@ def test_an_element_as_html() -> None:
     bare = plain | {"src": "b.jpg"}
     loader = ("script", {"type": "module", "async": "", "src": "/sg-img.js"})
     with_style = bare | {"style": "background-image:url(data:,)"}
-    assert tags[4:] == [outer, loader, ("img", with_style), outer, ("img", bare)]
+    assert tags[4:9] == [outer, loader, ("img", with_style), outer, ("img", bare)]
+    both = with_style | {"style": f"{with_style['style']};border: 0"}
+    assert [img for tag, img in tags[9:18] if tag == "img"] == [with_style, both, bare]  # undefined is as not given
+    sizes = [(img["width"], img["height"]) for tag, img in tags[18:] if tag == "img"]
+    assert sizes == [("60", "40"), ("8", "5"), ("60", "50")]
     assert error == "TypeError"

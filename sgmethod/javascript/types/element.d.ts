@@ -13,11 +13,12 @@ export interface Attributes {
 
 /**
  * An <sg-img> with an <img> inside, as HTML, for templates that take strings. The page's style sheet needs the two rules
- * of sgmethod/sg-img.css; a style attribute holds nothing but the placeholder, and without a uri there is none.
+ * of sgmethod/sg-img.css; the style attribute holds the placeholder, and what attributes say as well.
  *
  * @param preview what previewOf() or encodePreview() returns, or its stored fields
  * @param attributes of the <img>, which are escaped here: src, alt (empty by default), srcset and so on; width and height
- * are the preview's, loading "lazy" and decoding "async" unless given; null leaves one out
+ * are the preview's, and follow each other if one is given; loading is "lazy" and decoding "async" unless given; null
+ * leaves an attribute out, and undefined is as if it were not given
  * @throws TypeError if preview is something else
  */
 export function elementOf(
