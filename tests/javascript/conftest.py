@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from tests.javascript.site import Site, served
 from tests.support.data import JAVASCRIPT, STATIC
+from tests.support.node import install, packed
 
 PAGE = '<!doctype html><meta charset="utf-8"><title>A site</title><link rel="icon" href="cat.webp">'
 
@@ -23,3 +25,19 @@ def site(tmp_path: Path) -> Iterator[Site]:
     (tmp_path / "index.html").write_text(PAGE)
     with served(tmp_path, "default-src 'self'") as site:
         yield site
+
+
+@pytest.fixture(scope="session")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder node_modules with Vite, sharp, TypeScript, Express and the package."""
+    folder = tmp_path_factory.mktemp("packages")
+    install(folder, packed(), "vite@8", "sharp@0.35", "typescript@5", "express@5")
+    return folder / "node_modules"
+
+
+@pytest.fixture
+def npm_site(packages: Path, tmp_path: Path) -> Path:
+    """A folder in which they can be imported, with a cache of its own."""
+    (tmp_path / "package.json").write_text('{ "private": true, "type": "module" }')
+    shutil.copytree(packages, tmp_path / "node_modules", symlinks=True, copy_function=os.link)
+    return tmp_path

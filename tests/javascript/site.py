@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.processes import TIMEOUT_S
+
+# What a page shows of each photograph.
+SHOWN = """
+    return [...document.querySelectorAll("sg-img")].map((one) => ({
+        text: one.getAttribute("preview"), drawn: Boolean(one.shadowRoot?.querySelector("canvas")),
+        alt: one.querySelector("img").alt, loaded: one.querySelector("img").naturalWidth,
+        uri: one.querySelector("img").style.backgroundImage, display: getComputedStyle(one).display,
+    }));
+"""
 
 
 @dataclass
@@ -56,3 +66,8 @@ def served(folder: Path, policy: str = "") -> Iterator[Site]:
         finally:
             site.may.set()
             server.shutdown()
+
+
+def answers(port: int) -> bool:
+    with socket.socket() as one:
+        return one.connect_ex(("127.0.0.1", port)) == 0

@@ -40,6 +40,14 @@ def install(folder: Path, *packages: str | Path) -> None:
         pytest.skip(f"npm cannot install {' '.join(map(str, packages))}: {str(error)[-300:]}")
 
 
+def packed() -> Path:
+    """The package as npm installs it."""
+    files = sorted((ROOT / "dist").glob("sgmethod-*.tgz"))
+    if not files:
+        pytest.skip("the npm package is not built: make npm, which needs Node and npm")
+    return files[-1]
+
+
 def assert_as_python(ours: np.ndarray, data: bytes, **view: Any) -> None:
     """Samples [H, W, 4] of a view of the file, as signed integers, within what docs/format.md allows two decoders: one
     level, and seldom. 1 sample of 12,960 is the most seen."""

@@ -1,5 +1,5 @@
 // Previews of photographs for build scripts and uploads, kept in a folder. sharp reads the photographs here, since it does
-// not like worker threads (github.com/lovell/sharp/issues/2263); the texts are made in some.
+// not like worker threads (github.com/lovell/sharp/issues/2263); the texts are made in some, or here where none start.
 
 import { createHash } from "node:crypto";
 import { once } from "node:events";
@@ -7,32 +7,44 @@ import { existsSync } from "node:fs";
 import { mkdir, readFile, rename, writeFile } from "node:fs/promises";
 import { availableParallelism } from "node:os";
 import { join } from "node:path";
+import { types } from "node:util";
 import { Worker } from "node:worker_threads";
-import { dataUri } from "./encoder.js";
+import { dataUri, encodePreview } from "./encoder.js";
+import { SgError } from "./preview.js";
 
 export { elementOf } from "./element.js";
+export { SgError };
 
 const MAX_SIDE = 1024; // pixels: more than the largest preview shows
 const MISSING = "previews need sharp 0.34 or later, which reads image files: npm install sharp";
+const ADDRESS = /^(https?|data|blob):/i; // which no file has
 
 /** A promise of the preview of a photograph: text, uri, width, height, color and dark.
  *
  * photograph: a path, a file URL, or the bytes of an image file; bytes: of the text's file; characters: of uri at most,
- * 0 for none; cache: the folder that keeps previews by content and options, or false. Needs sharp. */
+ * 0 for none; cache: the folder that keeps previews by content and options, or false. Needs sharp. Throws SgError for
+ * bytes or a file in which there is no picture. */
 export async function previewOf(photograph, options = {}) {
+  if (options === null || typeof options !== "object") throw new TypeError("options must be an object");
   const { bytes = 200, characters = 400, cache = folderOfCache(), ...others } = options;
   for (const name in others) throw new TypeError(`previewOf() has no option ${name}, only bytes, characters and cache`);
-  if (!(characters >= 0)) throw new RangeError("characters must be a number from 0 on");
+  if (!(Number.isInteger(bytes) && bytes >= 16 && bytes <= 1024)) {
+    throw new RangeError("bytes must be a whole number from 16 to 1024");
+  }
+  if (!(typeof characters === "number" && characters >= 0)) {
+    throw new RangeError("characters must be a number from 0 on");
+  }
+  if (cache !== false && typeof cache !== "string") throw new TypeError("cache must be the path of a folder, or false");
   return inTurn(async () => {
-    const data = await dataOf(photograph);
-    const make = () => made(data, data === photograph ? "the photograph" : photograph, bytes, characters);
-    if (!cache) return make();
+    const [name, data] = await named(photograph);
+    if (!data.length) throw new SgError(`${name} is empty`);
+    if (!cache) return made(data, name, bytes, characters);
     const key = createHash("sha256").update(`${VERSION} ${bytes} ${characters} `).update(data).digest("hex");
     const file = join(cache, `${key}.json`);
     try {
       return JSON.parse(await readFile(file));
     } catch {
-      const preview = await make();
+      const preview = await made(data, name, bytes, characters);
       await keep(cache, file, JSON.stringify(preview)).catch(() => {}); // where nothing can be written, it is made again
       return preview;
     }
@@ -60,10 +72,15 @@ async function inTurn(task) {
   }
 }
 
-async function dataOf(photograph) {
-  if (typeof photograph === "string" || photograph instanceof URL) return readFile(photograph);
-  if (photograph instanceof Uint8Array) return photograph;
-  throw new TypeError("photograph must be a path, or the bytes of an image file as a Uint8Array");
+/** What an error calls a photograph, and its bytes, which may be of another realm, as in tests. */
+async function named(photograph) {
+  if (types.isUint8Array(photograph) || types.isAnyArrayBuffer(photograph)) {
+    const { buffer = photograph, byteOffset, byteLength } = photograph;
+    return ["the photograph", Buffer.from(buffer, byteOffset, byteLength)];
+  }
+  const isPath = typeof photograph === "string" && !ADDRESS.test(photograph);
+  if (isPath || photograph?.protocol === "file:") return [photograph, await readFile(photograph)];
+  throw new TypeError("photograph must be a path, a file URL, or the bytes of an image file as a Uint8Array or ArrayBuffer");
 }
 
 async function keep(folder, file, text) {
@@ -78,7 +95,7 @@ async function made(data, name, bytes, characters) {
   const photograph = sharp?.(data);
   if (!photograph?.autoOrient) throw new Error(MISSING);
   const { size, pixels, width, height } = await read(photograph).catch((error) => {
-    throw new Error(`${name} cannot be read: ${error.message}`, { cause: error });
+    throw new SgError(`${name} cannot be read: ${error.message}`, { cause: error });
   });
   const { text, color, dark } = await encoded(pixels, width, height, { bytes });
   const uri = characters ? await dataUri(pixels, width, height, { characters, sharp }) : "";
@@ -95,14 +112,24 @@ async function read(photograph) {
 }
 
 const idle = []; // worker threads
+let start = true; // whether they do
 
+/** A preview. It is made in this thread where no worker starts, as in a server that a bundler made one file of. */
 async function encoded(...picture) {
+  try {
+    if (start) return await inWorker(picture);
+  } catch {
+    start = false;
+  }
+  return encodePreview(...picture);
+}
+
+async function inWorker(picture) {
   const worker = idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { execArgv: [] }); // --eval, say, is not its
   worker.ref();
   worker.postMessage(picture);
   const [answer] = await once(worker, "message");
   worker.unref(); // an idle one does not keep the process
   idle.push(worker);
-  if (answer instanceof Error) throw answer;
   return answer;
 }

@@ -3,10 +3,4 @@
 import { parentPort } from "node:worker_threads";
 import { encodePreview } from "./encoder.js";
 
-parentPort.on("message", (picture) => {
-  try {
-    parentPort.postMessage(encodePreview(...picture));
-  } catch (error) {
-    parentPort.postMessage(error);
-  }
-});
+parentPort.on("message", (picture) => parentPort.postMessage(encodePreview(...picture)));

@@ -1,6 +1,7 @@
 import type { Preview } from "./encoder.js";
 
 export { elementOf } from "./element.js";
+export { SgError } from "./preview.js";
 
 export interface Options {
   /** Maximum size of the file in `text`, 16 to 1,024; 200 by default. */
@@ -18,10 +19,11 @@ export interface Made extends Omit<Preview, "bytes"> {
 }
 
 /**
- * The preview of a photograph, made in a worker thread. Needs sharp 0.34 or later.
+ * The preview of a photograph, made in a worker thread, or in this one where none starts. Needs sharp 0.34 or later.
  *
  * @param photograph a path, a file URL, or the bytes of an image file, such as a Buffer
- * @throws Error if the file cannot be read, or if sharp is missing; TypeError for something else than a photograph, or
- * for an unknown option; RangeError for wrong bytes or characters
+ * @throws SgError if the bytes or the file hold no picture that sharp reads; Error if there is no such file, or if sharp
+ * is missing; TypeError for something else than a photograph, for an unknown option or a wrong cache; RangeError for
+ * wrong bytes or characters
  */
-export function previewOf(photograph: string | URL | Uint8Array, options?: Options): Promise<Made>;
+export function previewOf(photograph: string | URL | Uint8Array | ArrayBuffer, options?: Options): Promise<Made>;

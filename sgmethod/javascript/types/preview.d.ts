@@ -8,7 +8,7 @@ export interface Picture {
 /** An ImageData where the type exists. */
 export type Drawn = typeof globalThis extends { ImageData: { prototype: infer T } } ? T : Picture;
 
-/** A text or a file that cannot be decoded. */
+/** A text or a file that cannot be decoded, or a photograph that cannot be read. */
 export class SgError extends Error {}
 
 /**
