@@ -1,4 +1,4 @@
-"""Planes of samples, reduced to half the size."""
+"""Planes of samples: reduced to half the size, and blurred."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.native import native
 from sgmethod.opencv import cv2
+from sgmethod.scene import FloatArray
 
 Beyond = Literal["edge", "constant"]
 
@@ -33,3 +35,10 @@ def halved(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
 def all_halved(planes: NDArray[Any]) -> NDArray[Any]:
     """Reduce planes [N, H, W] to half the size."""
     return np.stack([halved(plane) for plane in planes])
+
+
+def gains(planes: list[FloatArray], sigmas: FloatArray, scales: FloatArray) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """Largest of scales [N] times the sum of squares of planes [3][H, W] blurred by sigmas [N], and its number."""
+    gain, chosen = np.empty(planes[0].shape, np.float32), np.empty(planes[0].shape, np.uint8)
+    native.gains(planes[0], planes[1], planes[2], sigmas, scales, gain, chosen)
+    return gain, chosen

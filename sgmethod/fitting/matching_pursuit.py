@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.planes import even, halved
+from sgmethod.backend.planes import even, gains, halved
 from sgmethod.fitting.bands import Rows, bands, in_strips
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
@@ -38,7 +38,7 @@ from sgmethod.scene import FloatArray
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first fits a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
-REACH = 4  # radius of a blur's kernel in cv2, in multiples of its scale
+REACH = 4  # radius of a blur's kernel, in multiples of its scale
 
 
 class Places(NamedTuple):
@@ -119,23 +119,9 @@ class _Level:
         self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
         self.depth: int = 0 if coarser is None else coarser.depth + 1  # number of coarser levels
         self._most: dict[int, FloatArray] = {}
-        height, width = planes[0].shape
-        self.gain = np.empty((height, width), np.float32)
-        self.chosen = np.zeros((height, width), np.uint8)  # index of the blur with the largest gain
-
-        def strip(first: int, end: int) -> None:
-            margin = math.ceil(REACH * blurs[-1] / shrink) + 1
-            top, bottom = max(first - margin, 0), min(end + margin, height)
-            part, inside = [plane[top:bottom] for plane in planes], slice(first - top, end - top)
-            gain, chosen = self.gain[first:end], self.chosen[first:end]
-            gain[...] = _gain(part, blurs[0] / shrink, blurs[0])[inside]
-            for index, b in enumerate(blurs[1:], 1):
-                more = _gain(part, b / shrink, b)[inside]
-                # Indices rise, so the maximum keeps the last blur that exceeded all before it.
-                np.maximum(chosen, (more > gain).view(np.uint8) * np.uint8(index), out=chosen)
-                np.maximum(gain, more, out=gain)
-
-        in_strips(strip, height)
+        sigmas = np.array(blurs, np.float32)
+        # The gains, and the index of the blur that each is of.
+        self.gain, self.chosen = gains(planes, sigmas / np.float32(shrink), np.float32(GAIN) * sigmas**2)
 
     def most(self, coarser: int) -> FloatArray:
         """Largest gain on this level and the next `coarser` ones."""
@@ -230,15 +216,6 @@ def _enlarged(plane: FloatArray, first: int, end: int, width: int) -> FloatArray
     part = plane[top : end // 2 + 2]
     large = cv2.resize(part, (part.shape[1] * 2, part.shape[0] * 2), interpolation=cv2.INTER_LINEAR)
     return np.asarray(large[first - 2 * top : end - 2 * top, :width], np.float32)
-
-
-def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
-    """Gain of a round Gaussian at each sample. sigma, blur: the same scale, in samples and in pixels of the picture."""
-    total = np.zeros(planes[0].shape, np.float32)
-    for plane in planes:
-        cv2.accumulateSquare(cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101), total)
-    total *= GAIN * blur * blur
-    return total
 
 
 def _shrink(blur: float, shorter_side: int) -> int:

@@ -202,6 +202,21 @@ def seen_difference(
 ) -> float:
     """VISIBLE times the squared difference of pictures [height, width, 3], as the visibility counts it."""
 
+def gains(
+    red: FloatArray,
+    green: FloatArray,
+    blue: FloatArray,
+    sigmas: FloatArray,
+    scales: FloatArray,
+    gain: FloatArray,
+    chosen: NDArray[np.uint8],
+    isa: int = -1,
+) -> None:
+    """Blur a residual's planes [height, width], mirrored at their edges, by each sigma [N].
+
+    gain [height, width]: the largest of a scale times the sum of the blurred planes' squares; chosen: whose it is.
+    """
+
 def superpixels(lab: FloatArray, side: int, compactness: float) -> NDArray[np.int32]:
     """Labels [height, width] of an image [3, height, width] in CIELAB, as cv2.ximgproc's SLIC has them."""
 

@@ -1,9 +1,12 @@
 #include <algorithm>
 #include <utility>
+#include <vector>
 
 #include "bindings/arrays.h"
 #include "bindings/lock.h"
+#include "core/isa.h"
 #include "core/thread_pool.h"
+#include "fit/gains.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
 #include "fit/pixels.h"
@@ -63,6 +66,22 @@ double seen_difference(Pixels a, Pixels b, Visibility visibility, bool by_eye, d
   return sg::seen_difference(a.data(), b.data(), width, height, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike, coarse);
 }
 
+void gains(Plane red, Plane green, Plane blue, Numbers sigmas, Numbers scales, PlaneOut gain, MarksOut chosen,
+           int isa) {
+  const int height = side(red, 0), width = side(red, 1);
+  const auto as_red = [&](const auto& plane) { return side(plane, 0) == height && side(plane, 1) == width; };
+  require(as_red(green) && as_red(blue) && as_red(gain) && as_red(chosen), "the planes have different sizes");
+  require(sigmas.size() == scales.size() && 0 < sigmas.size() && sigmas.size() < 256, "one scale for each blur");
+  require(isa <= sg::best_isa(), "this processor lacks the instruction set");
+  const auto fits = [](float sigma) { return sigma > 0 && sigma < 1000; };
+  require(std::all_of(sigmas.data(), sigmas.data() + sigmas.size(), fits), "a blur is out of range");
+  std::vector<sg::Blur> blurs;
+  for (size_t i = 0; i < sigmas.size(); ++i) blurs.emplace_back(sigmas.data()[i], scales.data()[i]);
+  const Unlocked unlocked;
+  sg::gains({red.data(), green.data(), blue.data()}, width, height, blurs, isa < 0 ? sg::best_isa() : isa, gain.data(),
+            chosen.data());
+}
+
 auto superpixels(Image lab, int region, float compactness) {
   const int height = side(lab, 1), width = side(lab, 2);
   require(1 <= region && region <= std::min(width, height), "a region has 1 pixel along a side, or up to the image's");
@@ -92,5 +111,7 @@ void bind_fit(nb::module_& m) {
         "factors"_a.noconvert(), "colors"_a.noconvert());
   m.def("squared_difference", &squared_difference, "a"_a, "b"_a);
   m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a, "coarse"_a = 0.0);
+  m.def("gains", &gains, "red"_a, "green"_a, "blue"_a, "sigmas"_a, "scales"_a, "gain"_a.noconvert(),
+        "chosen"_a.noconvert(), "isa"_a = -1);
   m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);
 }
