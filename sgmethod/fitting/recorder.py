@@ -10,7 +10,6 @@ from sgmethod.fitting.deadline import Clock
 from sgmethod.trace import Preview, Progress, TracePoint, share_of
 
 REPORT_INTERVAL_S = 0.1
-MEASURED_SHARE = 0.01  # of the time, at most, in which errors are measured for the trace
 
 
 @dataclass(frozen=True)
@@ -35,11 +34,11 @@ class Recorder:
     ) -> None:
         """Add a point if one is due.
 
-        mse: the error, or a function that measures it only for the trace; size: of the file in bytes, 0 while unknown;
-        tries: quanta that the search usually tries.
+        mse: the error, or a function that measures it only for the trace, in at most a twentieth of the time; size: of
+        the file in bytes, 0 while unknown; tries: quanta that the search usually tries.
         """
         seconds = self.clock.seconds()
-        interval_s = max(REPORT_INTERVAL_S, sum(self._slow_s) / MEASURED_SHARE)
+        interval_s = max(REPORT_INTERVAL_S, 20 * self._slow_s[-1] if self._slow_s else 0.0)
         new_phase = not self.points or self.points[-1].phase != phase
         if not (new_phase or step == steps or seconds - self.points[-1].seconds >= interval_s):
             return
