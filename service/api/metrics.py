@@ -68,7 +68,8 @@ def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
         (outcomes.ENCODING, "From the claim of a job to its file."),
         (outcomes.QUEUEING, "From the acceptance of a job to its last claim, of jobs that ended."),
     ):
-        buckets = [(floatToGoString(bound_s), number) for bound_s, number in outcomes.histogram(so_far, name)]
+        histogram = outcomes.histogram(so_far, name)
+        buckets = [(floatToGoString(bound_s), number) for bound_s, number in histogram]  # type: ignore[no-untyped-call]
         yield HistogramMetricFamily(f"sgmethod_{name}", words, buckets, so_far.get(name, 0.0))
 
 

@@ -43,8 +43,7 @@ class TaskProcess:
     """A forked process for one task.
 
     control: socket on which it receives the task; answer: blocking socket shared with the client, set once the task is
-    known; status: exit status, once it has ended; is_long: whether
-    it has the priority of an encode.
+    known; status: exit status, once it has ended; is_long: whether it has the priority of an encode.
     """
 
     def __init__(self, number: int, control: socket.socket) -> None:
@@ -281,7 +280,11 @@ def main() -> None:
     warm_up()
     gc.collect()
     gc.freeze()  # so that forks share it
-    Server(requests, sys.argv[2:]).run()
+    server = Server(requests, sys.argv[2:])
+    try:
+        server.run()
+    finally:
+        signal.set_wakeup_fd(-1)  # the socket closes before the last forks end
 
 
 if __name__ == "__main__":
