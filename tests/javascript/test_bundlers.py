@@ -67,7 +67,7 @@ def test_a_build(each_browser: Page, vite_site: Path, built: Site) -> None:
     assert [len(from_text(one["text"])) <= most for one, most in ((first, 100), (second, 64))] == [True, True]
     assert first["uri"].startswith('url("data:image/webp;base64,')
     assert second["uri"] == ""
-    assert first["display"] == "block"
+    assert first["display"] == "grid"
     assert first["loaded"] == 0
     built.may.set()
     wait_until(lambda: all(one["loaded"] == 128 and not one["drawn"] for one in each_browser.run(SHOWN)))

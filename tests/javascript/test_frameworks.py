@@ -189,7 +189,7 @@ def test_a_production_build_shows_previews(page: Chromium, installed: Callable[[
         page.open(url)
         wait_until(lambda: [(one["loaded"], one["drawn"]) for one in page.run(SHOWN)] == [(128, False)])
         (shown,) = page.run(SHOWN)
-        assert (shown["alt"], shown["display"]) == ("A red door", "block")
+        assert (shown["alt"], shown["display"]) == ("A red door", "grid")
         assert len(from_text(shown["text"])) <= 200
         wait_until(lambda: page.run("return Boolean(customElements.get('sg-img'))"))
         assert [line for line in page.complaints() if "favicon.ico" not in line] == []
