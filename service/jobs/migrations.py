@@ -92,6 +92,7 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
         "CREATE INDEX queue_by_client ON jobs (client) WHERE state = 'queued'",
     ),
 )
+NEWEST_VERSION = FIRST_VERSION + len(MIGRATIONS)
 
 
 def migrate(db: Database, version: int | None, create: Iterable[str]) -> int | None:
@@ -100,16 +101,15 @@ def migrate(db: Database, version: int | None, create: Iterable[str]) -> int | N
     version: that of the tables, None if there are none; create: statements that make those of FIRST_VERSION. Raises
     JobTableError for a version that cannot be brought to today's.
     """
-    newest = FIRST_VERSION + len(MIGRATIONS)
     if version is None:
         for statement in create:
             db.execute(statement)
-    elif not FIRST_VERSION <= version <= newest:
-        known = f"this service reads versions {FIRST_VERSION} to {newest}"
+    elif not FIRST_VERSION <= version <= NEWEST_VERSION:
+        known = f"this service reads versions {FIRST_VERSION} to {NEWEST_VERSION}"
         raise JobTableError(f"the job table has version {version}, and {known}; install the service that wrote it")
-    elif version < newest:
-        log.info("bringing the job table from version %d to %d", version, newest)
+    elif version < NEWEST_VERSION:
+        log.info("bringing the job table from version %d to %d", version, NEWEST_VERSION)
     for statements in MIGRATIONS[(version or FIRST_VERSION) - FIRST_VERSION :]:
         for statement in statements:
             db.execute(statement)
-    return None if version == newest else newest
+    return None if version == NEWEST_VERSION else NEWEST_VERSION

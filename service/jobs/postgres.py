@@ -14,7 +14,7 @@ from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
 from service.errors import JobTableError
-from service.jobs.migrations import SCHEMA, migrate
+from service.jobs.migrations import NEWEST_VERSION, SCHEMA, migrate
 from service.jobs.statements import Database
 from service.jobs.table import JobTable
 from service.settings import Settings
@@ -105,6 +105,10 @@ def _set_up(conninfo: str) -> None:
         db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
         row = db.execute("SELECT version FROM version WHERE part = 'jobs'").fetchone()
         found = None if row is None else int(row["version"])
+        if (
+            found is not None and found < NEWEST_VERSION
+        ):  # at once, or a service that is submitting a job and this would wait for each other
+            db.execute("LOCK TABLE jobs IN ACCESS EXCLUSIVE MODE")
         version = migrate(_Session(db), found, (f"{EPOCH} {SCHEMA.format(number=NUMBER)} {TRIGGERS}",))
         if version is not None:
             db.execute(
@@ -137,7 +141,8 @@ class PostgresJobTable(JobTable):
         # Each connection is checked when it is taken, since a restart of the database breaks it.
         self._pool = ConnectionPool(
             conninfo,
-            kwargs={"autocommit": True, "row_factory": dict_row},
+            # Statements that the server keeps prepared would fail once a newer service has added a column.
+            kwargs={"autocommit": True, "row_factory": dict_row, "prepare_threshold": None},
             configure=_begin_session,
             min_size=1,
             max_size=CONNECTIONS,

@@ -127,7 +127,7 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
       }
     sg::add_rate_gradient(0.1f, 1.0f, 0, 300, g.rows(), by.rows());
     const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f, 2.0f, 1000.0f);
-    sg::frame_adam(settings, 1.0f, 0, 300, g.rows(), by.rows(), {first.data(), second.data(), bias.data()});
+    sg::frame_adam(settings, {nullptr, 0, 0, 1.0f, 0.0f}, 1.0f, 0, 300, g.rows(), by.rows(), {first.data(), second.data(), bias.data()});
     sg::keep_in_range(2.0f, kWidth, kHeight, 0, 300, g.rows());
   }
 }
