@@ -53,6 +53,7 @@ PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
 STABLE_READS = 5  # times in a row: a file that is being written may end after any line
 KEEP_ALIVE_S = 75  # longer than a proxy keeps connections, so that it does not send a request as one closes
+FRESH_S = 10  # for which scripts need not be asked for again: the workers of a page import the same ones
 
 log = logging.getLogger(__name__)
 
@@ -70,13 +71,16 @@ class PageFiles(StaticFiles):
     def file_response(self, *args: Any, **options: Any) -> Response:
         response = super().file_response(*args, **options)
         response.headers["Content-Security-Policy"] = self._policy
+        response.headers["Cache-Control"] = f"max-age={FRESH_S}"
         return response
 
     def page(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         """Return the handler of one page."""
 
         async def answer(request: Request) -> Response:
-            return await self.get_response(name, request.scope)
+            response = await self.get_response(name, request.scope)
+            del response.headers["Cache-Control"]  # the page itself is asked for each time
+            return response
 
         return answer
 

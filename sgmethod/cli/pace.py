@@ -8,7 +8,6 @@ from pathlib import Path
 
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.terminal import remaining
-from sgmethod.errors import SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.opening import ImageLimits
 from sgmethod.many.run import Tally
@@ -58,7 +57,7 @@ def pixels_of(picture: str) -> int | None:
                 with formats.reader_of(kind)(file) as image:
                     width, height = image.size
         ImageLimits().check(width, height)
-    except (SgError, OSError, ValueError, SyntaxError, RuntimeError):
+    except Exception:  # of any reader: the encode itself says what is wrong
         return None
     return width * height
 

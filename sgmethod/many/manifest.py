@@ -95,8 +95,7 @@ class Manifest:
                     if row["error"] is None:
                         self._made[name], self.sources[name] = made, Path(source).name
                     else:
-                        self._made.pop(name, None)
-                        self.sources.pop(name, None)
+                        self._made.pop(name, None)  # the file of an earlier run stays, and so does whose it is
                 except (ValueError, KeyError, TypeError) as error:
                     raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
 

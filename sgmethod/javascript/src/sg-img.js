@@ -24,7 +24,7 @@ img:not([src], [srcset]) { opacity: 0 } /* or a browser's sign of a broken image
 // would stay beside a photograph that does not fill its box, goes when there is more to see.
 const PAGE_STYLE = `@layer { sg-img > picture > img {
   grid-area: 1 / 1; min-width: 100%; max-width: 100%; height: 100%; object-fit: inherit; object-position: inherit }
-sg-img:state(--shown) img[style*="data:image/"] { background: none !important } }`;
+sg-img:state(--shown) img[style*="data:image/"] { background-image: none !important } }`;
 
 const waiting = new Set(); // elements' turns to draw, in order
 const sheets = new WeakMap(); // by document, since a style sheet belongs to one

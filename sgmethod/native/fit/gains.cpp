@@ -105,6 +105,7 @@ SG_INLINE void gains_body(const Residual& residual, const std::vector<Blur>& blu
       float* const most = gain + int64_t{row} * residual.width + first;
       uint8_t* const which = chosen + int64_t{row} * residual.width + first;
       std::fill_n(most, count, -1.0f);
+      std::fill_n(which, count, uint8_t{0});  // where no gain is a number
       for (size_t b = 0; b < blurs.size(); ++b) {
         const float* const squares = part.squares<W>(blurs[b], row, first, count);
         const float scale = blurs[b].scale;
