@@ -162,7 +162,7 @@ def test_damage_seen_in_part() -> None:
     views = st.builds(lambda scale, prefix: View(scale, None, prefix), scales, prefixes)
     needles = [NEEDLES] * 4  # few changes leave them as many as overlap
     seen = explore([*golden(2).values(), CROWDED, HUGE, *needles], VERSION_2, views)
-    assert seen["drawn"] > settings().max_examples / 5
+    assert seen["drawn"] > settings().max_examples / 50  # a damaged tail is refused, whatever part is drawn
     assert min(seen["limit"], seen["overlap"], seen["than the data"], seen["other"]) > 0
 
 

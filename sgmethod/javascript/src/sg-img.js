@@ -169,8 +169,8 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
 
   #uncover() {
     const canvas = this.#canvas;
-    this.#canvas = this.#drawn = null;
     if (!canvas) return;
+    this.#canvas = this.#drawn = null;
     canvas.style.opacity = 0; // also if the animation is cancelled
     const duration = matchMedia("(prefers-reduced-motion: reduce)").matches ? 0 : FADE_MS;
     canvas.animate([{ opacity: 1 }, { opacity: 0 }], duration).onfinish = () => canvas.remove();
