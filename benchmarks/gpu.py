@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -34,12 +35,12 @@ import sgmethod
 import sgmethod.torch
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, pictures_in, sized
-from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.protocol import CUTOFF, Descent, Frame, Moments
 from sgmethod.fitting.level import Histogram, target_of
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import NEWTON_ADAM
+from sgmethod.torch.pairs import Pairs
 
 Row = dict[str, Any]
 LIMIT_S = 400  # no row begins later, and fits stop then, so that the last one ends within eight minutes
@@ -94,7 +95,7 @@ class Bench:
 
     def errors(self, megapixels: float, n: int, pyramid: bool) -> Row:
         """The kernels against lists of pairs in double precision."""
-        from sgmethod.backend.tiles import Tiles
+        from sgmethod.torch.tiles import Tiles
 
         width, height = self._size(megapixels)
         values = self._gaussians(width, height, n, 1)
@@ -109,7 +110,7 @@ class Bench:
 
     def decode(self, megapixels: float, n: int, batch: int) -> Row:
         """Drawn pictures a second, as the paper counts them."""
-        from sgmethod.backend.tiles import Tiles
+        from sgmethod.torch.tiles import Tiles
 
         width, height = self._size(megapixels)
         values = self._gaussians(width, height, n, batch)
@@ -133,10 +134,10 @@ class Bench:
 
     def steps(self, batch: int) -> Row:
         """Milliseconds of a step, and the error that some of them leave from a random start."""
-        from sgmethod.backend.tensors import Tensors
+        from sgmethod.torch.together import Together
 
         side, n, count = self.sizes.side, self.sizes.each, 2 * self.sizes.repeats
-        backend, frame, price = Tensors(self.device, tiled=True), Frame(side, side), 1e-4 / (3 * side * side)
+        backend, frame, price = Together(self.device, 1, Event()), Frame(side, side), 1e-4 / (3 * side * side)
         means, factors, colors = (values.cpu().numpy() for values in self._gaussians(side, side, n, batch))
         fits = []
         for k, picture in enumerate(self._pictures(batch)):

@@ -33,10 +33,10 @@ The packages and modules, in the order of the pipeline; each imports only from t
     previews/   a picture -> a text of a few hundred characters, for web pages
     many/       any number of pictures, in several processes, with a manifest
     exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
-    torch/      tensors: the differentiable renderer, files, data sets
     pillow/     .sg files for Pillow
     client/     client of an encoding service
     cli/        the command line
+    torch/      tensors: the differentiable renderer, fits on GPUs, files, data sets
 
 javascript/ holds the decoder for browsers, `<sg-img>`, and the npm package of both.
 

@@ -114,9 +114,18 @@ IMPORT = r"^\s*(from|import) "
 RULES = {
     "the service leaves the encoder to confined processes": (
         "service",
-        r"sgmethod\.(codec|rd|paper|fitting|start|previews)\b|from sgmethod import .*\b(codec|encode|preview)\b"
-        rf"|{IMPORT}torch",
+        r"sgmethod\.(codec|rd|paper|fitting|start|previews)\b|from sgmethod import .*\b(codec|encode|preview)\b",
         "service/sandbox/tasks.py",
+    ),
+    "only tensors, which nothing needs, and profile paper import PyTorch": (
+        "sgmethod service",
+        IMPORT + r"((sgmethod\.)?torch|triton)\b|from sgmethod import .*\btorch\b",
+        "sgmethod/paper/ sgmethod/torch/",
+    ),
+    "profile paper has one door": (
+        "sgmethod service",
+        IMPORT + r"sgmethod\.paper\b|from sgmethod import .*\bpaper\b",
+        "sgmethod/codec.py sgmethod/paper/",
     ),
     "the encoder computes through its backend": (
         "sgmethod/rd sgmethod/fitting sgmethod/paper",

@@ -39,7 +39,7 @@ from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, middle_of, named_in
 from benchmarks.tables import mean, number, standard_error, table
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import CUTOFF_V1, Descent, Frame
+from sgmethod.backend.protocol import CUTOFF_V1, Frame, Moments
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
@@ -141,7 +141,7 @@ def placed(row: Row, pixels: Pixels, seed: int) -> Gaussians:
 def on_cpu(row: Row, pixels: Pixels, start: Gaussians) -> Gaussians:
     """The fit of profile paper, or GaussianImage's."""
     clock = Clock()
-    level = paper.level_of(pixels, Kernels())
+    level = paper.level_of(pixels)
     if row.theirs:
         gradient_of = partial(by_clamped, lambda_g=row.settings.lambda_g)
         return fit_by_adan(start, torch.from_numpy(level.image()), AdanSettings(), row.settings.fit_steps, gradient_of)
@@ -152,7 +152,7 @@ def on_gpu(
     device: str, ends: float, row: Row, pixels: Sequence[Pixels], starts: Sequence[Gaussians]
 ) -> list[Gaussians]:
     """The same fits, all at once: rows differ in their starts alone."""
-    from sgmethod.backend.tiles import Tiles
+    from sgmethod.torch.tiles import Tiles
 
     s, (height, width) = row.settings, pixels[0].shape[:2]
     max_count = max(map(len, starts))
@@ -161,11 +161,7 @@ def on_gpu(
     values = [torch.from_numpy(of).to(device) for of in filled]
     target = torch.from_numpy(np.stack(pixels)).to(device).permute(0, 3, 1, 2).float().div(255).contiguous()
     frame = Frame(width, height, CUTOFF_V1, pyramid=False)
-    shape = len(pixels), max_count
-    moments = [torch.zeros(*shape, 8, device=device), torch.zeros(*shape, 8, device=device)]
-    moments.append(torch.ones(*shape, 2, device=device))
-    descent = Descent(frame, np.zeros((3, 0, 0), np.int16), None, 1.0, 0.0, width, height, s.optimiser)
-    adan = Adan(AdanSettings(), width, height)
+    moments, adan = Moments.none(len(pixels) * max_count), Adan(AdanSettings(), width, height)
     nowhere = torch.tensor([len(one) for one in starts], device=device)[:, None] <= torch.arange(
         max_count, device=device
     )
@@ -173,12 +169,16 @@ def on_gpu(
         if time.monotonic() > ends:
             raise TimeoutError(f"no time is left after {step} steps")
         tiles = Tiles(frame, *values)
-        by_image = (by_clamped if row.theirs else by_picture)(tiles.draw(), target, s.lambda_g)
+        gradient = tiles.gradients((by_clamped if row.theirs else by_picture)(tiles.draw(), target, s.lambda_g))
         if row.theirs:
-            adan.step(values, tiles.gradients(by_image))
-            values[1][nowhere] = 0
-        else:
-            tiles.step_by(by_image, moments, descent, cosine(s.optimiser.final_rate, step / s.fit_steps))
+            adan.step(values, gradient)
+        else:  # by the kernels on the CPU, as in on_cpu()
+            moving, by = (Gaussians(*(one.flatten(0, 1).cpu().numpy() for one in of)) for of in (values, gradient))
+            rate = cosine(s.optimiser.final_rate, step / s.fit_steps)
+            Kernels().step(moving, by, moments, s.optimiser, rate, 1)
+            for one, moved in zip(values, moving.arrays, strict=True):
+                one.copy_(torch.from_numpy(moved).view_as(one))
+        values[1][nowhere] = 0
     found = [of.cpu().numpy() for of in values]
     return [Gaussians(*(of[k, : len(one)].copy() for of in found)) for k, one in enumerate(starts)]
 

@@ -19,7 +19,6 @@ import torch
 from torch import Tensor
 
 from benchmarks.ablation.gains import PIXELS, pixels_of
-from sgmethod.backend.kernels import Kernels
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
@@ -126,6 +125,6 @@ def _fitted(
 ) -> tuple[Level, Gaussians]:
     """The picture as the fit sees it, and the Gaussians fitted to it."""
     pixels, clock = pixels_of(path, middle), Clock()
-    level = level_of(pixels, Kernels())
+    level = level_of(pixels)
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(seed))
     return level, fit(level, start, settings, Recorder(clock), Deadline.from_limit(clock))[0]

@@ -19,7 +19,6 @@ from PIL import Image, ImageOps
 
 from benchmarks.machine import ISA_NAMES
 from benchmarks.pictures import Pixels
-from sgmethod.backend.kernels import Kernels
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
@@ -41,7 +40,7 @@ def fitted(pixels: Pixels, n: int, steps: int) -> Gaussians:
     """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest."""
     settings, clock = replace(PAPER, fit_steps=steps), Clock()
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
-    return fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline.from_limit(clock))[0]
+    return fit(level_of(pixels), start, settings, Recorder(clock), Deadline.from_limit(clock))[0]
 
 
 def jobs_on(gaussians: Gaussians) -> dict[str, Callable[[int], object]]:

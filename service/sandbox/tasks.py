@@ -37,13 +37,9 @@ TINY_SIZE = (8, 8)
 # glibc's malloc.h: thresholds above which freed memory returns to the system.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 TRIM_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
-# Modules that tasks do not need, or that need PyTorch or Triton.
+# Modules that tasks do not need, or that need PyTorch.
 NOT_IMPORTED = {
-    f"sgmethod.{name}"
-    for name in (
-        *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch"),
-        *("backend.tensors", "backend.pairs", "backend.tiles", "backend.together", "backend.tile_kernels"),
-    )
+    f"sgmethod.{name}" for name in ("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch")
 }
 
 CORES = native.available_cores()  # asked here: a confined task opens no file

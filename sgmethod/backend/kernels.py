@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from sgmethod.backend.protocol import (
     Coding,
     Descent,
     Frame,
-    Loss,
     Moments,
     RefineLimits,
     Target,
@@ -21,6 +20,8 @@ from sgmethod.backend.protocol import (
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
+
+Loss = Callable[[Gaussians], tuple[float, Gaussians]]
 
 
 class Kernels:
@@ -51,6 +52,10 @@ class Kernels:
         return mse, _by_whole_pixels(out, frame)
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
+        """Build the loss MSE + lambda_g L_g (paper, section III-D) against image [3, H, W].
+
+        The returned function of Gaussians gives the MSE and the gradient of the sum.
+        """
         loss = native.ReconstructionLoss(image, lambda_g)
         drawn, by_image = np.empty_like(image), np.empty_like(image)
 

@@ -5,7 +5,7 @@ Means and factors are always in pixels of the whole picture, whatever the frame'
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -31,8 +31,6 @@ SEEN_COLOR, SEEN_LUMA = native.SEEN_COLOR, native.SEEN_LUMA
 NO_LIMIT = 1 << 40  # bytes
 thread_count, release_memory = native.thread_count, native.release_memory
 seen_difference = native.seen_difference
-
-Loss = Callable[[Gaussians], tuple[float, Gaussians]]
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ class Descent:
 
 
 class Backend(Protocol):
-    """The eleven functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
+    """The ten functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
 
     def residual(
         self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
@@ -178,12 +176,6 @@ class Backend(Protocol):
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
         """Mean squared error, and its gradient by every parameter."""
-
-    def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
-        """Build the loss MSE + lambda_g L_g (paper, section III-D) against image [3, H, W].
-
-        The returned function of Gaussians gives the MSE and the gradient of the sum.
-        """
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
         """Inner product [N, 3] of each Gaussian with the picture of all, weighted by visibility.values only."""

@@ -20,7 +20,6 @@ from sgmethod.backend.protocol import (
     Coding,
     Descent,
     Frame,
-    Loss,
     Moments,
     RefineLimits,
     Target,
@@ -192,10 +191,6 @@ class OnSheet:
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
         return self.backend.gradients(self._on_sheet(gaussians), frame, target, visibility)
-
-    def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
-        loss = self.backend.regularised(frame, image, lambda_g)
-        return lambda gaussians: loss(self._on_sheet(gaussians))
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
         return self.backend.gram(self._on_sheet(gaussians), frame, visibility)

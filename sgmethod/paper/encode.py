@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.container import smallest_file
 from sgmethod.bitstream.v1 import StreamV1
@@ -43,7 +41,6 @@ class Request:
     settings: PaperSettings
     deadline: Deadline
     recorder: Recorder
-    backend: Backend
     seed: int = 0
 
     @property
@@ -60,7 +57,7 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     budget, settings = asked.budget, asked.settings
     assert isinstance(settings, PaperSettings)
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, pixels.shape[0] * pixels.shape[1])
-    request = Request(pixels, asked.profile, settings, deadline, recorder, Kernels(), asked.seed)
+    request = Request(pixels, asked.profile, settings, deadline, recorder, asked.seed)
     with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
             stream, steps = reach_psnr(request, budget.value)
@@ -111,7 +108,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     s, recorder = request.settings, request.recorder
     image = request.pixels.astype(np.float32)
     image /= 255
-    level = level_of(request.pixels, request.backend)
+    level = level_of(request.pixels)
     start = place(image, n, s.start, np.random.default_rng(request.seed))
     fitted, fit_steps = fit(level, start, s, recorder, request.deadline.after(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)

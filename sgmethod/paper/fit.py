@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss, Moments
+from sgmethod.backend.kernels import Kernels, Loss
+from sgmethod.backend.protocol import CUTOFF_V1, Frame, Moments
 from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level, target_of
@@ -16,16 +17,16 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
 
 
-def level_of(pixels: np.ndarray, backend: Backend) -> Level:
+def level_of(pixels: np.ndarray) -> Level:
     """Build the level that Gaussians of a version 1 file are fitted to, from pixels uint8 [H, W, 3]."""
-    return Level(backend, Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
+    return Level(Kernels(), Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
 
 
 def loss_of(level: Level, lambda_g: float) -> Loss:
     """Build the loss MSE + lambda_g L_g, a function of Gaussians."""
     if lambda_g == 0:
         return level.gradients
-    return level.backend.regularised(level.frame, level.image(), lambda_g)
+    return Kernels().regularised(level.frame, level.image(), lambda_g)
 
 
 def usable(start: Gaussians, level: Level) -> Gaussians:

@@ -1,7 +1,7 @@
 """The differentiable renderer, as two operators of torch: drawing, and its gradients.
 
-Single precision goes to the compiled kernels on the CPU, and to Triton's (backend/tiles.py) on a GPU that has them;
-everything else goes to lists of pairs (backend/pairs.py), which are plain operations on tensors. All draw what
+Single precision goes to the compiled kernels on the CPU, and to Triton's (tiles.py) on a GPU that has them;
+everything else goes to lists of pairs (pairs.py), which are plain operations on tensors. All draw what
 docs/format.md defines.
 """
 
@@ -19,15 +19,15 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
-from sgmethod.backend.devices import has_tiles
-from sgmethod.backend.pairs import Pairs, is_drawn
 from sgmethod.backend.protocol import Frame
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
+from sgmethod.torch.devices import has_tiles
+from sgmethod.torch.pairs import Pairs, is_drawn
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance
 
 if TYPE_CHECKING:
-    from sgmethod.backend.tiles import Tiles
+    from sgmethod.torch.tiles import Tiles
 
 
 def render(
@@ -207,7 +207,7 @@ def _is_tiled(values: Tensor) -> bool:
 
 
 def _tiles(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: int, pyramid: bool) -> Tiles:
-    from sgmethod.backend.tiles import Tiles
+    from sgmethod.torch.tiles import Tiles
 
     return Tiles(Frame(width, height, native.CUTOFF_V2, pyramid), means, factors, colors)
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
-from sgmethod.backend.devices import backend_on, checked_device, has_tiles
+from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.budget import MAX_GAUSSIANS
@@ -25,8 +25,10 @@ from sgmethod.fitting.deadline import Clock
 from sgmethod.io.decoding import check_range
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
-from sgmethod.rd.exact import Exact, ExactFit
 from sgmethod.scene import Pixels
+from sgmethod.torch.devices import checked_device, has_tiles
+from sgmethod.torch.exact import Exact, ExactFit
+from sgmethod.torch.tensors import Tensors
 from sgmethod.trace import Stop
 
 OnProgress = Callable[[float], None]
@@ -142,14 +144,16 @@ def _backends(
 ) -> tuple[int, list[AbstractContextManager[Backend]]]:
     """How many pictures are fitted at a time, and the backend of each, to be left when its fit ends."""
     if has_tiles(device):
-        from sgmethod.backend.together import Together
+        from sgmethod.torch.together import Together
 
         places = max(1, min(MAX_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
         starts = range(0, len(pictures), places)
         batches = [Together(device, len(pictures[start : start + places]), abandoned) for start in starts]
         return places, [batches[index // places] for index in range(len(pictures))]
-    has_cores = device.type == "cpu" and len(pictures) >= native.thread_count()
-    return native.thread_count() if has_cores else 1, [nullcontext(backend_on(device))] * len(pictures)
+    if device.type == "cpu":
+        places = native.thread_count() if len(pictures) >= native.thread_count() else 1
+        return places, [nullcontext(Kernels())] * len(pictures)
+    return 1, [nullcontext(Tensors(device))] * len(pictures)
 
 
 class _Watch:

@@ -13,12 +13,12 @@ from torch.utils.data import Dataset
 
 from sgmethod import decoder
 from sgmethod.arguments import AnyInt, checked_integer
-from sgmethod.backend.devices import checked_device
 from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.decoder import MAX_PIXELS, WHOLE, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.io.files import File
 from sgmethod.scene import Gaussians
+from sgmethod.torch.devices import checked_device
 from sgmethod.torch.drawing import checked_size, render
 from sgmethod.torch.shards import Sample, samples_of
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View

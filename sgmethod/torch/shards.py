@@ -24,7 +24,6 @@ import numpy as np
 from torch import Tensor
 
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer
-from sgmethod.backend.devices import checked_device
 from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.errors import ImageError, SgError
 from sgmethod.exchange.ply_and_npz import arrays_of
@@ -32,8 +31,9 @@ from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.image import read_input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import OnRow, Run, Tally, Task, caught, finish_locally
-from sgmethod.rd.exact import Exact
 from sgmethod.scene import Pixels
+from sgmethod.torch.devices import checked_device
+from sgmethod.torch.exact import Exact
 from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
 
 MAX_IN_A_SHARD = 1_000_000

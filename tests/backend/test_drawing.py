@@ -1,4 +1,4 @@
-"""The compiled kernels, and the backend on tensors, against the reference: what is drawn, its errors and gradients.
+"""The compiled kernels against the reference: what is drawn, its errors and gradients.
 
 Errors of an array are in parts of its largest value, which single precision makes 1e-7 at least.
 """
@@ -11,56 +11,50 @@ import torch
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame
-from sgmethod.backend.tensors import Tensors
 from sgmethod.scene import Gaussians
 from tests.backend.cases import FRAMES, VISIBILITIES, image, over, target, visibility, worst
 from tests.definitions.backend import Reference
 
-REFERENCE: Backend = Reference()
-BACKENDS: dict[str, Backend] = {"kernels": Kernels(), "tensors": Tensors(torch.device("cpu"))}
+KERNELS, REFERENCE = Kernels(), Reference()
 
-each_backend = pytest.mark.parametrize("backend", BACKENDS.values(), ids=BACKENDS)
 every_frame = pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
 every_seed = pytest.mark.parametrize("seed", range(2))
 every_visibility = pytest.mark.parametrize("kind", VISIBILITIES)
 
 
-@each_backend
 @every_seed
 @every_frame
-def test_residual(frame: Frame, seed: int, backend: Backend) -> None:
+def test_residual(frame: Frame, seed: int) -> None:
     gaussians, wanted = over(frame, seed), target(seed)
     for first, end in ((0, frame.height), (0, 9), (13, 30)):
         rows = wanted[:, first:end]
-        found = [each.residual(gaussians, frame, rows, first) for each in (backend, REFERENCE)]
+        found = [each.residual(gaussians, frame, rows, first) for each in (KERNELS, REFERENCE)]
         assert worst(*found) < 1e-5  # worst seen 2.9e-6
         if first == 0:
-            halves = [each.residual(gaussians, frame, rows, first, half=True) for each in (backend, REFERENCE)]
+            halves = [each.residual(gaussians, frame, rows, first, half=True) for each in (KERNELS, REFERENCE)]
             assert worst(*halves) < 1e-5
 
 
-@each_backend
 @every_seed
 @every_visibility
 @every_frame
-def test_error_and_gradients(frame: Frame, kind: str, seed: int, backend: Backend) -> None:
+def test_error_and_gradients(frame: Frame, kind: str, seed: int) -> None:
     asked = over(frame, seed), frame, target(seed), visibility(kind, seed)
-    error, gradient = backend.gradients(*asked)
+    error, gradient = KERNELS.gradients(*asked)
     wanted_error, wanted = REFERENCE.gradients(*asked)
     assert REFERENCE.error(*asked) == pytest.approx(wanted_error, rel=1e-14)
     assert error == pytest.approx(wanted_error, rel=3e-6)  # worst seen 1.1e-6
-    assert backend.error(*asked) == pytest.approx(wanted_error, rel=3e-6)  # worst seen 1.1e-6
+    assert KERNELS.error(*asked) == pytest.approx(wanted_error, rel=3e-6)  # worst seen 1.1e-6
     for by, wanted_by in zip(gradient.arrays, wanted.arrays, strict=True):
         assert worst(by, wanted_by) < 1e-5  # worst seen 4.4e-6
 
 
-@each_backend
 @every_seed
 @pytest.mark.parametrize("lambda_g", [0.0, 0.06, 1.0])
 @every_frame
-def test_regularised(frame: Frame, lambda_g: float, seed: int, backend: Backend) -> None:
+def test_regularised(frame: Frame, lambda_g: float, seed: int) -> None:
     """A loss is asked twice, as the second time it must not remember the first."""
-    loss, exact = (each.regularised(frame, image(seed), lambda_g) for each in (backend, REFERENCE))
+    loss, exact = (each.regularised(frame, image(seed), lambda_g) for each in (KERNELS, REFERENCE))
     for gaussians in (over(frame, seed), over(frame, seed + 1)):
         with torch.no_grad():  # as profile paper calls it
             mse, gradient = loss(gaussians)
@@ -70,16 +64,15 @@ def test_regularised(frame: Frame, lambda_g: float, seed: int, backend: Backend)
             assert worst(by, wanted_by) < 1e-5  # worst seen 4.6e-6
 
 
-@each_backend
 @every_seed
 @every_visibility
 @every_frame
-def test_gram(frame: Frame, kind: str, seed: int, backend: Backend) -> None:
+def test_gram(frame: Frame, kind: str, seed: int) -> None:
     asked = over(frame, seed), frame, visibility(kind, seed)
-    assert worst(backend.gram(*asked), REFERENCE.gram(*asked)) < 1e-5  # worst seen 3.4e-6
+    assert worst(KERNELS.gram(*asked), REFERENCE.gram(*asked)) < 1e-5  # worst seen 3.4e-6
 
 
-@pytest.mark.parametrize("backend", [BACKENDS["kernels"], REFERENCE])
+@pytest.mark.parametrize("backend", [KERNELS, REFERENCE])
 @every_frame
 def test_without_gaussians(frame: Frame, backend: Backend) -> None:
     none, wanted = Gaussians.empty(0), target(0)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from sgmethod.backend.planes import all_halved
+from sgmethod.backend.kernels import Loss
 from sgmethod.backend.protocol import (
     COARSE_SIDE,
     GRID_REACH,
@@ -19,7 +20,6 @@ from sgmethod.backend.protocol import (
     VISIBLE,
     Coding,
     Frame,
-    Loss,
     Moments,
     RefineLimits,
     Target,
@@ -111,6 +111,7 @@ class Reference:
         return (errors * counted).sum().item(), _gradient(2 * (errors * counted).sum(), leaves)
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
+        """Build the loss of Kernels.regularised()."""
         target = torch.from_numpy(image.astype(np.float64))
 
         def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:

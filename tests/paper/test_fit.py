@@ -15,7 +15,6 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
@@ -33,13 +32,12 @@ from tests.definitions import drawing
 from tests.rd.short import SlowClock
 from tests.support.pictures import photo
 
-KERNELS = Kernels()
 PHOTO = photo() / np.float32(255)
 FloatArray = NDArray[np.float32]
 
 
 def level(image: FloatArray) -> Level:
-    return level_of(read_input(image), KERNELS)
+    return level_of(read_input(image))
 
 
 def unlimited() -> Deadline:

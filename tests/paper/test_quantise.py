@@ -15,7 +15,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from sgmethod.backend.kernels import Kernels
 from sgmethod.decoder import draw
 from sgmethod.paper.codebook import ResidualCodebook, kmeans
 from sgmethod.paper.fit import level_of
@@ -214,7 +213,7 @@ def test_a_file_is_as_good_as_the_best_step() -> None:
     pixels = photo()[:48, :64]
     settings = replace(PAPER, adaptive_bitwidth=False, lambda_g=0.0)
     start = place(pixels.astype(np.float32) / 255, 60, settings.start, np.random.default_rng(0))
-    tuner = Tuner(start, level_of(pixels, Kernels()), settings, None, 0)
+    tuner = Tuner(start, level_of(pixels), settings, None, 0)
     errors = [tuner.step(rate)[0] for rate in [1.0] * 40 + [40.0] * 5]
     drawn = draw(tuner.stream("paper").scene())
     assert errors[-1] > 1.5 * min(errors)

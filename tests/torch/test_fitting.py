@@ -14,8 +14,8 @@ from torch import Tensor
 import sgmethod
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.metrics import psnr
-from sgmethod.rd.exact import ExactFit
 from sgmethod.torch import Fit, fit, render
+from sgmethod.torch.exact import ExactFit
 from tests.support.pictures import photo
 
 PHOTO = torch.from_numpy(photo()).permute(2, 0, 1)
@@ -67,13 +67,6 @@ def test_neither_threads_nor_neighbours_nor_type_matter(set_threads: Callable[[i
     assert same(fit(BATCH.float() / 255, 30, steps=20), alone)
     assert same(fit(BATCH.permute(0, 2, 3, 1).contiguous().permute(0, 3, 1, 2), 30, steps=20), alone)
     assert not same(fit(BATCH, 30, steps=20, seed=1), alone)
-
-
-def test_kernels_of_another_thread_take_turns_as_before(set_threads: Callable[[int], None]) -> None:
-    """Threads that stay alone end with the fit."""
-    set_threads(2)
-    fit(BATCH, 5, steps=2)
-    assert sgmethod.native.native.thread_count() == 2
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 9), (7, 3), (64, 33)])

@@ -1,4 +1,4 @@
-"""The Triton kernels on the CPU, run by tests/backend/test_tiles.py in a process with TRITON_INTERPRET=1.
+"""The Triton kernels on the CPU, run by tests/torch/test_tiles.py in a process with TRITON_INTERPRET=1.
 
 Errors are measured as in the tests of the compiled kernels, whose cases these are.
 """
@@ -6,27 +6,27 @@ Errors are measured as in the tests of the compiled kernels, whose cases these a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from threading import Event
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from sgmethod.backend import tiles
-from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Descent, Frame, Moments
-from sgmethod.backend.tensors import Tensors
-from sgmethod.backend.tiles import Tiles
 from sgmethod.fitting.deadline import Clock
-from sgmethod.rd.exact import ExactFit
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import NEWTON_ADAM
 from sgmethod.settings.shared import ADAM, OptimiserSettings
+from sgmethod.torch import tiles
+from sgmethod.torch.exact import ExactFit
 from sgmethod.torch.fitting import fit_pictures
-from tests.backend.cases import FRAMES, SIZE, VISIBILITIES, image, over, scattered, target, visibility, worst
-from tests.definitions.backend import Reference
+from sgmethod.torch.tiles import Tiles
+from sgmethod.torch.together import Together
+from tests.backend.cases import FRAMES, SIZE, image, over, scattered, target, worst
 from tests.native import test_pyramid as pyramid, test_render as plain
+from tests.torch.test_tensors import assert_as_reference
 
 CPU = torch.device("cpu")
 
@@ -83,20 +83,9 @@ def test_plain(name: str) -> None:
         assert ((found[0] - true).abs().numpy() <= plain.GRADIENT_TOLERANCE * size + rim).all()
 
 
-@pytest.mark.parametrize(("name", "kind"), [*zip(FRAMES, (*VISIBILITIES, "eye"), strict=True)])
-def test_backend(name: str, kind: str) -> None:
-    frame, reference, backend = FRAMES[name], Reference(), Tensors(CPU, has_tiles(CPU))
-    asked = over(frame, 1), frame, target(1), visibility(kind, 1)
-    assert type(backend._drawn(asked[0], frame)[0]) is Tiles
-    error, gradient = backend.gradients(*asked)
-    wanted_error, wanted = reference.gradients(*asked)
-    assert error == pytest.approx(wanted_error, rel=3e-6)
-    assert all(worst(*pair) < 1e-5 for pair in zip(gradient.arrays, wanted.arrays, strict=True))
-    loss, exact = (each.regularised(frame, image(1), 0.06) for each in (backend, reference))
-    for by, wanted_by in zip(loss(asked[0])[1].arrays, exact(asked[0])[1].arrays, strict=True):
-        assert worst(by, wanted_by) < 1e-5
-    gram = backend.gram(asked[0], frame, asked[3])
-    assert worst(gram, reference.gram(asked[0], frame, asked[3])) < 1e-5
+@pytest.mark.parametrize("name", FRAMES)
+def test_backend(name: str) -> None:
+    assert_as_reference(Together(CPU, 1, Event()), FRAMES[name])
 
 
 def test_a_batch_is_its_pictures() -> None:
@@ -138,7 +127,7 @@ def test_steps(settings: OptimiserSettings, spacing: int) -> None:
     ]
     wanted = [(one.copy(), moments.copy(), descent) for one, moments, descent in fits]
     for _ in range(2):
-        Tensors(CPU, tiled=True).steps_of(fits, (0.5, 0.4))
+        Together(CPU, 1, Event()).steps_of(fits, (0.5, 0.4))
         for (found, moments, _), beside in zip(fits, wanted, strict=True):
             Kernels().steps(*beside, (0.5, 0.4))
             for own, true in zip((*found.arrays, moments.first), (*beside[0].arrays, beside[1].first), strict=True):
@@ -149,13 +138,13 @@ def test_steps(settings: OptimiserSettings, spacing: int) -> None:
 def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their steps are taken together, and they end near those of the kernels; an error of one ends all."""
     batches: list[int] = []
-    steps_of = Tensors.steps_of
+    steps_of = Together.steps_of
 
-    def counted(own: Tensors, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
+    def counted(own: Together, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
         batches.append(len(fits))
         steps_of(own, fits, rates)
 
-    monkeypatch.setattr(Tensors, "steps_of", counted)
+    monkeypatch.setattr(Together, "steps_of", counted)
     pictures = [np.asarray(255 * (0.5 + 0.5 * image(k)).clip(0, 1), np.uint8).transpose(1, 2, 0) for k in range(3)]
     task = ExactFit(12, steps=5)
     found = fit_pictures(pictures, task, CPU)
@@ -168,6 +157,6 @@ def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(Tensors, "steps_of", fail)
+    monkeypatch.setattr(Together, "steps_of", fail)
     with pytest.raises(MemoryError):
         fit_pictures(pictures, task, CPU)

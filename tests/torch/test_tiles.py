@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import torch
 
-from sgmethod.backend.devices import has_tiles
+from sgmethod.torch.devices import has_tiles
 from tests.support.data import ROOT
 
 PARTS = ("pyramid or needles", "plain", "backend", "batch or nothing", "steps or fits")
@@ -42,7 +42,7 @@ def test_interpreted(part: str) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-k", part]
     environment = {**os.environ, "TRITON_INTERPRET": "1", "OMP_NUM_THREADS": "1"}
     run = subprocess.run(
-        [*command, "tests/backend/interpreted.py"],
+        [*command, "tests/torch/interpreted.py"],
         cwd=ROOT,
         env=environment,
         capture_output=True,
@@ -75,7 +75,7 @@ def test_compiled(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     from triton.backends.compiler import GPUTarget
     from triton.compiler import ASTSource
 
-    from sgmethod.backend import tile_kernels
+    from sgmethod.torch import tile_kernels
 
     kernel = getattr(tile_kernels, name)
     own = [parameter.name for parameter in kernel.params]

@@ -1,6 +1,6 @@
-"""Drawing, gradients and the optimiser for batches on a GPU, by the Triton kernels of backend/tile_kernels.py.
+"""Drawing, gradients and the optimiser for batches on a GPU, by the Triton kernels of tile_kernels.py.
 
-The values are the same as in backend/pairs.py, in single precision. To draw, each Gaussian is listed for the tiles of
+The values are the same as in pairs.py, in single precision. To draw, each Gaussian is listed for the tiles of
 its level that its ellipse meets; one program sums the list of a tile, then adds the next level, enlarged. To
 differentiate, one program walks along the ellipse of a Gaussian and keeps its sums. The order of both sums is fixed.
 The lists have room for PAIRS tiles per Gaussian, on average. Gaussians for which the lists have no room are added by
@@ -21,10 +21,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sgmethod.backend import tile_kernels
-from sgmethod.backend.pairs import MAX_LEVEL
 from sgmethod.backend.protocol import Descent, Frame
-from sgmethod.backend.tile_kernels import RECORD, TILE
+from sgmethod.torch import tile_kernels
+from sgmethod.torch.pairs import MAX_LEVEL
+from sgmethod.torch.tile_kernels import RECORD, TILE
 
 PAIRS = 8  # tiles listed per Gaussian, on average; a round one meets at most 4 on its level
 ALIGNED = 16  # samples: pointers to levels are alike, so that kernels are compiled once
@@ -76,7 +76,7 @@ class Tiles:
 
     def draw(self) -> Tensor:
         """Draw the pictures [B, 3, height, width]."""
-        return self._drawn(None)[0]
+        return self._plane(self._drawn(None), 0)
 
     def gradients(self, by_image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Backpropagate a gradient by the pictures to means, factors and colours."""
@@ -89,27 +89,14 @@ class Tiles:
 
     def step(
         self, moments: Sequence[Tensor], bits: Sequence[Tensor], target: Tensor, descent: Descent, rate: float
-    ) -> Tensor:
-        """Take a step of the optimiser, in place, as Backend does; return the mean squared errors [B] before it.
+    ) -> None:
+        """Take a step of the optimiser, in place, as Backend does.
 
         Means, factors and colours must be contiguous; zeros fill up pictures with fewer Gaussians, and stay.
         moments: first and second [B, N, 8] and bias [B, N, 2], as of protocol.Moments; target: [B, 3, height, width].
         bits: quanta and prices [B], as of `descent`, whose other fields are alike for all pictures.
         """
-        planes, errors = self._drawn(target.contiguous())
-        self._step(planes, moments, bits, descent, rate)
-        return errors.sum(1) / (3 * self._levels[0].area)
-
-    def step_by(self, by_image: Tensor, moments: Sequence[Tensor], descent: Descent, rate: float) -> None:
-        """Take the same step by a gradient of another loss by the pictures, without a price of bits."""
-        planes, free = self._new(self._batch * 3 * self._samples), torch.ones(self._batch, device=self._device)
-        self._plane(planes, 0).copy_(by_image)
-        self._step(planes, moments, (free, torch.zeros_like(free)), descent, rate)
-
-    def _step(
-        self, planes: Tensor, moments: Sequence[Tensor], bits: Sequence[Tensor], descent: Descent, rate: float
-    ) -> None:
-        s = descent.settings
+        planes, s = self._drawn(target.contiguous()), descent.settings
         means, factors, colors = self._values
         first, second, bias = moments
         quanta, prices = bits
@@ -141,22 +128,20 @@ class Tiles:
             block=BLOCK,
         )
 
-    def _drawn(self, target: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Planes of the pictures, or all planes with the gradient of the error in place of the pictures."""
+    def _drawn(self, target: Tensor | None) -> Tensor:
+        """Planes of all levels; the finest has the pictures or, given a target, the gradient of the error by them."""
         starts = self._list()
         planes = torch.zeros(self._batch * 3 * self._samples, device=self._device)
         self._walk(planes, self._records, draws=True)
-        finest = self._levels[0]
-        errors = self._new(self._batch, finest.tiles)
         for k, level in reversed([*enumerate(self._levels)]):
             compares, enlarges = target is not None and k == 0, k + 1 < len(self._levels)
             above = k + 1 if enlarges else k
             coarse, here, coarser = self._levels[above], self._plane(planes, k), self._plane(planes, above)
-            tensors = here, coarser, here if target is None else target, errors, self._records, self._keys, starts
+            tensors = here, coarser, here if target is None else target, self._records, self._keys, starts
             sizes = level.across, level.width, level.height, level.border, coarse.width, level.area, coarse.area
-            numbers = self._tiles, level.tile, *sizes, self._floor, 2 / (3 * finest.area)
+            numbers = self._tiles, level.tile, *sizes, self._floor, 2 / (3 * self._levels[0].area)
             self._launch(tile_kernels.draw, (level.tiles, self._batch), *tensors, *numbers, enlarges, compares)
-        return (self._plane(planes, 0) if target is None else planes), errors
+        return planes
 
     def _list(self) -> Tensor:
         """List the pairs of tile and Gaussian in order; return where each tile's begin, and the last one's end."""

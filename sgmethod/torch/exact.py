@@ -1,8 +1,8 @@
 """Fit exactly N Gaussians in floating point, without making a file.
 
-The method is that of encode.py: place, prune, densify, fit. Steering, rounding, the search over integers and the rounds
-after it are left out, because only a file needs them. For most of the steps, Gaussians are added and dropped. The last
-steps only move the N that stay.
+The method is that of rd/encode.py: place, prune, densify, fit. Steering, rounding, the search over integers and the
+rounds after it are left out, because only a file needs them. For most of the steps, Gaussians are added and dropped.
+The last steps only move the N that stay.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from sgmethod.rd.plan import Plan, State, stages, within_pixels
 from sgmethod.rd.rate_control import GaussianCount, surplus
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians, Pixels
-from sgmethod.settings.exact import EXACT, exact_schedule
 from sgmethod.settings.rd import RD, Times
+from sgmethod.torch.schedule import EXACT, exact_schedule
 
 OnStep = Callable[[float], None]  # called with the share of the steps that are taken, 0 to 1
 

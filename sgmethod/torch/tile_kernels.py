@@ -1,7 +1,7 @@
-"""Triton kernels of backend/tiles.py, which explains them and launches them.
+"""Triton kernels of tiles.py, which explains them and launches them.
 
 Gaussians are numbered through the whole batch. The record of a Gaussian is x, y, 1 / q1, q2 / q1, 1 / q3 in samples of
-its level, and its colour there. The kernels compute the same as backend/pairs.py, in single precision.
+its level, and its colour there. The kernels compute the same as pairs.py, in single precision.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from sgmethod.backend.pairs import MAX_LEVEL, NARROWEST
 from sgmethod.backend.protocol import GRID_REACH
 from sgmethod.native import native
+from sgmethod.torch.pairs import MAX_LEVEL, NARROWEST
 
 TILE = 16
 RECORD = 8  # numbers in a record, and sums of a Gaussian over samples
@@ -237,7 +237,7 @@ def walk(planes, table, levels, records, ends, sums, each, pictures, capacity, r
 @triton.jit
 def _finished(value, plane, coarse, target, row, column, here, at, stride, scale,
               enlarges: tl.constexpr, compares: tl.constexpr):  # fmt: skip
-    """Complete one channel of a tile and store it; return its squared error.
+    """Complete one channel of a tile and store it.
 
     The plane's own value and the next level, enlarged, are added to the sum of the listed Gaussians. If `compares`, the
     gradient of the error is stored in place of the picture.
@@ -250,19 +250,15 @@ def _finished(value, plane, coarse, target, row, column, here, at, stride, scale
         value += 0.0625 * tl.load(near + across + down, mask=here, other=0.0)
         value += 0.1875 * tl.load(near + across, mask=here, other=0.0)
         value += 0.1875 * tl.load(near + down, mask=here, other=0.0)
-    squared = 0.0
     if compares:
-        left = tl.where(here, value - tl.load(target + at, mask=here, other=0.0), 0.0)
-        squared = tl.sum(left * left)
-        value = left * scale
+        value = (value - tl.load(target + at, mask=here, other=0.0)) * scale
     tl.store(plane + at, value, mask=here)
-    return squared
 
 
 @triton.jit(
     do_not_specialize=["tiles", "start", "across", "width", "height", "border", "stride", "area", "coarse_area"]
 )
-def draw(planes, coarse, target, errors, records, keys, starts, tiles, start, across, width, height, border,
+def draw(planes, coarse, target, records, keys, starts, tiles, start, across, width, height, border,
          stride, area, coarse_area, floor, scale, enlarges: tl.constexpr, compares: tl.constexpr):  # fmt: skip
     """Draw one tile of a level: its listed Gaussians, on top of the next level, whose rows are `stride` long.
 
@@ -288,13 +284,11 @@ def draw(planes, coarse, target, errors, records, keys, starts, tiles, start, ac
     planes += 3 * picture * area
     target += 3 * picture * area
     coarse += 3 * picture * coarse_area
-    error = _finished(red, planes, coarse, target, row, column, here, at, stride, scale, enlarges, compares)
-    error += _finished(green, planes + area, coarse + coarse_area, target + area, row, column, here, at, stride, scale,
-                       enlarges, compares)  # fmt: skip
-    error += _finished(blue, planes + 2 * area, coarse + 2 * coarse_area, target + 2 * area, row, column, here, at,
-                       stride, scale, enlarges, compares)  # fmt: skip
-    if compares:
-        tl.store(errors + picture * tl.num_programs(0) + tile, error)
+    _finished(red, planes, coarse, target, row, column, here, at, stride, scale, enlarges, compares)
+    _finished(green, planes + area, coarse + coarse_area, target + area, row, column, here, at, stride, scale,
+              enlarges, compares)  # fmt: skip
+    _finished(blue, planes + 2 * area, coarse + 2 * coarse_area, target + 2 * area, row, column, here, at, stride,
+              scale, enlarges, compares)  # fmt: skip
 
 
 @triton.jit(do_not_specialize=["across", "width", "height", "border", "coarse_width", "coarse_height"])
@@ -431,8 +425,8 @@ def step(means, factors, colors, sums, first, second, bias, quanta, prices, tota
     l2 = l2 * tl.exp(s1) + l3 * s2
     l1 = tl.minimum(tl.maximum(l1 * tl.exp(s1), least), _MAX_SCALE)
     l3 = tl.minimum(tl.maximum(l3 * tl.exp(s3), least), _MAX_SCALE)
-    l2 = tl.minimum(tl.maximum(l2, -_MAX_SLANT * l3), _MAX_SLANT * l3)
-    margin = _REACH * tl.sqrt(l1 * l3)
+    l2 = tl.minimum(tl.maximum(l2, l3 * -_MAX_SLANT), l3 * _MAX_SLANT)
+    margin = tl.sqrt(l1 * l3) * _REACH
     x = tl.minimum(tl.maximum(x, -margin), width + margin)
     y = tl.minimum(tl.maximum(y, -margin), height + margin)
     tl.store(means + 2 * g, x, mask=here)

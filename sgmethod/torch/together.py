@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from threading import Condition, Event
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.protocol import Descent, Frame, Moments
-from sgmethod.backend.tensors import Tensors
-from sgmethod.backend.tiles import Tiles
 from sgmethod.errors import SgError
 from sgmethod.scene import Gaussians
+from sgmethod.torch.tensors import Backward, Tensors, to_numpy
+from sgmethod.torch.tiles import Tiles
 
 POLLED_S = 0.05
 
@@ -38,13 +38,13 @@ class _PendingSteps:
 
 
 class Together(Tensors):
-    """A backend for a given number of threads, each of which leaves it, as a context manager, after its fit.
+    """A backend by Triton's kernels, for a number of threads, each of which leaves it after its fit.
 
-    Steps are taken once every thread that has not left asks for some.
+    Steps are taken once every thread that has not left asks for some. To leave is to exit it as a context manager.
     """
 
     def __init__(self, device: torch.device, threads: int, abandoned: Event) -> None:
-        super().__init__(device, tiled=True)
+        super().__init__(device)
         self._threads, self._abandoned = threads, abandoned
         self._asked: list[_PendingSteps] = []
         self._condition = Condition()
@@ -85,12 +85,36 @@ class Together(Tensors):
                 one.is_done = True
         self._condition.notify_all()
 
+    def steps_of(self, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
+        """Take the steps of several fits, whose frames, sizes and settings are alike.
+
+        From the first step to the last nothing leaves the device.
+        """
+        largest = max(len(gaussians) for gaussians, _, _ in fits)
+        arrays = [(*one.arrays, moments.first, moments.second, moments.bias) for one, moments, _ in fits]
+        filled = ([np.pad(one, ((0, largest - len(one)), (0, 0))) for one in of] for of in zip(*arrays, strict=True))
+        state = [self._tensor(np.stack(values)) for values in filled]
+        descents = [descent for _, _, descent in fits]
+        target = torch.stack([self._image(one.target) for one in descents])
+        quanta = [one.quantum if one.price > 0 else 1.0 for one in descents]  # it may be 0 where bits are free
+        prices = [one.price for one in descents]
+        bits = [self._tensor(np.array(of, np.float32)) for of in (quanta, prices)]
+        for rate in rates:
+            Tiles(descents[0].frame, *state[:3]).step(state[3:], bits, target, descents[0], rate)
+        for values, of in zip(state, zip(*arrays, strict=True), strict=True):
+            for found, one in zip(to_numpy(values), of, strict=True):
+                one[...] = found[: len(one)]
+
     # A device does one thing at a time, and Triton's interpreter allows no more.
 
-    def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs | Tiles, Tensor]:
+    def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Tensor, Backward]:
         with self._condition:
-            return super()._drawn(gaussians, frame)
+            tiles = Tiles(frame, *(self._tensor(values)[None] for values in gaussians.arrays))
+            drawn = tiles.draw()[0]
 
-    def _gradient(self, drawn: Pairs | Tiles, gaussians: Gaussians, frame: Frame, by_image: Tensor) -> Gaussians:
-        with self._condition:
-            return super()._gradient(drawn, gaussians, frame, by_image)
+        def backward(by_image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            with self._condition:
+                means, factors, colors = tiles.gradients(by_image[None])
+            return means[0], factors[0], colors[0]
+
+        return drawn, backward
