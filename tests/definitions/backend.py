@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import torch
@@ -11,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from sgmethod.backend.kernels import Kernels, Loss
 from sgmethod.backend.planes import all_halved
-from sgmethod.backend.kernels import Loss
 from sgmethod.backend.protocol import (
     COARSE_SIDE,
     GRID_REACH,
@@ -192,12 +191,8 @@ class Reference:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        end_s = time.monotonic() + limits.seconds
-        descent = _Descent(self, gaussians, coding, target, limits.price, visibility)
-        for _ in range(limits.sweeps):
-            if time.monotonic() >= end_s or not descent.sweep():
-                break
-        return descent.payload(limits.max_bytes)
+        """By the kernels: a search has no definition, and tests/native/test_refine.py states what it must reach."""
+        return Kernels().refine(gaussians, coding, target, limits, visibility)
 
 
 def _seen_by(visibility: Visibility | None, spacing: int, gaussians: Gaussians) -> NDArray[np.float64]:
@@ -209,92 +204,6 @@ def _seen_by(visibility: Visibility | None, spacing: int, gaussians: Gaussians) 
     here = np.maximum(visibility.values[y.clip(0, height - 1), x.clip(0, width - 1)] / VISIBLE, 1)
     share = 1 / np.sqrt(1 + COARSE_SIDE**2 / 12 / np.square(gaussians.factors[:, ::2], dtype=np.float64)).prod(1)
     return here * (1 + visibility.coarse * share)
-
-
-class _Descent:
-    """Coordinate descent on squared error plus price times bits, one Gaussian after another.
-
-    Gaussians are kept unrounded, because a decoded one that was too small for the file would round to another.
-    """
-
-    def __init__(
-        self,
-        backend: Reference,
-        gaussians: Gaussians,
-        coding: Coding,
-        target: Target,
-        price: float,
-        visibility: Visibility | None,
-    ) -> None:
-        self._backend, self._coding, self._price, self._visibility = backend, coding, price, visibility
-        self._gaussians = self._coded(gaussians)
-        self._left = _image(target) - self._drawn(self._rounded(self._gaussians)).sum(0)
-
-    def sweep(self) -> bool:
-        """Visit every Gaussian once; return whether any has changed."""
-        changed = [self._visit(i) for i in range(len(self._gaussians))]
-        self._gaussians = self._coded(self._gaussians)
-        return any(changed)
-
-    def _visit(self, i: int) -> bool:
-        now = self._gaussians.rows(np.array([i]))
-        choices = now.with_more(_neighbours(self._rounded(now), self._coding.quantum))
-        rounded = self._rounded(choices)
-        drawn = self._drawn(rounded)
-        errors = squared(self._left + drawn[0] - drawn, self._visibility)
-        best = int((errors + self._price * self._bits(rounded)).numpy().argmin())
-        self._left += drawn[0] - drawn[best]
-        for values, chosen in zip(self._gaussians.arrays, choices.arrays, strict=True):
-            values[i] = chosen[best]
-        return best != 0
-
-    def payload(self, max_bytes: int) -> bytes:
-        """Encode, dropping one by one the Gaussians that gain least for their bits until the payload fits."""
-        while len(payload := native.rd_encode(self._coding.parameters, *self._gaussians.arrays)) > max_bytes:
-            rounded = self._rounded(self._gaussians)
-            drawn = self._drawn(rounded)
-            gains = squared(self._left + drawn, self._visibility) - squared(self._left, self._visibility)
-            least = int((gains / self._bits(rounded)).argmin())
-            self._left += drawn[least]
-            self._gaussians = self._gaussians.rows(np.arange(len(drawn)) != least)
-        return payload
-
-    def _rounded(self, gaussians: Gaussians) -> Gaussians:
-        return self._backend.rounded(gaussians, self._coding)
-
-    def _coded(self, gaussians: Gaussians) -> Gaussians:
-        """Keep the Gaussians that do not round to nothing."""
-        return gaussians.rows(np.flatnonzero(self._rounded(gaussians).colors.any(1)))
-
-    def _drawn(self, gaussians: Gaussians) -> Tensor:
-        """Pictures [N, 3, H, W] of each Gaussian alone."""
-        means, factors, colors = _tensors(gaussians)
-        frame, each = Frame(self._coding.width, self._coding.height), torch.eye(len(means), dtype=torch.float64)
-        weights = _drawn((means, factors, each), frame)  # one channel per Gaussian
-        return (colors[:, :, None, None] * weights[:, None]).detach()
-
-    def _bits(self, gaussians: Gaussians) -> Tensor:
-        _, factors, colors = _tensors(gaussians)
-        return bits(factors, colors, self._coding.quantum).detach()
-
-
-def _neighbours(one: Gaussians, quantum: float) -> Gaussians:
-    """A Gaussian with each coded value moved by about a step up or down, and last a black one, which stands for none.
-
-    A step is a change of the picture by a given energy (native/rd/symbols.h).
-    """
-    mean, (l1, l2, l3), color = (values[0].astype(np.float64) for values in one.arrays)
-    basis = np.array(native.COLOR_BASIS)
-    step = quantum / (native.COLOR_SCALE * math.sqrt(l1 * l3))
-    in_steps = max(float(np.linalg.norm(color)) / step, 1.0)
-    values = np.array([*mean, math.log(l1 * l3) / 2, math.log(l1 / l3) / 2, l2 / l3, *basis @ color])
-    by = np.array([2**0.5 * l1, 2**0.5 * l3, 0.5**0.5, 1, native.R_STEP, *[in_steps * step] * 3]) / in_steps
-    moved = values + np.concatenate([np.diag(by), np.diag(-by), np.zeros((1, 8))])
-    u, v, r = moved[:, 2:5].T
-    factors = np.stack([np.exp(u + v), r * np.exp(u - v), np.exp(u - v)], 1)
-    colors = moved[:, 5:] @ basis
-    colors[-1] = 0
-    return Gaussians(*(values.astype(np.float32) for values in (moved[:, :2], factors, colors)))
 
 
 def _tensors(gaussians: Gaussians) -> tuple[Tensor, ...]:
