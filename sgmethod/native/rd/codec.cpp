@@ -61,35 +61,51 @@ void add_class(Structure& structure, const RdParameters& p, const Symbols* s, in
   structure.add(means.data(), factors.data(), strengths.data(), n);
 }
 
-// Encodes a class, and sorts its Gaussians.
-void encode_class(Encoder& coder, Models& models, const RdParameters& p, Structure& structure, Symbols* first,
-                  Symbols* end) {
-  const SizeClass c = class_of(p, first->size_class);
+SG_INLINE uint32_t block_of(const Structure& structure, const Symbols& s) {
+  return structure.block_of(s.column, s.row);
+}
+// The part of the current block that a Gaussian is in.
+SG_INLINE uint32_t part_of(const Structure& structure, const Symbols& s) {
   const int halvings = structure.halvings();
-  const auto block = [&](const Symbols& s) { return structure.block_of(s.column, s.row); };
-  std::stable_sort(first, end, [&](const Symbols& a, const Symbols& b) { return block(a) < block(b); });
+  const Parts parts = parts_of(s, Steps(s));
   const auto place = [&](uint32_t cell, uint32_t part, int bits) {
     return uint64_t{(cell - 2) & ((1u << halvings) - 1)} << bits | part;
   };
-  Begun begun;
+  return structure.part_of(place(s.column, s.px, parts.x_bits), halvings + parts.x_bits,
+                           place(s.row, s.py, parts.y_bits), halvings + parts.y_bits);
+}
+
+// Copies Gaussians in the order of their numbers, which are below `numbers`. Equal ones stay in order.
+template <typename Number>
+void sort_by(const Symbols* from, size_t n, size_t numbers, const Number& number, Symbols* to) {
+  std::vector<uint32_t> next(numbers + 1);
+  for (size_t i = 0; i < n; ++i) ++next[number(from[i]) + 1];
+  for (size_t k = 1; k < numbers; ++k) next[k] += next[k - 1];
+  for (size_t i = 0; i < n; ++i) to[next[number(from[i])]++] = from[i];
+}
+
+// Encodes a class, whose Gaussians come block by block, and sorts those of a block.
+SG_INLINE void encode_class_body(Encoder& coder, Models& models, const RdParameters& p, Structure& structure,
+                                 Symbols* first, Symbols* end) {
+  const SizeClass c = class_of(p, first->size_class);
   std::vector<std::pair<uint32_t, Symbols>> here;  // of a block, by part
+  Begun begun;
   for (Symbols* s = first; s < end;) {
-    uint64_t gap = structure.to_block(block(*s));
-    here.clear();
-    for (Symbols* other = s; other < end && block(*other) == block(*s); ++other) {
-      const Parts parts = parts_of(*other, Steps(*other));
-      const int more_x = halvings + parts.x_bits, more_y = halvings + parts.y_bits;
-      here.emplace_back(structure.part_of(place(other->column, other->px, parts.x_bits), more_x,
-                                          place(other->row, other->py, parts.y_bits), more_y),
-                        *other);
+    const uint32_t block = block_of(structure, *s);
+    uint64_t gap = structure.to_block(block);
+    Symbols* behind = s + 1;
+    while (behind < end && block_of(structure, *behind) == block) ++behind;
+    if (behind - s > 1) {
+      here.clear();
+      for (const Symbols* one = s; one < behind; ++one) here.emplace_back(part_of(structure, *one), *one);
+      std::stable_sort(here.begin(), here.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+      std::transform(here.begin(), here.end(), s, [](const auto& one) { return one.second; });
     }
-    std::stable_sort(here.begin(), here.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-    for (const auto& [part, symbols] : here) {
-      const uint32_t on = part - structure.part();
+    for (; s < behind; ++s) {
+      const uint32_t on = part_of(structure, *s) - structure.part();
       structure.advance(on);
       structure.count();
       if ((gap + on) >> kLowBits > UINT32_MAX) refuse<std::invalid_argument>("Gaussians are too far apart");
-      *s = symbols;
       s->context = structure.context(structure.spot());
       if (s == first) {
         models.turn<true, false>(coder, p, c, structure, gap + on, begun, *s, *s);
@@ -97,10 +113,22 @@ void encode_class(Encoder& coder, Models& models, const RdParameters& p, Structu
         models.turn<true, true>(coder, p, c, structure, gap + on, begun, *s, s[-1]);
       }
       gap = 0;
-      ++s;
     }
   }
   models.turn<false, true>(coder, p, c, structure, 0, begun, end[-1], end[-1]);
+}
+#if SG_X86
+template <auto body, typename... Arguments>
+[[gnu::target("avx2,bmi,bmi2,lzcnt")]] auto with_bit_operations(Arguments... arguments) {
+  return body(arguments...);
+}
+#endif
+using EncodeClass = void (*)(Encoder&, Models&, const RdParameters&, Structure&, Symbols* first, Symbols* end);
+EncodeClass best_encode_class() {
+#if SG_X86
+  if (best_isa() >= kAvx2 && has_bit_operations()) return with_bit_operations<encode_class_body>;
+#endif
+  return for_baseline<encode_class_body>;
 }
 
 }  // namespace
@@ -180,12 +208,6 @@ SG_INLINE int decode_chunk_body(Decoding<kStates>& d, Begun& begun, const SizeCl
   d.coder = coder;
   return found;
 }
-#if SG_X86
-template <auto body, typename... Arguments>
-[[gnu::target("avx2,bmi,bmi2,lzcnt")]] auto with_bit_operations(Arguments... arguments) {
-  return body(arguments...);
-}
-#endif
 
 template <size_t kStates>
 using DecodeChunk = int (*)(Decoding<kStates>&, Begun&, const SizeClass&, int wanted, bool begin, bool more);
@@ -319,24 +341,27 @@ RdParameters::RdParameters(int width, int height, double quantum, bool grey, boo
 std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
   if (all.empty()) return {};
   if (all.size() > most_in(p, SIZE_MAX / 16)) refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
-  std::stable_sort(all.begin(), all.end(),
-                   [](const Symbols& a, const Symbols& b) { return a.size_class > b.size_class; });
-  Encoder coder;
+  static const auto encode_class = best_encode_class();
+  constexpr size_t kClasses = kMaxClass - kMinClass + 1;
+  std::vector<Symbols> sorted(all.size());
+  const auto class_number = [](const Symbols& s) { return static_cast<size_t>(kMaxClass - s.size_class); };
+  sort_by(all.data(), all.size(), kClasses, class_number, sorted.data());
+  Encoder coder(all.size());
   Structure structure(p.width, p.height);
-  const int first = all.front().size_class, last = all.back().size_class;
+  const int first = sorted.front().size_class, last = sorted.back().size_class;
   code_class_number(coder, static_cast<uint32_t>(kMaxClass - first));
   code_class_number(coder, static_cast<uint32_t>(first - last));
-  Symbols* at = all.data();
-  Symbols* const behind = at + all.size();
+  size_t at = 0;
   for (int c = first; c >= last; --c) {
-    Symbols* end = at;
-    while (end < behind && end->size_class == c) ++end;
+    size_t end = at;
+    while (end < all.size() && sorted[end].size_class == c) ++end;
     const auto n = static_cast<uint32_t>(end - at);
     code_whole(coder, kColorLane, models.count, n);
     if (n == 0) continue;
     structure.begin(c, n);
-    encode_class(coder, models, p, structure, at, end);
-    if (is_mapped(p, c, last)) add_class(structure, p, at, static_cast<int>(n));
+    sort_by(&sorted[at], n, structure.blocks(), [&](const Symbols& s) { return block_of(structure, s); }, &all[at]);
+    encode_class(coder, models, p, structure, &all[at], &all[at] + n);
+    if (is_mapped(p, c, last)) add_class(structure, p, &all[at], static_cast<int>(n));
     at = end;
   }
   return coder.finish(p.is_short ? 1 : kLanes);

@@ -156,65 +156,77 @@ class Encoder {
  public:
   static constexpr bool kCodesPlaces = true, kDecodes = false;
 
+  // gaussians: how many will come, about.
+  explicit Encoder(size_t gaussians) {
+    steps_.reserve(kStepsExpected * gaussians);
+    raw_.reserve(kRawExpected * gaussians);
+  }
+
   template <typename Probabilities>
-  uint32_t symbol(Lane lane, Probabilities&& model, uint32_t symbol) {
-    const uint32_t low = model.edge(static_cast<int>(symbol));
-    steps_.push_back({low, model.edge(static_cast<int>(symbol) + 1) - low, lane});
+  SG_INLINE uint32_t symbol(Lane lane, Probabilities&& model, uint32_t symbol) {
+    const Model::Share share = model.share(symbol);
+    steps_.push_back({static_cast<uint16_t>(share.low + static_cast<int>(kProbabilityOne)),
+                      static_cast<uint16_t>(share.size), 0, static_cast<uint8_t>(lane), false});
     model.update(symbol);
     return symbol;
   }
 
   // `count` raw bits, at most 56, come with the next calls of raw().
-  void fetch(int count) { steps_.push_back({0, 0, count}); }
+  SG_INLINE void fetch(int count) { steps_.push_back({0, 0, 0, static_cast<uint8_t>(count), false}); }
   // `count` bits, at most 32, of equal probability.
-  uint32_t raw(uint32_t value, int count) {
-    for (int k = 0; k < count; ++k, ++bits_) {
-      if (bits_ % 8 == 0) raw_.push_back(0);
-      raw_.back() |= static_cast<uint8_t>((value >> k & 1) << bits_ % 8);
-    }
+  SG_INLINE uint32_t raw(uint32_t value, int count) {
+    pending_ |= (value & ((uint64_t{1} << count) - 1)) << bits_;
+    for (bits_ += count; bits_ >= 8; bits_ -= 8, pending_ >>= 8) raw_.push_back(static_cast<uint8_t>(pending_));
     return value;
   }
 
   // lanes: how many states there are.
-  std::vector<uint8_t> finish(size_t lanes) const {
+  std::vector<uint8_t> finish(size_t lanes) {
+    raw_.push_back(static_cast<uint8_t>(pending_));
     // rANS codes backwards.
-    std::vector<int> words(steps_.size(), kNone);
-    std::vector<uint32_t> states(lanes, kStateLow);
-    for (size_t i = steps_.size(); i-- > 0;) {
-      const Step& step = steps_[i];
-      if (step.share == 0) continue;
-      uint32_t& state = states[static_cast<size_t>(step.which) % lanes];
-      if (state >= static_cast<uint64_t>(step.share) << (32 - kProbabilityBits)) {
-        words[i] = static_cast<int>(state & 0xFFFF);
+    std::array<uint32_t, kLanes> states;
+    states.fill(kStateLow);
+    size_t words = 0;
+    for (auto step = steps_.rbegin(); step != steps_.rend(); ++step) {
+      if (step->share == 0) continue;
+      uint32_t& state = states[step->which % lanes];
+      step->refills = state >= static_cast<uint32_t>(step->share) << (32 - kProbabilityBits);
+      if (step->refills) {
+        step->word = static_cast<uint16_t>(state);
         state >>= 16;
+        ++words;
       }
-      state = (state / step.share << kProbabilityBits) + state % step.share + step.low;
+      state = (state / step->share << kProbabilityBits) + state % step->share + step->low;
     }
     std::vector<uint8_t> bytes;
+    bytes.reserve(lanes * kStateBytes + words * kWordBytes + raw_.size() + 1);
     const auto put = [&](uint32_t value, size_t count) {
       for (size_t k = 0; k < count; ++k) bytes.push_back(static_cast<uint8_t>(value >> 8 * k));
     };
-    for (const uint32_t state : states) put(state, kStateBytes);
+    for (size_t lane = 0; lane < lanes; ++lane) put(states[lane], kStateBytes);
     auto raw = raw_.begin();
     int left = 0;
-    for (size_t i = 0; i < steps_.size(); ++i) {
-      if (words[i] != kNone) put(static_cast<uint32_t>(words[i]), kWordBytes);
-      if (steps_[i].share != 0) continue;
-      for (; left < steps_[i].which; left += 8) bytes.push_back(raw == raw_.end() ? 0 : *raw++);
-      left -= steps_[i].which;
+    for (const Step& step : steps_) {
+      if (step.refills) put(step.word, kWordBytes);
+      if (step.share != 0) continue;
+      for (; left < step.which; left += 8) bytes.push_back(raw == raw_.end() ? 0 : *raw++);
+      left -= step.which;
     }
     return bytes;
   }
 
  private:
-  static constexpr int kNone = -1;
+  static constexpr size_t kStepsExpected = 12, kRawExpected = 3;  // of a Gaussian
   struct Step {
-    uint32_t low, share;  // of a symbol; share 0: raw bits
-    int which;  // lane, or number of raw bits
+    uint16_t low, share;  // of a symbol; share 0: raw bits
+    uint16_t word;  // of the state before, if it refills
+    uint8_t which;  // lane, or number of raw bits
+    bool refills;
   };
   std::vector<Step> steps_;
   std::vector<uint8_t> raw_;
-  size_t bits_ = 0;  // in raw_
+  uint64_t pending_ = 0;  // raw bits, fewer than 8
+  int bits_ = 0;
 };
 
 // Does not look for the end of the data, which kSlack zeros must follow. The caller compares read() with the size

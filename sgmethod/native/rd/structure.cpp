@@ -56,14 +56,6 @@ void predict_row(const Row& r) {
   predict_body(r);
 }
 
-// Sixteen bits, two places apart.
-uint32_t spread_bits(uint32_t v) {
-  v = (v | v << 8) & 0x00FF00FF;
-  v = (v | v << 4) & 0x0F0F0F0F;
-  v = (v | v << 2) & 0x33333333;
-  return (v | v << 1) & 0x55555555;
-}
-
 // Index of the class in tables.
 int group_of(int size_class) { return std::clamp(size_class + 4, 0, kClassGroups - 1); }
 
@@ -267,12 +259,6 @@ void Structure::pool(const Blocks& from, int bits, Blocks& to) const {
   }
 }
 
-uint32_t Structure::block_of(uint32_t column, uint32_t row) const {
-  const auto block = [&](uint32_t cell) { return ((static_cast<int>(cell) - 2) >> halvings_) + kRim; };
-  return static_cast<uint32_t>(block(row)) * static_cast<uint32_t>(width_in_blocks_) +
-         static_cast<uint32_t>(block(column));
-}
-
 uint64_t Structure::to_block(uint32_t block) {
   uint64_t parts = 0;
   while (static_cast<uint32_t>(row_) * static_cast<uint32_t>(width_in_blocks_) + static_cast<uint32_t>(column_) <
@@ -282,14 +268,6 @@ uint64_t Structure::to_block(uint32_t block) {
     advance(rest);
   }
   return parts;
-}
-
-uint32_t Structure::part_of(uint64_t x, int x_bits, uint64_t y, int y_bits) const {
-  const int by_x = level_ / 2, by_y = (level_ + 1) / 2, y_first = by_x == by_y;
-  const auto part = [](uint64_t place, int bits, int by) {
-    return static_cast<uint32_t>(by <= bits ? place >> (bits - by) : place << (by - bits));
-  };
-  return spread_bits(part(x, x_bits, by_x)) << (1 - y_first) | spread_bits(part(y, y_bits, by_y)) << y_first;
 }
 
 void Structure::add(const float* means, const float* factors, const double* strengths, int n) {

@@ -36,6 +36,14 @@ SG_INLINE uint32_t gather_bits(uint32_t v) {
   return (v | v >> 8) & 0x0000FFFF;
 }
 
+// Sixteen bits, two places apart.
+SG_INLINE uint32_t spread_bits(uint32_t v) {
+  v = (v | v << 8) & 0x00FF00FF;
+  v = (v | v << 4) & 0x0F0F0F0F;
+  v = (v | v << 2) & 0x33333333;
+  return (v | v << 1) & 0x55555555;
+}
+
 // What is known of a Gaussian's surroundings once its part is: contexts of its symbols, and how many times the part
 // halves a cell along x and y (below 0: it is wider than a cell).
 struct Context {
@@ -102,9 +110,20 @@ class Structure {
 
   // For the encoder: the block of a cell, the parts from the current one to the first of a later block, to which it
   // moves, and the number of a part within the current block by a Gaussian's place in it, which has x_bits, y_bits.
-  uint32_t block_of(uint32_t column, uint32_t row) const;
+  SG_INLINE uint32_t block_of(uint32_t column, uint32_t row) const {
+    const auto block = [&](uint32_t cell) { return ((static_cast<int>(cell) - 2) >> halvings_) + kRim; };
+    return static_cast<uint32_t>(block(row)) * static_cast<uint32_t>(width_in_blocks_) +
+           static_cast<uint32_t>(block(column));
+  }
   uint64_t to_block(uint32_t block);
-  uint32_t part_of(uint64_t x, int x_bits, uint64_t y, int y_bits) const;
+  SG_INLINE uint32_t part_of(uint64_t x, int x_bits, uint64_t y, int y_bits) const {
+    const int by_x = level_ / 2, by_y = (level_ + 1) / 2, y_first = by_x == by_y;
+    const auto part = [](uint64_t place, int bits, int by) {
+      return static_cast<uint32_t>(by <= bits ? place >> (bits - by) : place << (by - bits));
+    };
+    return spread_bits(part(x, x_bits, by_x)) << (1 - y_first) | spread_bits(part(y, y_bits, by_y)) << y_first;
+  }
+  size_t blocks() const { return base_.size(); }
   int halvings() const { return halvings_; }  // of a block down to a cell
   uint32_t part() const { return part_; }
 
