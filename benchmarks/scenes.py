@@ -27,8 +27,8 @@ from benchmarks.machine import RUNS, Record, peak_bytes
 from benchmarks.pictures import Pixels
 from sgmethod import Encoded, encode
 from sgmethod.io.image import read_image_8_bit
+from sgmethod.rd.problem import Problem
 from sgmethod.rd.rate_control import EXACT_DB
-from sgmethod.rd.request import Request
 from sgmethod.settings.rd import RD, RdSettings
 
 SIDE = 256
@@ -97,7 +97,7 @@ def scenes(images: Path) -> dict[str, Pixels]:
 def without(saving: str) -> AbstractContextManager[object]:
     """Refuse a saving that is no setting, for as long as the context lasts."""
     name = BY_PROPERTY.get(saving)
-    return patch.object(Request, name, PropertyMock(return_value=False)) if name else nullcontext()
+    return patch.object(Problem, name, PropertyMock(return_value=False)) if name else nullcontext()
 
 
 def encoded(pixels: Pixels, psnr: float, saving: str) -> tuple[Encoded, float]:

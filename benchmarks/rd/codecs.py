@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 
 from benchmarks.pictures import Pixels
 from sgmethod import decode, encode
-from sgmethod.backend.kernels import Kernels
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Profile, Tune
 from sgmethod.rd import encode as rd
+from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl
-from sgmethod.rd.request import Request
 from sgmethod.settings.rd import RD
 
 
@@ -68,6 +67,9 @@ class Sg:
         """The file of a fixed quantum, which is no budget."""
         settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
         objective = Objective.from_pixels(pixels, self.tune, settings.objective, texture=True)
-        rate, deadline = RateControl(settings, size, quantum), Deadline.from_limit(clock, None, size, settings.deadline)
-        request = Request(objective, rate, deadline, Kernels(), Recorder(clock))
-        return container.serialise(rd.encode(request)[0])
+        rate, deadline = (
+            RateControl(settings.rate, size, quantum),
+            Deadline.from_limit(clock, None, size, settings.deadline),
+        )
+        stream, _ = rd.encode(Problem(objective), settings, rate, Session(deadline, Recorder(clock)))
+        return container.serialise(stream)

@@ -47,7 +47,7 @@ STAGES = {
     "moving target": ["sgmethod.fitting.moving_target.ExaggeratedTarget.moved"],
     "texture": ["sgmethod.fitting.texture.grain", "sgmethod.fitting.texture.estimate"],
     "objective": ["sgmethod.fitting.objective.Objective.from_pixels", "sgmethod.fitting.objective.Histogram"],
-    "start": ["sgmethod.rd.encode.on_islands", "sgmethod.rd.encode.place"],
+    "start": ["sgmethod.rd.encode.pyramid_of", "sgmethod.rd.encode.place"],
     "measuring": ["sgmethod.codec.measured"],
 }
 REST, WHOLE = "rest", "whole"

@@ -91,10 +91,10 @@ class Deadline:
         """Whether there is time for so many codings, as far as is known."""
         return self.left_s() > codings * sum(self._coding_s)
 
-    def tries(self, most: int) -> Iterator[int]:
+    def tries(self, limit: int) -> Iterator[int]:
         """Yield 0, 1, ... while there is time for another try as long as the longest so far; 0 in any case."""
         max_s = 0.0
-        for number in range(most):
+        for number in range(limit):
             if number > 0 and max_s >= self.left_s():
                 break
             began_s = self.clock.seconds()
@@ -178,14 +178,14 @@ class Pace:
             end_s = self._until_s()
             self._advance(1, self._clock.seconds() if math.isfinite(end_s) else 0.0, end_s)
 
-    def together(self, end: float, most: Callable[[], int]) -> Iterator[list[float]]:
-        """Yield the progress before each of some steps, at most most() at a time, until it reaches `end`.
+    def together(self, end: float, limit: Callable[[], int]) -> Iterator[list[float]]:
+        """Yield the progress before each of some steps, at most limit() at a time, until it reaches `end`.
 
         A stop is seen after about STEPS_S. Once time is limited, each step comes alone.
         """
         end, step_s, seen_s, end_s = min(end, 1.0), math.inf, self._clock.seconds(), self._until_s()
         while self.progress < end:
-            many = 1 if math.isfinite(end_s) else min(most(), 1 + int(STEPS_S / step_s))
+            many = 1 if math.isfinite(end_s) else min(limit(), 1 + int(STEPS_S / step_s))
             further = (done / self.length for done in range(self.done + 1, self.done + many))
             steps = [self.progress, *takewhile(lambda progress: progress < end, further)]
             yield steps

@@ -51,16 +51,16 @@ class Places(NamedTuple):
 
 
 def candidates(
-    residual: Rows, size: tuple[int, int], most: int, min_gain: float, hidden_by: int
+    residual: Rows, size: tuple[int, int], limit: int, min_gain: float, hidden_by: int
 ) -> tuple[FloatArray, FloatArray]:
     """Find round Gaussians that reduce a residual of size (height, width), best first.
 
-    Returns means [N, 2] and factors [N, 3] of at most `most` Gaussians, each with a gain above min_gain. hidden_by:
+    Returns means [N, 2] and factors [N, 3] of at most `limit` Gaussians, each with a gain above min_gain. hidden_by:
     coarser sizes that can hide a place, at least 1.
     """
     found = _places(residual, size, min_gain, hidden_by)
     gain, x, y, blur = (np.concatenate(values) for values in zip(*found, strict=True))
-    order = np.argsort(-gain, kind="stable")[: max(most, 0)]
+    order = np.argsort(-gain, kind="stable")[: max(limit, 0)]
     scale = blur[order] * np.float32(SCALE_OF_BLUR)
     inside = np.array([size[1], size[0]], np.float32) - 0.5
     means = np.clip(np.stack([x[order], y[order]], 1), 0.5, inside).astype(np.float32)

@@ -18,7 +18,7 @@ from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, Tries, ssimulacra2_db
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import RdSettings, Times
+from sgmethod.settings.rd import AlphaSettings, PruneSettings, RdSettings, RefineSettings, Times
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Aim(RateControl, ABC):
         """Steer towards the quality; early in the growth, a larger error than the final one is right."""
         if at < times.steering_from:
             return quantum
-        s = self.settings.rate
+        s = self.settings
         missing = max(1 - (at - times.steering_from) / (times.early_until - times.steering_from), 0)
         above = self.reached(fitted) - self.aim_db + self.refined_db
         exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
@@ -70,9 +70,8 @@ class Aim(RateControl, ABC):
         """Choose the best file for the quality that is within reach."""
         return replace(self, aim_db=self._reachable(tried)).best(tried)
 
-    def relaxed_bytes(self, coded: Coded) -> int:
+    def relaxed_bytes(self, coded: Coded, s: RefineSettings) -> int:
         """Size at which a file that is better than asked should have about the quality asked for."""
-        s = self.settings.refine
         above = self.reached(coded) - self.aim_db
         if above < 0:
             return NO_LIMIT
@@ -98,11 +97,11 @@ class Aim(RateControl, ABC):
         return max(self.aim_db - self.reached_on_backgrounds(decoded, on_backgrounds(source)), 0.0)
 
     def with_higher_target(self, by_db: float) -> Aim:
-        return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
+        return replace(self, aim_db=min(self.aim_db + by_db + self.settings.slack_db / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
         """Quality to aim at, in dB: about the best quality tried, if a finer quantum hardly helps any more."""
-        s, reached = self.settings.rate, self.reached
+        s, reached = self.settings, self.reached
         best = max(map(reached, tried))
         if len(tried) < 2 or best >= self.aim_db:
             return self.aim_db
@@ -114,7 +113,7 @@ class Aim(RateControl, ABC):
 
     def _nearer(self, tried: Sequence[Coded]) -> float | None:
         """Quantum at which the line through the two nearest tries reaches the aim, or a little more."""
-        s, aim = self.settings.rate, self._reachable(tried)
+        s, aim = self.settings, self._reachable(tried)
         above = [self.reached(one) - aim for one in tried]
         if 0 <= above[-1] <= s.slack_db:
             return None
@@ -140,7 +139,7 @@ class PsnrAim(Aim):
         s = settings.rate
         quantum = min(0.1 * 2 ** ((34 - db) / s.db_per_doubling), s.coarsest_of_aim)
         return cls(
-            settings,
+            s,
             pixels,
             quantum,
             further_rounds=settings.schedule.rounds_for_psnr,
@@ -157,17 +156,17 @@ class PsnrAim(Aim):
     def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
         return min(psnr(decoded, source), 120.0)
 
-    def allows_alpha(self, error: float) -> bool:
+    def allows_alpha(self, error: float, s: AlphaSettings) -> bool:
         """Whether alpha alone makes no more than its share of the error that the PSNR allows."""
-        return error <= self.settings.alpha.max_error * 10 ** (-self.aim_db / 10)
+        return error <= s.max_error * 10 ** (-self.aim_db / 10)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> PsnrAim:
         allowed = 10 ** (-self.aim_db / 10)
         return replace(self, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
 
-    def allows(self, psnr: Callable[[], float]) -> bool:
+    def allows(self, psnr: Callable[[], float], s: PruneSettings) -> bool:
         """Whether about the PSNR is left: after growth, no Gaussian would come back."""
-        return psnr() >= self.aim_db - self.settings.prune.missed_db
+        return psnr() >= self.aim_db - s.missed_db
 
 
 @dataclass(frozen=True)
@@ -188,7 +187,7 @@ class QualityAim(Aim):
         if min(size) < s.quality_small[0]:
             quantum *= s.quality_small[1]
         return cls(
-            settings,
+            s,
             size[0] * size[1],
             min(quantum, s.coarsest_of_aim),
             further_rounds=settings.schedule.rounds_for_quality,
@@ -213,5 +212,5 @@ class QualityAim(Aim):
 
     def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float:
         """Return a quantum that is finer by as much as is missing."""
-        s, reached = self.settings.rate, max(map(self.reached, files))
+        s, reached = self.settings, max(map(self.reached, files))
         return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.quality_limit))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw_whole
@@ -22,50 +23,62 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.opencv import cv2
 from sgmethod.rd import encode as pipeline
-from sgmethod.rd.request import Request
+from sgmethod.rd.encode import KERNELS
+from sgmethod.rd.problem import Problem, Session
+from sgmethod.rd.rate_control import RateControl
 from sgmethod.scene import Pixels
+from sgmethod.settings.rd import RdSettings
 from sgmethod.trace import Preview
 
 Plane = NDArray[np.float32]
 
 
-def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
-    """Encode a request with alpha [H, W]; return the coded picture and the optimiser steps it took."""
-    pixels = inpainted(request.pixels, alpha)
-    layer, error, steps = _alpha(request, pixels, alpha)
-    deadline, objective = request.deadline, request.objective.under(pixels, draw_whole(layer)[..., 0])
-    preview = request.recorder.preview
-    recorder = replace(request.recorder, preview=preview and _with_alpha(preview, layer))
-    colours = replace(request, objective=objective, recorder=recorder)
-    rate, source = request.rate.beside_alpha(layer, error), np.dstack([pixels, alpha])
-    found: list[tuple[float, StreamV2]] = []
-    for _ in deadline.tries(request.settings.alpha.tries):
-        stream, taken = pipeline.encode(replace(colours, rate=rate, deadline=deadline.at(1.0)))
+def encode(
+    problem: Problem,
+    alpha: Pixels,
+    settings: RdSettings,
+    rate: RateControl,
+    session: Session,
+    backend: Backend = KERNELS,
+) -> tuple[StreamV2, int]:
+    """Encode a picture with alpha [H, W]; return the coded picture and the optimiser steps it took."""
+    pixels = inpainted(problem.pixels, alpha)
+    source = np.dstack([pixels, alpha])
+    layer, error, steps = _alpha(source, problem.is_short, settings, rate, session, backend)
+    colours = replace(problem, objective=problem.objective.under(pixels, draw_whole(layer)[..., 0]))
+    preview = session.recorder.preview
+    recorder = replace(session.recorder, preview=preview and _with_alpha(preview, layer))
+    left, found = rate.beside_alpha(layer, error), list[tuple[float, StreamV2]]()
+    for _ in session.deadline.tries(settings.alpha.tries):
+        attempt = replace(session, deadline=session.deadline.at(1.0), recorder=recorder)
+        stream, taken = pipeline.encode(colours, settings, left, attempt, backend)
         steps += taken
         stream = replace(stream, alpha=layer)
-        missing = request.rate.missing_db(stream, source)
+        missing = rate.missing_db(stream, source)
         found.append((missing, stream))
         if missing == 0:
             break
         # The colours' own error is not all of it: both layers are rounded and clamped.
-        rate = rate.with_higher_target(missing)
+        left = left.with_higher_target(missing)
     return min(found, key=lambda one: one[0])[1], steps
 
 
-def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, float, int]:
-    """Encode the alpha plane; return it, the error of a file with exact colours, and the steps it took."""
-    s, steps = request.settings, 0
-    rate, deadline = request.rate.for_alpha(), request.deadline.at(s.alpha.time)
-    objective, recorder = Objective.from_alpha(alpha, s.objective), Recorder(request.recorder.clock)
-    rate = replace(rate, settings=replace(s, effort=replace(s.effort, rounds=(0,))))
-    plane = replace(request, objective=objective, recorder=recorder, with_shear=True)
-    for _ in deadline.tries(s.alpha.tries):
-        layer, taken = pipeline.encode(replace(plane, rate=rate, deadline=deadline.at(1.0)))
+def _alpha(
+    source: Pixels, is_short: bool, settings: RdSettings, rate: RateControl, session: Session, backend: Backend
+) -> tuple[StreamV2, float, int]:
+    """Encode the alpha plane of pixels [H, W, 4]; return it, the error of a file with exact colours, and the steps."""
+    own, steps = rate.for_alpha(settings.alpha), 0
+    deadline, recorder = session.deadline.at(settings.alpha.time), Recorder(session.recorder.clock)
+    plane = Problem(Objective.from_alpha(source[..., 3], settings.objective), is_short, with_shear=True)
+    once = replace(settings, effort=replace(settings.effort, rounds=(0,)))
+    for _ in deadline.tries(settings.alpha.tries):
+        attempt = replace(session, deadline=deadline.at(1.0), recorder=recorder)
+        layer, taken = pipeline.encode(plane, once, own, attempt, backend)
         steps += taken
-        error = _error(np.dstack([pixels, draw_whole(layer)[..., 0]]), np.dstack([pixels, alpha]))
-        if request.rate.allows_alpha(error):
+        error = _error(np.dstack([source[..., :3], draw_whole(layer)[..., 0]]), source)
+        if rate.allows_alpha(error, settings.alpha):
             break
-        rate = replace(rate, quantum=rate.quantum / 2)
+        own = replace(own, quantum=own.quantum / 2)
     return layer, error, steps
 
 

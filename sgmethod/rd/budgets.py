@@ -14,7 +14,8 @@ def rate_of(budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_
     pixels = size[0] * size[1]
     match budget.kind:
         case "gaussians":
-            return GaussianCount.from_count(budget.max_gaussians(*size), pixels, settings)
+            limit, quantum = budget.max_gaussians(*size), settings.rate.gaussians_quantum
+            return GaussianCount(settings.rate, pixels, quantum, max_gaussians=limit)
         case "psnr":
             return PsnrAim.from_psnr(budget.value, pixels, settings)
         case "quality":

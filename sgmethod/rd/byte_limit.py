@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from sgmethod.bitstream.texture import Codes, pack
 from sgmethod.bitstream.v2 import (
     MAX_QUANTUM,
     MIN_QUANTUM,
@@ -17,8 +16,9 @@ from sgmethod.bitstream.v2 import (
     alpha_bytes,
 )
 from sgmethod.errors import BudgetError
+from sgmethod.fitting.objective import Objective
 from sgmethod.rd.rate_control import Coded, Fitted, RateControl, Tries, excess
-from sgmethod.settings.rd import RdSettings, Times
+from sgmethod.settings.rd import AlphaSettings, DensifySettings, RdSettings, Times
 
 PRECISION = 1e-3  # of a quantum, as a part
 QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
@@ -30,34 +30,28 @@ LONG_FILE, ITS_ALPHA = 20, 12  # bytes that certainly hold a header that is not 
 class ByteLimit(RateControl):
     """Rate control for a file of at most max_bytes whose quantum is fixed."""
 
-    max_bytes: int = 0
+    weighs_size = False
 
     def expected_gaussians(self) -> int:
         """The quantum's number, if there are bytes for it."""
         return min(super().expected_gaussians(), max(self._gaussians_by_size(), 1))
 
     def _gaussians_by_size(self) -> int:
-        return int(8 * self.max_bytes / self.settings.rate.bits_per_gaussian)
+        return int(8 * self.max_bytes / self.settings.bits_per_gaussian)
 
-    def allowed_gaussians(self, times: Times, at: float) -> int:
+    def allowed_gaussians(self, times: Times, at: float, s: DensifySettings) -> int:
         """Several times the expected number: some take few bits."""
-        most = int(self.settings.densify.most * self.expected_gaussians())
-        return min(super().allowed_gaussians(times, at), most)
-
-    def payload_limit(self, empty: StreamV2) -> int:
-        return max(self.max_bytes - empty.file_bytes, 0)
-
-    def affords(self, texture: Codes) -> bool:
-        """Whether a texture's bytes are a small part of the budget."""
-        return len(pack(texture)) <= self.settings.objective.texture.share * self.max_bytes
-
-    def merit(self, coded: Coded) -> tuple[float, float]:
-        return -coded.error, -coded.size
+        return min(super().allowed_gaussians(times, at, s), int(s.most * self.expected_gaussians()))
 
 
 @dataclass(frozen=True)
 class ByteBudget(ByteLimit):
-    """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
+    """Rate control for a budget of bytes: the quantum is steered so that the file uses them.
+
+    pixels_per_gaussian: a picture with more counts as reduced to these.
+    """
+
+    pixels_per_gaussian: float = 100.0
 
     @classmethod
     def from_bytes(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
@@ -66,27 +60,29 @@ class ByteBudget(ByteLimit):
         if max_bytes < least:
             kind = "a file with alpha" if has_alpha else "a file of profile rd"
             raise BudgetError(f"{kind} takes at least {least} bytes, the budget is {max_bytes}")
-        found = cls(settings, pixels, 0.0).for_bytes(max_bytes)
-        return replace(found, is_short=found.max_bytes <= SHORT_BYTES)
+        empty = cls(settings.rate, pixels, 0.0, pixels_per_gaussian=settings.pyramid.pixels_per_gaussian)
+        return empty.for_bytes(max_bytes)
 
     def for_bytes(self, max_bytes: int) -> ByteBudget:
         """Return the same for another number of bytes, at most as many as a file can use."""
-        max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.max_bytes * self.pixels)
-        bits, s = 8 * max_bytes, self.settings
-        # A picture with more pixels than its Gaussians need counts as reduced to these. Quanta grow with its side.
-        pixels = min(self.pixels, s.pyramid.pixels_per_gaussian * bits / s.rate.bits_per_gaussian)
+        s, max_bytes = self.settings, min(max_bytes, SMALLEST_FILE + self.settings.max_bytes * self.pixels)
+        bits = 8 * max_bytes
+        pixels = min(self.pixels, self.pixels_per_gaussian * bits / s.bits_per_gaussian)
+        # Quanta grow with the side of the whole picture.
         quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
         return replace(self, quantum=quantum, max_bytes=max_bytes)
 
-    def for_exact_background(self, has_alpha: bool) -> ByteBudget:
-        """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
-        return replace(self, is_short=self.max_bytes < LONG_FILE + (ITS_ALPHA if has_alpha else 0))
+    def is_short(self, objective: Objective, *, has_alpha: bool) -> bool:
+        """A small file is short, unless its background is most of the picture and there are bytes for all its bits."""
+        if self.max_bytes > SHORT_BYTES:
+            return False
+        return self.max_bytes < LONG_FILE + has_alpha * ITS_ALPHA or not objective.histogram.has_majority
 
-    def for_alpha(self) -> ByteLimit:
+    def for_alpha(self, s: AlphaSettings) -> ByteLimit:
         """Alpha takes what it is worth, up to a limit."""
         spare = self.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
-        most = StreamV2.MIN_BYTES + int(self.settings.alpha.max_bytes * spare)
-        return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha, self.is_short, max_bytes=most)
+        limit = StreamV2.MIN_BYTES + int(s.max_bytes * spare)
+        return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha(s), max_bytes=limit)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
         return self.for_bytes(self.max_bytes - alpha_bytes(alpha))
@@ -100,7 +96,7 @@ class ByteBudget(ByteLimit):
         Few Gaussians are served well by the fine steps that this means. Later there are more than can stay, and those
         that gain least for their bits go.
         """
-        s = self.settings.rate
+        s = self.settings
         if at < times.steering_from:
             return quantum
         exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
@@ -145,11 +141,11 @@ class ByteBudget(ByteLimit):
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
         """Return a finer one while bytes are left: refining saves a percent or, after a short fit, a fifth."""
-        s, last = self.settings.rate, tried[-1]
+        s, last = self.settings, tried[-1]
         used = last.size / max(limit, 1)
         if len(tried) > size_tries or used >= s.min_used or used == 0:
             return None
         return last.stream.quantum * float(used**s.quantum_per_size)
 
     def is_cut_short(self, size: int, limit: int) -> bool:
-        return size > self.settings.rate.overshoot_ratio * limit
+        return size > self.settings.overshoot_ratio * limit

@@ -16,22 +16,21 @@ from sgmethod.settings.rd import Times
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:
     """Drop Gaussians whose energy is not worth their bits, and the faintest of those beyond the budget's limit."""
-    s, rate = plan.settings.prune, plan.request.rate
+    s = plan.settings.prune
     bits = s.bits_of_dropped if stage.at >= stage.times.growth_at[-1] else s.worthless_bits
-    return strongest(plan, state, bits, rate.allowed_gaussians(stage.times, stage.at))
+    return strongest(plan, state, bits, plan.allowed_gaussians(stage.times, stage.at))
 
 
 def prune_to_limit(plan: Plan, state: State, times: Times) -> State:
     """Drop Gaussians beyond the budget's limit at the end of a run: a time limit may have skipped pruning."""
-    most = plan.request.rate.allowed_gaussians(times, 1.0)
-    return strongest(plan, state, plan.settings.prune.worthless_bits, most)
+    return strongest(plan, state, plan.settings.prune.worthless_bits, plan.allowed_gaussians(times, 1.0))
 
 
-def strongest(plan: Plan, state: State, bits: float, most: int) -> State:
-    """Keep at most `most` Gaussians, each with an energy that is worth more than this many bits."""
-    energies = plan.request.objective.energies(state.gaussians)
-    if len(energies) > most:
-        energies[np.argsort(energies, kind="stable")[: len(energies) - most]] = 0
+def strongest(plan: Plan, state: State, bits: float, limit: int) -> State:
+    """Keep at most `limit` Gaussians, each with an energy that is worth more than this many bits."""
+    energies = plan.problem.objective.energies(state.gaussians)
+    if len(energies) > limit:
+        energies[np.argsort(energies, kind="stable")[: len(energies) - limit]] = 0
     keep = np.flatnonzero(energies > bits * state.bit_price)
     if len(keep) == len(energies):
         return state
@@ -40,7 +39,7 @@ def strongest(plan: Plan, state: State, bits: float, most: int) -> State:
     def psnr() -> float:
         return plan.psnr(plan.rounded(kept.gaussians, kept.quantum))
 
-    return kept if plan.request.rate.allows(psnr) else state
+    return kept if plan.rate.allows(psnr, plan.settings.prune) else state
 
 
 def densify(plan: Plan, state: State, stage: Stage) -> State:
@@ -52,33 +51,33 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     is_first = stage.at == stage.times.growth_at[0]
     if not stage.grows or (price >= state.saturated_price and not is_first):
         return state  # nothing was worth this price, and the error has not grown since
-    n, rate = len(state.gaussians), plan.request.rate
-    at_once = max(int(s.growth * n), rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
-    most = min(at_once, rate.allowed_gaussians(stage.times, stage.at) - n)
-    level = plan.level_for(state, stage, n + most)
+    n = len(state.gaussians)
+    at_once = max(int(s.growth * n), plan.rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
+    limit = min(at_once, plan.allowed_gaussians(stage.times, stage.at) - n)
+    level = plan.level_for(state, stage, n + limit)
     min_gain = price * s.bits_of_new / level.frame.spacing**2
-    new = _found(plan, state, level, most, min_gain)
-    saturated = price if len(new) < min(most, s.saturated * n) else state.saturated_price
+    new = _found(plan, state, level, limit, min_gain)
+    saturated = price if len(new) < min(limit, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
     if level.values > MANY_VALUES:
         release_memory()
     gaussians = state.gaussians.with_more(new)
-    plan.request.deadline.grown(len(gaussians) / max(n, 1))
+    plan.session.deadline.grown(len(gaussians) / max(n, 1))
     size = state.size * len(gaussians) // max(n, 1)
     moments = state.moments.with_more(len(new))
     grown = replace(state, gaussians=gaussians, moments=moments, size=size, saturated_price=saturated)
-    return grown.rows(_by_place(gaussians, plan.request.size[0]))
+    return grown.rows(_by_place(gaussians, plan.problem.size[0]))
 
 
-def _found(plan: Plan, state: State, level: Level, most: int, min_gain: float) -> Gaussians:
+def _found(plan: Plan, state: State, level: Level, limit: int, min_gain: float) -> Gaussians:
     """Find round Gaussians that gain most on the residual of a level.
 
     Their colours are solved together: neighbours overlap, and would overshoot.
     """
-    hidden_by = plan.request.objective.hidden_by(plan.settings.effort)
+    hidden_by = plan.problem.objective.hidden_by(plan.settings.effort)
     size = level.frame.height, level.frame.width
-    means, factors = candidates(level.residual(state.gaussians), size, most, min_gain, hidden_by)
+    means, factors = candidates(level.residual(state.gaussians), size, limit, min_gain, hidden_by)
     if len(means) == 0:
         return Gaussians.empty(0)
     return level.solve_colors(

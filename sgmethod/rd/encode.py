@@ -10,46 +10,47 @@ search          quantise and refine with several quanta, keep the best file     
 
 The schedule is a first run and then rounds: as many as the effort has and time allows, and one or two more while a
 quality or a PSNR is missed. Within a run, prune to fit repeat in stages. A round adds and fits more Gaussians than can
-stay, and drops those that gain least. Alpha takes two requests, which alpha.py combines.
+stay, and drops those that gain least. A picture with alpha is two problems, which alpha.py combines.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream.v2 import StreamV2
+from sgmethod.fitting.deadline import Pace
 from sgmethod.rd.densify import densify, prune, prune_to_limit
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import Plan, stages
-from sgmethod.rd.rate_control import Coded
-from sgmethod.rd.request import Request
+from sgmethod.rd.plan import Plan, Stage, State, stages
+from sgmethod.rd.problem import Problem, Session
+from sgmethod.rd.rate_control import Coded, RateControl
 from sgmethod.rd.search import search
-from sgmethod.rd.sparse import on_islands
-from sgmethod.rd.steer import retarget_after_miss, steer
+from sgmethod.rd.sparse import pyramid_of
+from sgmethod.rd.steer import steer
 from sgmethod.scene import Gaussians
+from sgmethod.settings.rd import RdSettings, Times
+
+KERNELS = Kernels()
 
 
-def encode(request: Request) -> tuple[StreamV2, int]:
-    """Encode a request; return the coded picture and the optimiser steps it took."""
-    if request.is_one_colour:
-        return request.stream(Gaussians.empty(0), request.rate.quantum), 0
-    request, pyramid = on_islands(request)
-    gaussians = place(request, pyramid)
-    plan = Plan.from_request(request, pyramid, gaussians)
-    request, state = plan.request, plan.begin(gaussians)
-    rate, rounds = request.rate, plan.settings.effort.rounds
+def encode(
+    problem: Problem, settings: RdSettings, rate: RateControl, session: Session, backend: Backend = KERNELS
+) -> tuple[StreamV2, int]:
+    """Encode a picture within a budget; return the coded picture and the optimiser steps it took."""
+    if problem.is_one_colour:
+        return problem.stream(Gaussians.empty(0), rate.quantum), 0
+    pyramid = pyramid_of(problem, settings.pyramid, rate.expected_gaussians(), backend)
+    plan = Plan(problem, settings, rate, session, pyramid)
+    gaussians = place(plan)
+    plan = plan.in_time(gaussians)
+    state, rounds = plan.begin(gaussians), plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds
-    for number, pace in enumerate(request.deadline.runs(plan.lengths)):
-        for stage in stages(pace, plan.times(number)):
-            if stage.is_due:
-                state = prune(plan, state, stage)
-                state = steer(plan, state, stage)
-                if state.is_enough:
-                    break
-                state = densify(plan, state, stage)
-            state = fit(plan, state, stage)
-        state = prune_to_limit(plan, state, plan.times(number))
+    for number, pace in enumerate(plan.session.deadline.runs(plan.lengths)):
+        state = run(plan, state, pace, plan.times(number))
         if number == rounds[-1] + rate.further_rounds:  # the last that may follow: a search needs memory of its own
             state = replace(state, target=state.target.at_rest())
         if state.is_enough or number in rounds or number > rounds[-1]:
@@ -59,7 +60,22 @@ def encode(request: Request) -> tuple[StreamV2, int]:
         if number >= rounds[-1]:
             if not rate.is_missed(files.values()):
                 break
-            state = retarget_after_miss(plan, state, files.values())
+            state = replace(state, quantum=rate.quantum_after_miss(state.quantum, files.values()))
     if number not in files:
         files[number] = search(plan, state, number)
     return rate.best(files.values()).stream, state.steps
+
+
+def run(
+    plan: Plan, state: State, pace: Pace, times: Times, steer: Callable[[Plan, State, Stage], State] = steer
+) -> State:
+    """Take the stages of one run of the schedule. steer: sets the price of a bit."""
+    for stage in stages(pace, times):
+        if stage.is_due:
+            state = prune(plan, state, stage)
+            state = steer(plan, state, stage)
+            if state.is_enough:
+                break
+            state = densify(plan, state, stage)
+        state = fit(plan, state, stage)
+    return prune_to_limit(plan, state, times)

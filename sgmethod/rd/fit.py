@@ -12,7 +12,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     """Take the steps of a stage."""
     given = state.target.now
     state = _without_grain(plan, state, stage)
-    request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
+    s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
     weight = s.settling_weight if stage.at >= stage.times.settling_from else s.rate_weight
     price = weight * state.bit_price
@@ -31,18 +31,18 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
             state = replace(state, target=state.target.moved(error, into))
             level = replace(level, target=state.target.now)
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
-        request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
+        plan.finest.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
         steps += len(rates)
-        all_steps, tries = plan.all_steps(steps), request.rate.usual_tries
-        request.recorder.report("joint", steps, all_steps, decoded_error, size, state.size, tries)
+        all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
+        plan.session.recorder.report("joint", steps, all_steps, decoded_error, size, state.size, tries)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
     """Take grain off the target, once the fit misses about as much of it as it will in the end."""
     frame = plan.finest.frame
-    is_whole = (frame.width, frame.height) == plan.request.size
+    is_whole = (frame.width, frame.height) == plan.problem.size
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
-    target = state.target.without(plan.request.objective.grain(plan.finest.missing(state.gaussians)))
+    target = state.target.without(plan.problem.objective.grain(plan.finest.missing(state.gaussians)))
     return replace(state, target=target.moved(plan.finest.missing(state.gaussians, half=target.half)))

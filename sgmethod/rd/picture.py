@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from sgmethod.backend.kernels import Kernels
 from sgmethod.bitstream import container
 from sgmethod.encode_arguments import EncodeArguments
 from sgmethod.fitting.deadline import Deadline
@@ -12,8 +11,7 @@ from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd import alpha, encode as pipeline
 from sgmethod.rd.budgets import rate_of
-from sgmethod.rd.byte_limit import ByteBudget
-from sgmethod.rd.request import Request
+from sgmethod.rd.problem import Problem, Session
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings
 
@@ -31,11 +29,10 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     colours = np.ascontiguousarray(pixels[..., :3])
     objective = Objective.from_pixels(colours, asked.tune, settings.objective, texture=asked.has_texture)
     rate = rate_of(asked.budget, (width, height), settings, has_alpha=has_alpha)
-    if isinstance(rate, ByteBudget) and rate.is_short and objective.histogram.has_majority:
-        rate = rate.for_exact_background(has_alpha)
-    request = Request(objective, rate, deadline, Kernels(), recorder, asked.seed)
+    problem = Problem(objective, rate.is_short(objective, has_alpha=has_alpha))
+    session = Session(deadline, recorder, asked.seed)
     if has_alpha:
-        stream, steps = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
+        stream, steps = alpha.encode(problem, np.ascontiguousarray(pixels[..., 3]), settings, rate, session)
     else:
-        stream, steps = pipeline.encode(request)
+        stream, steps = pipeline.encode(problem, settings, rate, session)
     return container.serialise(stream), steps

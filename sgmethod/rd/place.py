@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from sgmethod.fitting.level import Pyramid
-from sgmethod.rd.request import Request
+from sgmethod.rd.plan import Plan
 from sgmethod.scene import Gaussians
 from sgmethod.start.placement import place as place_by_structure
 
 
-def place(request: Request, pyramid: Pyramid) -> Gaussians:
+def place(plan: Plan) -> Gaussians:
     """Place a part of the expected Gaussians, with colours that are solved together.
 
     As they are few, a small picture shows enough of the structure; if time is short, a smaller one has to do.
     """
-    s, rate = request.settings.place, request.rate
-    share = max(int(rate.expected_gaussians() * s.share), s.fewest)
-    n = min(share, rate.allowed_gaussians(request.settings.effort.times, 1.0))
-    few = request.settings.pyramid.pixels_while_few
-    level = pyramid.coarsest(few * (n // 4 if request.deadline.is_short() else n))
-    image = level.image().transpose(1, 2, 0) + np.array(request.background, np.float32) / 255
-    placed = place_by_structure(np.ascontiguousarray(image), n, s.start, np.random.default_rng(request.seed))
+    s, session = plan.settings.place, plan.session
+    share = max(int(plan.rate.expected_gaussians() * s.share), s.fewest)
+    n = min(share, plan.allowed_gaussians(plan.settings.effort.times, 1.0))
+    few = plan.settings.pyramid.pixels_while_few
+    level = plan.pyramid.coarsest(few * (n // 4 if session.deadline.is_short() else n))
+    image = level.image().transpose(1, 2, 0) + np.array(plan.problem.background, np.float32) / 255
+    placed = place_by_structure(np.ascontiguousarray(image), n, s.start, np.random.default_rng(session.seed))
     return level.solve_colors(level.shapes(placed.means, placed.factors), s.color_solve_steps)

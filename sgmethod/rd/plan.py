@@ -15,8 +15,8 @@ from sgmethod.backend.protocol import COARSE_SIDE, Descent, Moments, Target, Vis
 from sgmethod.fitting.deadline import Deadline, Pace
 from sgmethod.fitting.level import Level, Pyramid
 from sgmethod.fitting.moving_target import FitTarget, led
-from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.request import Request
+from sgmethod.rd.problem import Problem, Session
+from sgmethod.rd.rate_control import RateControl, error_per_bit
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RdSettings, Times
 
@@ -25,28 +25,34 @@ MANY_VALUES = 1 << 23  # samples of a level; work on a smaller one leaves little
 
 @dataclass(frozen=True)
 class Plan:
-    """A request whose settings fit into its time, and the picture sizes that do."""
+    """What all stages read: problem, settings, budget and session side by side, and the picture sizes.
 
-    request: Request
+    rate: what the budget allows.
+    """
+
+    problem: Problem
+    settings: RdSettings
+    rate: RateControl
+    session: Session
     pyramid: Pyramid
 
-    @classmethod
-    def from_request(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
-        """Plan a request whose first Gaussians are placed.
+    def in_time(self, gaussians: Gaussians) -> Plan:
+        """Adapt settings and sizes to the picture and to the time left, once the first Gaussians are placed.
 
-        If time is too short for all steps, it takes a lower effort, with the steps that fill the time. If
+        If time is too short for all steps, the plan takes a lower effort, with the steps that fill the time. If
         that takes too long as well, a smaller picture is fitted. The time of a gradient is measured here.
         """
-        most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * request.rate.expected_gaussians())
-        settings = sized(request.settings, most.pixels)
-        if request.deadline.has_limit():
-            request, settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
-        return cls(request.with_settings(within_pixels(settings, pyramid)), pyramid)
+        s = self.settings
+        usual = self.pyramid.coarsest(s.pyramid.pixels_per_gaussian * self.rate.expected_gaussians())
+        plan = replace(self, settings=sized(s, usual.pixels))
+        return (_in_time(plan, usual, gaussians) if self.session.deadline.has_limit() else plan).within_pixels()
 
-    @property
-    def settings(self) -> RdSettings:
-        """The request's."""
-        return self.request.settings
+    def within_pixels(self) -> Plan:
+        """Set the scale below which a Gaussian would fall between the pixels of the finest level."""
+        fit, spacing = self.settings.fit, self.finest.frame.spacing
+        narrowest = fit.optimiser.min_scale_px if spacing == 1 else self.settings.pyramid.narrowest * spacing
+        fit = replace(fit, optimiser=replace(fit.optimiser, min_scale_px=narrowest))
+        return replace(self, settings=replace(self.settings, fit=fit))
 
     @property
     def finest(self) -> Level:
@@ -56,7 +62,7 @@ class Plan:
     @cached_property
     def shown(self) -> Visibility | None:
         """Share of the finest level that alpha shows."""
-        shown = self.request.objective.shown
+        shown = self.problem.objective.shown
         for _ in range(self.finest.frame.spacing.bit_length() - 1):
             shown = shown and shown.halved()
         return shown
@@ -64,9 +70,9 @@ class Plan:
     @property
     def lengths(self) -> list[int]:
         """Steps of the first run and of each round, including rounds for a quality that is missed."""
-        first = self.request.rate.steps()
+        first = first_run(self.settings, self.rate)
         a_round = max(round(self.settings.schedule.round_steps * first), 1)
-        further = self.request.rate.further_rounds
+        further = self.rate.further_rounds
         return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
 
     def all_steps(self, done: int) -> int:
@@ -76,9 +82,9 @@ class Plan:
 
     def begin(self, gaussians: Gaussians) -> State:
         """Return the state before the first step."""
-        request, finest = self.request, self.finest
-        target = request.objective.moving_target(finest.target, finest.frame.spacing, request.background[0])
-        return State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+        finest, background = self.finest, self.problem.background[0]
+        target = self.problem.objective.moving_target(finest.target, finest.frame.spacing, background)
+        return State(gaussians, Moments.none(len(gaussians)), self.rate.quantum, target)
 
     def level_for(self, state: State, stage: Stage, gaussians: int) -> Level:
         """Choose the level that this many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
@@ -86,37 +92,41 @@ class Plan:
         if progress >= times.many_from:
             level = self.finest
         elif progress >= times.few_until:
-            most = max(gaussians, self.request.rate.expected_gaussians())
-            level = self.pyramid.coarsest(s.pixels_per_gaussian * most)
+            expected = max(gaussians, self.rate.expected_gaussians())
+            level = self.pyramid.coarsest(s.pixels_per_gaussian * expected)
         else:
             level = self.pyramid.coarsest(s.pixels_while_few * gaussians)
         if stage.has_grown:
-            level = self.request.objective.with_coarse(level)
+            level = self.problem.objective.with_coarse(level)
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
 
     def refining_target(self, state: State) -> Target:
         """Return the target of refining, which weighs each pixel alone: coarse errors move it."""
-        shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.request.objective.with_coarse(self.finest)
+        shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.problem.objective.with_coarse(self.finest)
         if shrink == 0 or level.visibility is None or level.visibility.coarse == 0:
             return state.target.now
         return led(state.target.now, level.missing(state.gaussians, half=True), level.visibility.coarse, shrink)
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
         """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""
-        price, optimiser = price / self.request.samples, self.settings.fit.optimiser
-        return Descent(level.frame, level.target, level.visibility, quantum, price, *self.request.size, optimiser)
+        price, optimiser = price / self.problem.pixels.size, self.settings.fit.optimiser
+        return Descent(level.frame, level.target, level.visibility, quantum, price, *self.problem.size, optimiser)
 
     def rounded(self, gaussians: Gaussians, quantum: float) -> Gaussians:
         """Return Gaussians as they would decode."""
-        return self.request.backend.rounded(gaussians, self.request.coding(quantum))
+        return self.finest.backend.rounded(gaussians, self.problem.coding(quantum))
 
     def error(self, gaussians: Gaussians) -> float:
         """Mean squared error on the finest level."""
-        return self.request.backend.error(gaussians, self.finest.frame, self.finest.target, self.shown)
+        return self.finest.backend.error(gaussians, self.finest.frame, self.finest.target, self.shown)
 
     def psnr(self, gaussians: Gaussians) -> float:
         """PSNR on the finest level, in dB."""
         return -10 * math.log10(max(self.error(gaussians), 1e-12))
+
+    def allowed_gaussians(self, times: Times, at: float) -> int:
+        """Limit on the number of Gaussians."""
+        return self.rate.allowed_gaussians(times, at, self.settings.densify)
 
     def times(self, run: int) -> Times:
         """Times of a run: 0 is the first, others are rounds."""
@@ -128,51 +138,51 @@ class Plan:
         return times if makes_file else replace(times, settling_from=1.0)
 
 
-def _in_time(
-    request: Request, settings: RdSettings, pyramid: Pyramid, most: Level, gaussians: Gaussians
-) -> tuple[Request, RdSettings, Pyramid]:
-    """Reduce settings and pyramid to the time left, of which the search has its part. most: the level of most steps.
+def first_run(settings: RdSettings, rate: RateControl) -> int:
+    """Steps of the first run."""
+    s, density = settings.schedule, rate.expected_gaussians() / rate.pixels
+    share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
+    return round(settings.effort.steps * (1 + share * (s.dense_steps - 1)))
+
+
+def _in_time(plan: Plan, usual: Level, gaussians: Gaussians) -> Plan:
+    """Reduce settings and pyramid to the time left, of which the search has its part. usual: the level of most steps.
 
     Computing the gradient on the finest level takes no longer than a step may. A coarser level is used only if it
-    halves the time, because it lacks detail. A level finer than `most` is used if its drawings leave time for steps.
+    halves the time, because it lacks detail. A level finer than `usual` is used if its drawings leave time for steps.
     """
-    rate, deadline, s = request.rate, request.deadline, request.deadline.settings
+    settings, pyramid, objective = plan.settings, plan.pyramid, plan.problem.objective
+    deadline, s = plan.session.deadline, plan.session.deadline.settings
 
     def gradient_s(level: Level) -> float:
         return deadline.seconds_of(lambda: level.gradients(gaussians))
 
-    took_s = gradient_s(most)
-    pixel_s, hides = took_s / most.pixels, request.objective.replaces_grain
+    took_s = gradient_s(usual)
+    pixel_s, hides = took_s / usual.pixels, objective.replaces_grain
     of_whole, of_texture, of_finest = s.search_gradients
     as_finest = s.finest_gradients[0] + s.finest_gradients[1] * hides
 
     def searching(finest: Level) -> Deadline:
-        pixels = (of_whole + of_texture * hides) * request.samples / 3 + of_finest * finest.pixels
+        pixels = (of_whole + of_texture * hides) * objective.pixels.size / 3 + of_finest * finest.pixels
         return replace(deadline, drawings_s=pixel_s * pixels)
 
-    finer = [level for level in pyramid.levels if level.pixels > most.pixels]
+    finer = [level for level in pyramid.levels if level.pixels > usual.pixels]
     affordable = (one for one in finer if as_finest * pixel_s * one.pixels <= searching(one).left_to_fit_s())
-    finest = next(affordable, most)
+    finest = next(affordable, usual)
     deadline = searching(finest)
     in_time = deadline.steps_in_time(took_s)
-    all_steps = replace(rate, settings=settings).steps()
-    settings = fit_to_steps(settings, most.pixels, in_time / all_steps * settings.effort.steps)
-    step_s = took_s * in_time * s.gradients_per_step / replace(rate, settings=settings).steps()
-    for level in pyramid.from_level(most).levels[1:]:
+    all_steps = first_run(settings, plan.rate)
+    settings = fit_to_steps(settings, usual.pixels, in_time / all_steps * settings.effort.steps)
+    step_s = took_s * in_time * s.gradients_per_step / first_run(settings, plan.rate)
+    for level in pyramid.from_level(usual).levels[1:]:
         if took_s <= step_s:
             break
         took_s, before_s = gradient_s(level), took_s
         if took_s > before_s / 2:
             break
         finest = level
-    return replace(request, deadline=deadline), settings, pyramid.from_level(finest)
-
-
-def within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
-    """Set the scale below which a Gaussian would fall between the pixels of the finest level."""
-    optimiser, spacing = settings.fit.optimiser, pyramid.finest.frame.spacing
-    narrowest = optimiser.min_scale_px if spacing == 1 else settings.pyramid.narrowest * spacing
-    return replace(settings, fit=replace(settings.fit, optimiser=replace(optimiser, min_scale_px=narrowest)))
+    session = replace(plan.session, deadline=deadline)
+    return replace(plan, session=session, settings=settings, pyramid=pyramid.from_level(finest))
 
 
 def sized(settings: RdSettings, pixels: int) -> RdSettings:
@@ -192,12 +202,12 @@ def fit_to_steps(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     The effort stays if it fits, else it becomes the highest lower effort that fits, with as many steps as there may be
     time for, else the lowest with fewer Gaussians.
     """
-    most = min(round(settings.deadline.spare_steps * steps), settings.effort.steps) if steps < math.inf else 0
+    spare = min(round(settings.deadline.spare_steps * steps), settings.effort.steps) if steps < math.inf else 0
     lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
     choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
     few = replace(choices[-1].densify, most=settings.deadline.max_when_short)
     found = next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
-    return replace(found, effort=replace(found.effort, steps=max(found.effort.steps, most)))
+    return replace(found, effort=replace(found.effort, steps=max(found.effort.steps, spare)))
 
 
 @dataclass(frozen=True)

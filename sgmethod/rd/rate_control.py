@@ -18,13 +18,19 @@ from functools import cached_property
 from typing import ClassVar, Protocol
 
 from sgmethod.backend.protocol import NO_LIMIT
-from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import MAX_QUANTUM, StreamV2
 from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import RdSettings, Times
+from sgmethod.settings.rd import (
+    AlphaSettings,
+    DensifySettings,
+    PruneSettings,
+    RateSettings,
+    RefineSettings,
+    Times,
+)
 
 EXACT_DB = 99.0  # PSNR of a picture without any error
 
@@ -108,36 +114,32 @@ class Coded:
 class RateControl:
     """Rate control at a fixed quantum. Each kind of budget overrides the methods that it answers differently.
 
-    pixels: size of the picture; quantum: the initial quantum; is_short: whether to write a short file; further_rounds:
-    rounds beyond the effort's, while the budget is missed; usual_tries: quanta that a search usually tries. Times
-    (`at`) are parts of a run of the schedule, 0 to 1.
+    pixels: size of the picture; quantum: the initial quantum; further_rounds: rounds beyond the effort's, while the
+    budget is missed; max_bytes, max_gaussians: limits on the file; usual_tries: quanta that a search usually tries;
+    weighs_size: whether a smaller file makes up for a larger error. Times (`at`) are parts of a run of the schedule, 0
+    to 1.
     """
 
     usual_tries: ClassVar[int] = 1
+    weighs_size: ClassVar[bool] = True
 
-    settings: RdSettings
+    settings: RateSettings
     pixels: int
     quantum: float
-    is_short: bool = False
     further_rounds: int = 0
+    max_bytes: int = NO_LIMIT
+    max_gaussians: int = MAX_GAUSSIANS
 
     # --- asked while Gaussians are fitted
 
     def expected_gaussians(self) -> int:
         """First guess of the number of Gaussians."""
-        s = self.settings.rate
+        s = self.settings
         return max(min(int(s.gaussians_per_pixel * self.pixels / self.quantum), self.pixels // s.min_pixels), 1)
 
-    def allowed_gaussians(self, times: Times, at: float) -> int:
-        """Limit on the number of Gaussians."""
-        return min(self.pixels, MAX_GAUSSIANS)
-
-    def steps(self) -> int:
-        """Steps of the first run."""
-        s = self.settings.schedule
-        density = self.expected_gaussians() / self.pixels
-        share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
-        return round(self.settings.effort.steps * (1 + share * (s.dense_steps - 1)))
+    def allowed_gaussians(self, times: Times, at: float, s: DensifySettings) -> int:
+        """Limit on the number of Gaussians, with a surplus early."""
+        return min(self.pixels, MAX_GAUSSIANS, int(self.max_gaussians * excess(times, at)))
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Return the quantum from `at` on, given the one before.
@@ -146,19 +148,15 @@ class RateControl:
         """
         return self.quantum / float(times.finer_early ** surplus(times, at))
 
-    def allows(self, psnr: Callable[[], float]) -> bool:
+    def allows(self, psnr: Callable[[], float], s: PruneSettings) -> bool:
         """Whether Gaussians may be dropped if this PSNR is left."""
         return True
 
     # --- asked while files are searched
 
-    def payload_limit(self, empty: StreamV2) -> int:
-        """Bytes left for the payload, given a file without any."""
-        return NO_LIMIT
-
-    def affords(self, texture: Codes) -> bool:
-        """Whether the file may hold a texture."""
-        return True
+    def is_short(self, objective: Objective, *, has_alpha: bool) -> bool:
+        """Whether to write a short file, which rounds its background."""
+        return False
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Tries) -> float:
         """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload."""
@@ -176,21 +174,20 @@ class RateControl:
         """Choose the best file of one search."""
         return self.best(tried)
 
-    def relaxed_bytes(self, coded: Coded) -> int:
+    def relaxed_bytes(self, coded: Coded, s: RefineSettings) -> int:
         """Limit on the payload when a file is coded again after relaxing."""
         return NO_LIMIT
 
     # --- asked where a picture has alpha, which is encoded before its colours (alpha.py)
 
-    def for_alpha(self) -> RateControl:
+    def for_alpha(self, s: AlphaSettings) -> RateControl:
         """Rate control for the alpha plane."""
-        return RateControl(self.settings, self.pixels, self._quantum_of_alpha)
+        return RateControl(self.settings, self.pixels, self._quantum_of_alpha(s))
 
-    @property
-    def _quantum_of_alpha(self) -> float:
-        return min(self.settings.alpha.coarser * self.quantum, MAX_QUANTUM)
+    def _quantum_of_alpha(self, s: AlphaSettings) -> float:
+        return min(s.coarser * self.quantum, MAX_QUANTUM)
 
-    def allows_alpha(self, error: float) -> bool:
+    def allows_alpha(self, error: float, s: AlphaSettings) -> bool:
         """Whether alpha may cause this mean squared error in a file with exact colours."""
         return True
 
@@ -212,9 +209,9 @@ class RateControl:
         """Whether none of the files has the quality that was asked for."""
         return False
 
-    def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float | None:
-        """Return the quantum for a further round with the whole picture as its target; None to go on as before."""
-        return None
+    def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float:
+        """Return the quantum for a further round after files that missed the budget."""
+        return quantum
 
     def is_enough(self, coded: Coded) -> bool:
         """Whether further steps and bytes gain nothing: every pixel is exact."""
@@ -227,35 +224,23 @@ class RateControl:
 
     def merit(self, coded: Coded) -> tuple[float, float]:
         """Key by which files of one budget are compared."""
-        return -coded.error - 8 * error_per_bit(self.quantum) * coded.size, -coded.size
+        price = 8 * error_per_bit(self.quantum) if self.weighs_size else 0.0
+        return -coded.error - price * coded.size, -coded.size
 
 
 @dataclass(frozen=True)
 class GaussianCount(RateControl):
     """Rate control for a number of Gaussians, which is never exceeded, at a fixed quantum."""
 
-    max_gaussians: int = 1
-
-    @classmethod
-    def from_count(cls, max_gaussians: int, pixels: int, settings: RdSettings) -> GaussianCount:
-        """Create the limit for a picture of `pixels` pixels."""
-        quantum = settings.rate.gaussians_quantum
-        return cls(settings, pixels, quantum, max_gaussians=max_gaussians)
+    weighs_size = False
 
     def expected_gaussians(self) -> int:
         return self.max_gaussians
 
-    def for_alpha(self) -> RateControl:
-        most = max(int(self.settings.alpha.max_gaussians * self.max_gaussians), 1)
-        return replace(self, quantum=self._quantum_of_alpha, max_gaussians=most)
+    def for_alpha(self, s: AlphaSettings) -> RateControl:
+        limit = max(int(s.max_gaussians * self.max_gaussians), 1)
+        return replace(self, quantum=self._quantum_of_alpha(s), max_gaussians=limit)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
         used = len(alpha.gaussians()) if alpha.payload else 0
         return replace(self, max_gaussians=max(self.max_gaussians - used, 1))
-
-    def allowed_gaussians(self, times: Times, at: float) -> int:
-        """The limit, and a surplus early."""
-        return min(super().allowed_gaussians(times, at), int(self.max_gaussians * excess(times, at)))
-
-    def merit(self, coded: Coded) -> tuple[float, float]:
-        return -coded.error, -coded.size

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Moments, RefineLimits, Target, release_memory
-from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v2 import StreamV2, is_upright
+from sgmethod.bitstream.texture import Codes, pack
+from sgmethod.bitstream.v2 import StreamV2, coded_background, is_upright
 from sgmethod.rd.plan import MANY_VALUES, Plan, State
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
 
 TEXTURE_CODINGS = 3.0  # those of a search that has no time, and one for the texture
 FEW_BYTES = 32  # of payload: their Gaussians may gain less than the mean colour alone
+ROUNDING_LEVELS = 2  # spread of a picture whose background may miss no more than rounding to 8 bits does
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
@@ -26,16 +27,16 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     rounds: number completed. For each round after the first, a random half of the Gaussians is fitted again, to make up
     for the rounding of the other half. Then all are refined again: refining alone finds no single change that helps.
     """
-    request, rate, s = plan.request, plan.request.rate, plan.settings.refine
+    problem, rate, deadline, s = plan.problem, plan.rate, plan.session.deadline, plan.settings.refine
     if plan.finest.values > MANY_VALUES:
         release_memory()  # which the fit kept for its next step
 
     @cache  # several quanta have one code
     def coded(quantum: float) -> StreamV2:
-        return request.stream(state.gaussians, quantum)
+        return problem.stream(state.gaussians, quantum)
 
     def payload(quantum: float) -> int:
-        return len(coded(StreamV2.coded_quantum(quantum, rate.is_short)).payload)
+        return len(coded(StreamV2.coded_quantum(quantum, problem.is_short)).payload)
 
     @cache  # the fit stays as it is
     def fit_error() -> float:
@@ -43,47 +44,49 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
 
     report = partial(_report, plan, state, rounds, fit_error)
     report(0, rate.usual_tries)
-    has_time = request.deadline.has_time_for_codings(TEXTURE_CODINGS)
-    texture = request.objective.texture(coded(state.quantum)) if has_time else None
-    if texture is not None and not rate.affords(texture):
+    has_time = deadline.has_time_for_codings(TEXTURE_CODINGS)
+    texture = problem.objective.texture(coded(state.quantum)) if has_time else None
+    if texture is not None and len(pack(texture)) > plan.settings.objective.texture.share * rate.max_bytes:
         texture = None
-    empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
-    limit, target = rate.payload_limit(empty), plan.refining_target(state)
+    empty = replace(problem.stream(Gaussians.empty(0), state.quantum), texture=texture)
+    limit, target = max(rate.max_bytes - empty.file_bytes, 0), plan.refining_target(state)
     refined = partial(_refined, plan, target, texture)
 
     tried: list[Coded] = []
-    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, request.deadline.tries)
-    for _ in request.deadline.tries(plan.settings.rate.aim_tries):
+    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, deadline.tries)
+    for _ in deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break
         tried.append(refined(state.gaussians, quantum, limit))
         report(len(tried), max(rate.usual_tries, len(tried) + 1))
         quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
-    if request.deadline.left_s() > 0 and rate.is_cut_short(payload(state.quantum), limit):
+    if deadline.left_s() > 0 and rate.is_cut_short(payload(state.quantum), limit):
         tried.append(refined(state.gaussians, state.quantum, limit))
     best = exact = rate.chosen(tried)
     if state.is_enough:  # the fit itself may be too large for the budget, and small enough below
-        exact = rate.best([best, Coded(coded(state.quantum), request.objective)])
+        exact = rate.best([best, Coded(coded(state.quantum), problem.objective)])
     if rate.is_enough(exact) and (exact := smaller(plan, exact, target)).size <= limit:
         best, rounds = exact, 0
-    rng = np.random.default_rng(request.seed)
+    rng = np.random.default_rng(plan.session.seed)
     tries = max(rounds - 1, 0) if best.size else 0
-    for number in request.deadline.tries(tries):
+    for number in deadline.tries(tries):
         report(number, tries)
         held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
-        best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
-    if best.size > FEW_BYTES and not request.is_nearly_flat:
+        best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best, s)))])
+    histogram = problem.objective.histogram
+    if best.size > FEW_BYTES and histogram.spread > ROUNDING_LEVELS:
         return best
-    empty = replace(empty, quantum=best.stream.quantum, texture=None, background=request.mean)
-    return rate.best([best, Coded(empty, request.objective)])
+    mean = coded_background(histogram.mean, problem.is_short)
+    empty = replace(empty, quantum=best.stream.quantum, texture=None, background=mean)
+    return rate.best([best, Coded(empty, problem.objective)])
 
 
 def _report(plan: Plan, state: State, rounds: int, error: Callable[[], float], step: int, steps: int) -> None:
     """Report the progress of a search, unless another run of the schedule follows it."""
     if rounds >= plan.settings.effort.rounds[-1]:
-        gaussians, tries = len(state.gaussians), plan.request.rate.usual_tries
-        plan.request.recorder.report("search", step, steps, error, gaussians, state.size, tries)
+        gaussians, tries = len(state.gaussians), plan.rate.usual_tries
+        plan.session.recorder.report("search", step, steps, error, gaussians, state.size, tries)
 
 
 def _refined(
@@ -93,35 +96,35 @@ def _refined(
 
     Their integers are refined one Gaussian at a time on the target that the others leave (native/refine/refine.cpp).
     """
-    request, s, finest = plan.request, plan.settings, plan.finest
-    quantum = StreamV2.coded_quantum(quantum, request.rate.is_short)
-    coding = replace(request.coding(quantum), upright=is_upright(gaussians.factors, request.with_shear))
+    problem, deadline, s, finest = plan.problem, plan.session.deadline, plan.settings, plan.finest
+    quantum = StreamV2.coded_quantum(quantum, problem.is_short)
+    coding = replace(problem.coding(quantum), upright=is_upright(gaussians.factors, problem.with_shear))
     spacing = finest.frame.spacing
     price = s.refine.weight * error_per_bit(quantum) / spacing**2
-    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), max_bytes, spacing)
-    payload = request.backend.refine(gaussians, coding, target, limits, finest.visibility)
-    colours = *request.size, quantum, request.background, request.grey, coding.upright, payload
-    return Coded(StreamV2(*colours, texture, is_short=coding.is_short), request.objective)
+    limits = RefineLimits(price, s.effort.refine_sweeps, deadline.left_s(), max_bytes, spacing)
+    payload = finest.backend.refine(gaussians, coding, target, limits, finest.visibility)
+    colours = *problem.size, quantum, problem.background, problem.grey, coding.upright, payload
+    return Coded(StreamV2(*colours, texture, is_short=coding.is_short), problem.objective)
 
 
 def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
     """Search for a smaller file of an exact picture, with fewer Gaussians or a coarser quantum, until none is found."""
-    request, s = plan.request, plan.settings.refine
-    exact, last = Coded(replace(exact.stream, texture=None), request.objective), None
+    problem, deadline, s = plan.problem, plan.session.deadline, plan.settings.refine
+    exact, last = Coded(replace(exact.stream, texture=None), problem.objective), None
 
     def fewer(share: float) -> Coded:
         stream, gaussians = exact.stream, exact.stream.gaussians()
-        strongest = np.argsort(-request.objective.energies(gaussians), kind="stable")
+        strongest = np.argsort(-problem.objective.energies(gaussians), kind="stable")
         few = gaussians.rows(np.sort(strongest[: int(share * len(strongest))]))
         held = np.zeros(len(few), bool)
-        moved = relaxed(plan, request.stream(few, stream.quantum), target, held, [s.exact_rate] * s.exact_steps)
+        moved = relaxed(plan, problem.stream(few, stream.quantum), target, held, [s.exact_rate] * s.exact_steps)
         return _refined(plan, target, None, moved, stream.quantum, exact.size)
 
     def coarser(by: float) -> Coded:
         return _refined(plan, target, None, exact.stream.gaussians(), exact.stream.quantum * by, exact.size)
 
-    slow = request.deadline.tries(3 * s.exact_pixels // request.samples)
-    quick = request.deadline.tries(s.exact_tries)
+    slow = deadline.tries(3 * s.exact_pixels // problem.pixels.size)
+    quick = deadline.tries(s.exact_tries)
     ways = [(partial(fewer, share), slow) for share in s.exact_shares]
     ways += [(partial(coarser, by), quick) for by in s.exact_coarser]
     while last is not exact:
@@ -143,7 +146,7 @@ def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_
     price = s.relaxed_weight * error_per_bit(stream.quantum)
     descent = plan.descent(level, stream.quantum, price)
     for rate in rates:
-        plan.request.backend.steps(moving, moments, descent, [rate])
+        plan.finest.backend.steps(moving, moments, descent, [rate])
         for values, held_at in zip(moving.arrays, before.arrays, strict=True):
             values[held] = held_at[held]
     return moving

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from sgmethod.fitting.level import Pyramid, target_of
-from sgmethod.rd.request import Request
+from sgmethod.backend.protocol import Backend, Frame
+from sgmethod.fitting.islands import Islands
+from sgmethod.fitting.level import Level, Pyramid, target_of
+from sgmethod.rd.problem import Problem
+from sgmethod.settings.rd import PyramidSettings
 
 LARGE = 1 << 18  # pixels of a picture; a smaller one is fitted in no time
 SMALLER = 4  # times: a sheet's fit also takes time for moving Gaussians to it
 
 
-def on_islands(request: Request) -> tuple[Request, Pyramid]:
-    """Return a request and the pyramid of its picture or, if it is sparse, of the sheet of its islands.
+def whole_of(problem: Problem, backend: Backend) -> Level:
+    """Build the level of the whole picture."""
+    target = target_of(problem.pixels, problem.background)
+    return Level(backend, Frame(*problem.size), target, problem.objective.visibility)
+
+
+def pyramid_of(problem: Problem, settings: PyramidSettings, gaussians: int, backend: Backend) -> Pyramid:
+    """Build the picture in the sizes that this many Gaussians can show or, if it is sparse, the sheet of its islands.
 
     With alpha, colours are all the same to hidden pixels, and seldom one colour.
     """
-    whole = request.whole()
-    pyramid = request.pyramid(whole)
-    islands = request.islands() if whole.pixels >= LARGE else None
-    if islands is None or SMALLER * islands.pixels > pyramid.finest.pixels or request.objective.shown is not None:
-        return request, pyramid
-    colour = np.array([[request.histogram.background]], np.uint8)
-    sheet = whole.on_sheet(islands, target_of(colour, request.background))
-    return replace(request, backend=sheet.backend), request.pyramid(sheet)
+    whole, histogram = whole_of(problem, backend), problem.objective.histogram
+    pyramid = Pyramid.from_whole(whole, settings, gaussians)
+    if whole.pixels < LARGE or not histogram.has_majority:
+        return pyramid
+    islands = Islands.from_pixels(problem.pixels, histogram.background)
+    if islands is None or SMALLER * islands.pixels > pyramid.finest.pixels or problem.objective.shown is not None:
+        return pyramid
+    colour = np.array([[histogram.background]], np.uint8)
+    sheet = whole.on_sheet(islands, target_of(colour, problem.background))
+    return Pyramid.from_whole(sheet, settings, gaussians)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +12,7 @@ from sgmethod.rd.rate_control import Coded
 
 
 @dataclass(frozen=True)
-class FitNow:
+class FitSnapshot:
     """A fit as it would be coded now. Each quality is measured when it is first asked for."""
 
     plan: Plan
@@ -33,7 +32,7 @@ class FitNow:
     @cached_property
     def ssimulacra2_db(self) -> float:
         """SSIMULACRA 2, as rate_control.ssimulacra2_db() counts it."""
-        return Coded(self.stream, self.plan.request.objective).ssimulacra2_db
+        return Coded(self.stream, self.plan.problem.objective).ssimulacra2_db
 
     @property
     def lost_db(self) -> float:
@@ -46,19 +45,13 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 
     Where bytes are left at the finest quantum, the picture may be exact already.
     """
-    request = plan.request
-    stream = request.deadline.coded(lambda: request.stream(state.gaussians, state.quantum))
-    now = FitNow(plan, state, stream)
-    if request.recorder.preview is not None:
-        request.recorder.preview(container.serialise(now.stream))
-    if now.stream.quantum <= MIN_QUANTUM and request.rate.is_enough(Coded(now.stream, request.objective)):
+    problem, rate, preview = plan.problem, plan.rate, plan.session.recorder.preview
+    stream = plan.session.deadline.coded(lambda: problem.stream(state.gaussians, state.quantum))
+    now = FitSnapshot(plan, state, stream)
+    if preview is not None:
+        preview(container.serialise(stream))
+    if stream.quantum <= MIN_QUANTUM and rate.is_enough(Coded(stream, problem.objective)):
         return replace(state, size=now.file_bytes, is_enough=True)
-    quantum = request.rate.steered(state.quantum, stage.times, stage.at, now)
-    coded = StreamV2.coded_quantum(quantum, request.rate.is_short)
+    quantum = rate.steered(state.quantum, stage.times, stage.at, now)
+    coded = StreamV2.coded_quantum(quantum, problem.is_short)
     return replace(state, size=now.file_bytes, quantum=coded)
-
-
-def retarget_after_miss(plan: Plan, state: State, files: Iterable[Coded]) -> State:
-    """Prepare a further round after files that missed the budget."""
-    quantum = plan.request.rate.quantum_after_miss(state.quantum, files)
-    return state if quantum is None else replace(state, quantum=quantum)

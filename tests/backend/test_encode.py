@@ -15,12 +15,11 @@ from sgmethod.bitstream import container
 from sgmethod.budget import Budget
 from sgmethod.decoder import decode
 from sgmethod.metrics import psnr
-from sgmethod.rd.encode import encode
 from sgmethod.settings.rd import RD, Effort
 from sgmethod.settings.shared import Tune
 from sgmethod.view import View
 from tests.definitions.backend import Reference
-from tests.rd.short import requested
+from tests.rd.short import asked
 from tests.support.pictures import png
 
 SIZE, BYTES = (40, 32), 400
@@ -29,7 +28,7 @@ SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, siz
 
 def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
     """The file of profile rd."""
-    stream, steps = encode(requested(pixels, Budget("bytes", BYTES), tune, settings=SETTINGS, backend=backend))
+    stream, steps = asked(pixels, Budget("bytes", BYTES), tune, settings=SETTINGS, backend=backend).encode()
     assert steps >= 30
     return container.serialise(stream)
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.budget import Budget
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd.budgets import rate_of
+from sgmethod.rd.encode import KERNELS, encode
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State
-from sgmethod.rd.request import Request
+from sgmethod.rd.problem import Problem, Session
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.sparse import pyramid_of
 from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.rd import RD, RdSettings
 from sgmethod.settings.shared import Tune
@@ -47,30 +50,47 @@ class SlowClock(Clock):
         return self.now
 
 
-def requested(
+@dataclass(frozen=True)
+class Asked:
+    """What rd/encode.py is given, as rd/picture.py makes it."""
+
+    problem: Problem
+    settings: RdSettings
+    rate: RateControl
+    session: Session
+    backend: Backend
+
+    def encode(self) -> tuple[StreamV2, int]:
+        return encode(self.problem, self.settings, self.rate, self.session, self.backend)
+
+    @property
+    def plan(self) -> Plan:
+        """Before anything is placed."""
+        pyramid = pyramid_of(self.problem, self.settings.pyramid, self.rate.expected_gaussians(), self.backend)
+        return Plan(self.problem, self.settings, self.rate, self.session, pyramid)
+
+    def begun(self) -> tuple[Plan, State]:
+        """The plan, and the state before its first step."""
+        plan = self.plan
+        gaussians = place(plan)
+        plan = plan.in_time(gaussians)
+        return plan, plan.begin(gaussians)
+
+
+def asked(
     pixels: NDArray[np.uint8],
     budget: Budget,
     tune: Tune = "psnr",
     *,
     settings: RdSettings = RD,
     deadline: Deadline | None = None,
-    backend: Backend | None = None,
-    recorder: Recorder | None = None,
-) -> Request:
-    """A request of profile rd, as rd/picture.py makes it."""
+    backend: Backend = KERNELS,
+) -> Asked:
     clock = Clock()
     objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective, texture=True)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
-    deadline, recorder = deadline or Deadline.from_limit(clock), recorder or Recorder(clock)
-    return Request(objective, rate, deadline, backend or Kernels(), recorder)
-
-
-def begun(request: Request) -> tuple[Plan, State]:
-    """The plan of a request, and the state before its first step."""
-    pyramid = request.pyramid()
-    gaussians = place(request, pyramid)
-    plan = Plan.from_request(request, pyramid, gaussians)
-    return plan, plan.begin(gaussians)
+    session = Session(deadline or Deadline.from_limit(clock), Recorder(clock))
+    return Asked(Problem(objective, rate.is_short(objective, has_alpha=False)), settings, rate, session, backend)
 
 
 def stage_of(plan: Plan, steps: int, at: float = 0.0) -> Stage:

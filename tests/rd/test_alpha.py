@@ -22,7 +22,7 @@ from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.rd.short import SlowClock, requested, short
+from tests.rd.short import SlowClock, asked, short
 from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
@@ -147,8 +147,9 @@ def test_alpha_of_gaussians_without_shear_is_read_as_it_was_written(budget: Budg
     """Its part of the file has no flag that would say so."""
     pixels = seen_through()
     settings = short(120, rounds=(0,), refine_sweeps=0)  # refining may add shear
-    request = requested(PHOTO, budget, settings=settings, backend=Upright())
-    stream, _ = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
+    colours = asked(PHOTO, budget, settings=settings)
+    plane = np.ascontiguousarray(pixels[..., 3])
+    stream, _ = alpha.encode(colours.problem, plane, settings, colours.rate, colours.session, Upright())
     assert stream.alpha is not None
     assert stream.alpha.payload
     assert not stream.alpha.gaussians().factors[:, 1].any()

@@ -13,11 +13,12 @@ from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, RefineLimits, step_by_step
 from sgmethod.decoder import draw_whole
+from sgmethod.fitting.level import Pyramid
 from sgmethod.metrics import psnr
-from sgmethod.rd import encode as pipeline
+from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.rd.short import begun, requested
+from tests.rd.short import asked
 from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
@@ -51,7 +52,7 @@ def test_pixels_beyond_what_the_file_shows_cost_nothing() -> None:
     costs, found = [], []
     for pixels in (CROP, enlarged(8)):
         backend = Counting()
-        stream, _ = pipeline.encode(requested(pixels, BUDGET, backend=backend))
+        stream, _ = asked(pixels, BUDGET, backend=backend).encode()
         assert 1 <= backend.refinings <= RD.rate.aim_tries + 1
         costs.append((backend.fitted, backend.refined))
         found.append(psnr(draw_whole(stream), pixels))
@@ -63,11 +64,11 @@ def test_pixels_beyond_what_the_file_shows_cost_nothing() -> None:
 
 @pytest.mark.parametrize("tune", ["psnr", "visual"])
 def test_the_finest_level_has_the_pixels_that_gaussians_need(tune: Any) -> None:
-    plan, _ = begun(requested(enlarged(8), BUDGET, tune))
-    expected = plan.request.rate.expected_gaussians()
+    plan, _ = asked(enlarged(8), BUDGET, tune).begun()
+    expected = plan.rate.expected_gaussians()
     assert 4 * 400 * expected > plan.finest.pixels >= 400 * expected
     assert plan.settings.fit.optimiser.min_scale_px == 0.75 * plan.finest.frame.spacing
-    whole, _ = begun(requested(CROP, Budget("bpp", 1), tune))
+    whole, _ = asked(CROP, Budget("bpp", 1), tune).begun()
     assert whole.finest.frame.spacing == 1
 
 
@@ -75,8 +76,9 @@ def test_a_reduced_level_asks_for_the_gaussians_of_the_whole() -> None:
     """Fitted to means alone, they would be wider by the blur of the means."""
     y, x = np.mgrid[:512, :512]
     pixels = np.repeat((250 * np.exp(-((x - 255.5) ** 2 + (y - 255.5) ** 2) / 2 / 6**2))[..., None], 3, 2)
-    request = requested(np.asarray(np.rint(pixels), np.uint8), Budget("bytes", 64))
-    level = request.pyramid().finest
+    smooth = asked(np.asarray(np.rint(pixels), np.uint8), Budget("bytes", 64))
+    whole, s = whole_of(smooth.problem, smooth.backend), smooth.settings.pyramid
+    level = Pyramid.from_whole(whole, s, smooth.rate.expected_gaussians()).finest  # not the sheet of its one island
     assert level.frame.spacing >= 4
-    peak = level.image()[0].max() * 255 + request.background[0]
+    peak = level.image()[0].max() * 255 + smooth.problem.background[0]
     assert peak == pytest.approx(250 * np.exp(-(2**2 + 2**2) / 2 / 6**2), abs=2)  # 217 without sharpening

@@ -19,7 +19,7 @@ from sgmethod.rd.search import relaxed, search
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import DEFAULT_EFFORT
 from sgmethod.settings.shared import Tune
-from tests.rd.short import SlowClock, begun, requested
+from tests.rd.short import SlowClock, asked
 from tests.support.pictures import photo
 
 CROP = np.ascontiguousarray(photo()[24:64, 40:88])  # a parrot's eye, 48 x 40
@@ -31,8 +31,8 @@ LONG = Budget("psnr", 60)  # out of reach at first: rounds for it take seconds
 @cache
 def fitted(budget: Budget, tune: Tune) -> tuple[Plan, State]:
     """Gaussians as an encode of the default effort has them before they are rounded."""
-    plan, state = begun(requested(CROP, budget, tune))
-    for number, pace in enumerate(plan.request.deadline.runs(plan.lengths)):
+    plan, state = asked(CROP, budget, tune).begun()
+    for number, pace in enumerate(plan.session.deadline.runs(plan.lengths)):
         for stage in stages(pace, plan.times(number)):
             if stage.is_due:
                 state = densify(plan, steer(plan, prune(plan, state, stage), stage), stage)
@@ -80,7 +80,7 @@ def test_most_effort_gains() -> None:
 def test_gaussians_that_are_held_stay(tune: Tune) -> None:
     """The others take over what rounding has left."""
     plan, state = fitted(Budget("bytes", 600), tune)
-    stream = plan.request.stream(state.gaussians, state.quantum)
+    stream = plan.problem.stream(state.gaussians, state.quantum)
     rounded = stream.gaussians()
     held = np.arange(len(rounded)) % 2 == 0
     moved = relaxed(plan, stream, state.target.now, held, [0.15] * 20)
@@ -96,7 +96,7 @@ def test_relaxing_makes_a_better_file(budget: Budget) -> None:
     plan, state = fitted(budget, "psnr")
     refined, again, once_more = (search(plan, state, rounds) for rounds in (1, 9, 9))
     assert again.stream == once_more.stream
-    price = 8 * error_per_bit(plan.request.rate.quantum)
+    price = 8 * error_per_bit(plan.rate.quantum)
     assert again.error + price * again.size < refined.error + price * refined.size
     assert again.psnr > refined.psnr + 0.02
     assert budget.kind != "bytes" or len(container.serialise(again.stream)) <= 600

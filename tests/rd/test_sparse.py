@@ -10,14 +10,13 @@ import pytest
 
 from sgmethod import decode, encode
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Descent, Frame, Moments
+from sgmethod.backend.protocol import Descent, Moments
 from sgmethod.budget import Budget
 from sgmethod.fitting.islands import Islands, moved
-from sgmethod.rd import encode as rd
-from sgmethod.rd.sparse import on_islands
+from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.shared import Tune
-from tests.rd.short import requested, short
+from tests.rd.short import asked, short
 
 GREY = (128, 128, 128)
 
@@ -45,7 +44,7 @@ class Watched(Kernels):
 def test_steps_look_at_islands_only(number: int, tune: Tune) -> None:
     """One dot used to take as many pixels as the whole picture has, 12 s at four megapixels."""
     backend = Watched()
-    rd.encode(requested(dots(number), Budget("bytes", 300), tune, settings=short(40), backend=backend))
+    asked(dots(number), Budget("bytes", 300), tune, settings=short(40), backend=backend).encode()
     assert max(backend.pixels) <= number * 12 * 12 * 1.5  # 144 and 4,320 were seen
 
 
@@ -62,14 +61,13 @@ def test_a_dot_does_not_vanish(options: Any) -> None:
 
 def test_errors_are_those_of_the_whole_picture() -> None:
     pixels = dots(5)
-    plain = requested(pixels, Budget("bytes", 300))
-    request, pyramid = on_islands(plain)
-    level, whole = pyramid.finest, plain.whole()
-    assert (level.frame.width, level.frame.height) != plain.size
+    sparse = asked(pixels, Budget("bytes", 300))
+    level, whole = sparse.plan.finest, whole_of(sparse.problem, sparse.backend)
+    assert level.pixels < whole.pixels
     places = np.argwhere(pixels[..., 0] == 255)[:, ::-1].astype(np.float32) + 0.5
     gaussians = Gaussians(places, np.tile(np.float32([0.6, 0, 0.6]), (5, 1)), np.full((5, 3), 0.3, np.float32))
-    found = request.backend.error(gaussians, level.frame, level.target)
-    assert found == pytest.approx(Kernels().error(gaussians, Frame(*plain.size), whole.target), rel=1e-5)
+    found = level.backend.error(gaussians, level.frame, level.target)
+    assert found == pytest.approx(Kernels().error(gaussians, whole.frame, whole.target), rel=1e-5)
     _, on_sheet = level.gradients(gaussians)
     _, right = whole.gradients(gaussians)
     for one, other in zip(on_sheet.arrays, right.arrays, strict=True):
@@ -96,6 +94,4 @@ def test_a_plain_picture_has_none() -> None:
 
 def test_a_photograph_is_fitted_whole() -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
-    request = requested(pixels, Budget("bytes", 300))
-    same, pyramid = on_islands(request)
-    assert same is request and pyramid.finest.islands is None
+    assert asked(pixels, Budget("bytes", 300)).plan.finest.islands is None

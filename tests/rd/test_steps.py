@@ -16,7 +16,7 @@ from sgmethod.rd.densify import densify, prune_to_limit
 from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
-from tests.rd.short import begun, requested, short, stage_of
+from tests.rd.short import asked, short, stage_of
 from tests.support.pictures import photo
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
@@ -33,7 +33,7 @@ def test_previews_are_files_that_come_nearer() -> None:
 
 @pytest.mark.parametrize("halvings", [0, 1])
 def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> None:
-    plan, state = begun(requested(CROP, BUDGET, "visual"))
+    plan, state = asked(CROP, BUDGET, "visual").begun()
     assert isinstance(state.target, ExaggeratedTarget)
     plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
     state = replace(plan.begin(state.gaussians), quantum=state.quantum)
@@ -47,15 +47,14 @@ def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:
     """At a coarse quantum rounding costs decibels, which the unrounded Gaussians do not show."""
-    request = requested(CROP, Budget("psnr", 30))
-    plan, state = begun(request)
+    plan, state = asked(CROP, Budget("psnr", 30)).begun()
     for at in RD.effort.times.growth_at[:3]:
         state = densify(plan, state, stage_of(plan, 100, at))
     state = fit(plan, state, stage_of(plan, 50))
     recorder = Recorder(Clock())
-    plan = replace(plan, request=replace(request, recorder=recorder))
+    plan = replace(plan, session=replace(plan.session, recorder=recorder))
     state = fit(plan, replace(state, quantum=1.0), stage_of(plan, 1))
-    decoded = decode(container.serialise(request.stream(state.gaussians, 1.0)))
+    decoded = decode(container.serialise(plan.problem.stream(state.gaussians, 1.0)))
     wanted = float(np.square((decoded - CROP.astype(np.float64)) / 255).mean())
     shown = 10 ** (-recorder.points[-1].psnr / 10)
     assert shown == pytest.approx(wanted, rel=0.01)  # but for 8 bits and what is clamped
@@ -64,7 +63,7 @@ def test_the_trace_shows_what_would_be_decoded() -> None:
 
 
 def test_the_size_grows_with_the_gaussians() -> None:
-    plan, state = begun(requested(CROP, BUDGET))
+    plan, state = asked(CROP, BUDGET).begun()
     first, second = RD.effort.times.growth_at[:2]
     state = steer(plan, densify(plan, state, stage_of(plan, 100, at=first)), stage_of(plan, 100, at=first))
     grown = densify(plan, state, stage_of(plan, 100, at=second))
@@ -74,7 +73,7 @@ def test_the_size_grows_with_the_gaussians() -> None:
 
 
 def test_a_step_leaves_the_state_that_it_was_given() -> None:
-    plan, state = begun(requested(CROP, BUDGET))
+    plan, state = asked(CROP, BUDGET).begun()
     before = state.gaussians.copy(), state.moments.copy()
     after = fit(plan, state, stage_of(plan, 3))
     assert after.steps == 3
@@ -86,7 +85,7 @@ def test_a_step_leaves_the_state_that_it_was_given() -> None:
 
 def test_a_surplus_that_no_pruning_has_taken_back_is_dropped_at_the_end_of_a_run() -> None:
     """A stop in the middle of a step may skip the last pruning."""
-    plan, state = begun(requested(CROP, Budget("gaussians", 20)))
+    plan, state = asked(CROP, Budget("gaussians", 20)).begun()
     for at in RD.effort.times.growth_at[:4]:
         state = densify(plan, state, stage_of(plan, 100, at))
     assert len(state.gaussians) > 20

@@ -19,7 +19,7 @@ from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, fit_to_steps, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
-from tests.rd.short import SlowClock, requested, short, stage_of
+from tests.rd.short import SlowClock, asked, short, stage_of
 from tests.support.pictures import photo
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
@@ -83,11 +83,10 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     reserve_s = 1 - Deadline.from_limit(clock, 1.0).left_s()
     limit_s = (seconds + spent_s) / (1 - RD.deadline.search_share) + reserve_s
     deadline = Deadline.from_limit(clock, limit_s, settings=settings)
-    request = requested(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
-    pyramid = request.pyramid()
-    gaussians = place(request, pyramid)
+    unplanned = asked(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s)).plan
+    gaussians = place(unplanned)
     clock.now = 0.0
-    plan = Plan.from_request(request, pyramid, gaussians)
+    plan = unplanned.in_time(gaussians)
     return plan, plan.begin(gaussians)
 
 
