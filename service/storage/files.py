@@ -21,6 +21,7 @@ log = logging.getLogger(__name__)
 
 UNFINISHED = "unfinished"  # files that are being written, and probes
 FOLDERS = ("sources", "bitstreams", UNFINISHED)
+LATEST = 10  # attempts whose files go with their job
 _KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}(\.preview)?\.sg")
 
 
@@ -40,9 +41,12 @@ def preview_key(job_id: str, attempt: int) -> str:
 
 
 def keys_of(job_id: str, attempts: int) -> list[str]:
-    """Return the keys of all files that a job with so many attempts may have: a killed worker leaves its own behind."""
-    made = [key(job_id, attempt) for attempt in range(1, attempts + 1) for key in (bitstream_key, preview_key)]
-    return [source_key(job_id), *made]
+    """Return the keys of the files that a job with so many attempts may have: a killed worker leaves its own behind.
+
+    Only of the LATEST attempts, as a storage that was away for hours leaves thousands: the sweep finds older files.
+    """
+    latest = range(max(0, attempts - LATEST) + 1, attempts + 1)
+    return [source_key(job_id), *(key(job_id, attempt) for attempt in latest for key in (bitstream_key, preview_key))]
 
 
 def job_of_key(key: str) -> str:

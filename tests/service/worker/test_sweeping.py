@@ -18,7 +18,7 @@ from service.storage.files import DiskStorage, Storage, bitstream_key, preview_k
 from service.worker.loop import Worker
 from service.worker.sweeping import Swept, pause_s, sweep
 from tests.support import job_table
-from tests.support.job_table import IMAGE, LONG_S, REFUSED, OpenTable, claimed
+from tests.support.job_table import IMAGE, LONG_S, REFUSED, OpenTable, change, claimed
 from tests.support.processes import failing, wait_until
 
 AT_ONCE_S = -5.0
@@ -148,6 +148,27 @@ def test_the_sweeper_needs_no_job_to_begin(table: JobTable, storage: Storage) ->
 )
 def test_how_often_is_swept(kept_s: tuple[float, float], pause: float) -> None:
     assert pause_s(*kept_s) == pause
+
+
+def test_a_job_with_many_attempts_goes_with_few_deletes(
+    table: JobTable, storage: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While its storage was away for hours, it was claimed each second. The next sweep finds what is older."""
+    old = bitstream_key(finished(table, storage), 1)
+    change(table, "UPDATE jobs SET attempt = 5000")
+    storage.put(preview_key(table.page(1)[0].id, 5000), b"left over")
+    deleted: list[str] = []
+    remove = storage.delete
+
+    def delete(key: str) -> None:
+        deleted.append(key)
+        remove(key)
+
+    monkeypatch.setattr(storage, "delete", delete)
+    assert sweep(table, storage, retention_s=AT_ONCE_S).jobs == 1
+    assert len(deleted) < 50
+    assert stored(storage) == {old}
+    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
 
 
 def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Storage) -> None:
