@@ -51,7 +51,7 @@ class _TableFigures(Collector):
         waited = "Since the job ended whose webhook has been waiting for longest."
         for name, words, value in (
             ("stored_bytes", "Bytes of images and bitstreams.", counts.stored_bytes),
-            ("oldest_job_waits_seconds", "Age of the oldest queued job.", max(0.0, counts.waiting_s or 0.0)),
+            ("oldest_job_waits_seconds", "How long the oldest queued job has waited for a worker.", max(0.0, counts.waiting_s or 0.0)),
             ("workers_silent_seconds", silent, math.inf if counts.silent_s is None else max(0.0, counts.silent_s)),
             ("webhooks_waiting", "Webhooks to be delivered.", counts.deliveries),
             ("oldest_webhook_waits_seconds", waited, max(0.0, counts.delivery_waits_s)),
@@ -62,7 +62,7 @@ class _TableFigures(Collector):
 
 def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
     for outcome in outcomes.OUTCOMES:
-        words = f"Jobs {outcome}, since the job table was made."
+        words = f"Jobs {outcome.replace('_', ' ')}, since the job table was made."
         yield CounterMetricFamily(f"sgmethod_jobs_{outcome}", words, so_far.get(outcome, 0.0))
     for name, words in (
         (outcomes.ENCODING, "From the claim of a job to its file."),

@@ -150,9 +150,9 @@ def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str
 class Counts:
     """Counts over the table. Times are in seconds, by the table's own clock.
 
-    jobs: by state; waiting_s: age of the oldest queued job, None if none waits; stored_bytes: of images and bitstreams;
-    workers: seconds since each last reported, by name; deliveries: webhooks to be delivered; delivery_waits_s: age of
-    the oldest of them; totals: see outcomes.py.
+    jobs: by state; waiting_s: how long the oldest queued job has waited, None if none waits; stored_bytes: of images
+    and bitstreams; workers: seconds since each last reported, by name; deliveries: webhooks to be delivered;
+    delivery_waits_s: age of the oldest of them; totals: see outcomes.py.
     """
 
     jobs: Mapping[JobState, int]

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 from service.jobs.job import FINAL_STATES, Job, JobState
 from service.jobs.statements import Database
 
-Outcome = Literal["finished", "failed", "retried", "cancelled"]
+Outcome = Literal["finished", "failed", "retried", "put_off", "cancelled"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 OUTCOME_OF: Mapping[JobState, Outcome] = {"done": "finished", "failed": "failed", "queued": "retried"}
 ENCODING, QUEUEING = "encode_seconds", "queue_seconds"
@@ -50,9 +50,9 @@ def count(db: Database, outcome: Outcome) -> None:
     db.execute(ADD, (outcome, 1))
 
 
-def conclude(db: Database, job: Job, addresses: Sequence[str]) -> None:
+def conclude(db: Database, job: Job, addresses: Sequence[str], *, put_off: bool = False) -> None:
     """Count the outcome of an attempt; if the job ended with it, add a delivery for each address."""
-    count(db, OUTCOME_OF[job.state])
+    count(db, "put_off" if put_off else OUTCOME_OF[job.state])
     if job.finished_at and job.started_at:
         _observe(db, QUEUEING, job.started_at - job.created_at)
         if job.state == "done":

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+# A job that was put off has waited since it was due again, and waits for no worker before.
 COUNTS = """
-SELECT epoch() - (SELECT created_at FROM jobs WHERE state = 'queued' ORDER BY number LIMIT 1) AS waiting_s,
+SELECT epoch() - (
+        SELECT coalesce(lease_until, created_at) FROM jobs
+        WHERE state = 'queued' AND coalesce(lease_until, 0) <= epoch() ORDER BY number LIMIT 1
+    ) AS waiting_s,
     (SELECT count(*) FROM deliveries) AS deliveries,
     coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """

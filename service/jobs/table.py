@@ -289,7 +289,8 @@ class JobTable(ABC):
         if job is not None and not again:
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
-            outcomes.conclude(db, job, self._settings.webhook_addresses)
+            put_off = again and error == IMAGE_LOST
+            outcomes.conclude(db, job, self._settings.webhook_addresses, put_off=put_off)
         return job
 
     @property

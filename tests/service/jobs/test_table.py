@@ -293,7 +293,7 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     for job_id in (done, crashed, refused, cancelled):
         table.remove(job_id)
     totals = table.counts().totals
-    counted = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "failed": 2, "cancelled": 1}
+    counted = {"finished": 1, "retried": MAX_ATTEMPTS - 1, "put_off": 0, "failed": 2, "cancelled": 1}
     assert {name: totals.get(name, 0) for name in OUTCOMES} == counted
     for name, number in ((ENCODING, 1), (QUEUEING, 3)):
         assert totals[name] >= 0

@@ -23,7 +23,7 @@ from service.storage.files import DiskStorage, Storage, bitstream_key, source_ke
 from service.worker import attempt as attempt_module, loop
 from service.worker.attempt import Attempt, Encoded, StoppedError
 from service.worker.loop import Worker
-from tests.support.job_table import IMAGE, LONG_S, claimed, job_of, settings, submitted
+from tests.support.job_table import IMAGE, LONG_S, change, claimed, job_of, settings, submitted
 from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 
@@ -288,12 +288,17 @@ def test_an_image_that_is_missing_or_cut(
     assert worker.run_one()
     job = job_of(table, claim.id)
     assert (job.state, job.crashes, job.losses) == ("queued", 0, 1)
+    change(table, "UPDATE jobs SET created_at = 0")
     assert not worker.run_one()  # it is put off
+    counts = table.counts()
+    assert (counts.totals, counts.waiting_s) == ({"put_off": 1}, None)  # what raises no alert of crashes and waits
+    change(table, "UPDATE jobs SET lease_until = epoch() WHERE id = ?", claim.id)
+    assert 0 <= (table.counts().waiting_s or 0) < LONG_S
+    change(table, "UPDATE jobs SET lease_until = epoch() + 60 WHERE id = ?", claim.id)
     other = submitted(table)
     assert claimed(table).id == other
     monkeypatch.setattr(table_module, "PUT_OFF_S", 0.0)
-    with table._transaction() as db:
-        db.execute("UPDATE jobs SET lease_until = 0 WHERE id = ?", (claim.id,))
+    change(table, "UPDATE jobs SET lease_until = 0 WHERE id = ?", claim.id)
     for _ in range(MAX_LOSSES - 1):
         assert worker.run_one()
     job = job_of(table, claim.id)
