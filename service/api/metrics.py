@@ -70,7 +70,7 @@ def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
     ):
         histogram = outcomes.histogram(so_far, name)
         buckets = [(floatToGoString(bound_s), number) for bound_s, number in histogram]  # type: ignore[no-untyped-call]
-        yield HistogramMetricFamily(f"sgmethod_{name}", words, buckets, so_far.get(name, 0.0))
+        yield HistogramMetricFamily(f"sgmethod_{name}", words, buckets, so_far.get(outcomes.total_of(name), 0.0))
 
 
 class Metrics:

@@ -91,6 +91,8 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
         "ALTER TABLE jobs ADD COLUMN client TEXT NOT NULL DEFAULT ''",
         "CREATE INDEX queue_by_client ON jobs (client) WHERE state = 'queued'",
     ),
+    # Version 7: a queued job with a lease is put off. Before, a released one kept its lease.
+    ("UPDATE jobs SET lease_until = NULL WHERE state = 'queued'",),
 )
 NEWEST_VERSION = FIRST_VERSION + len(MIGRATIONS)
 

@@ -63,9 +63,14 @@ def conclude(db: Database, job: Job, addresses: Sequence[str], *, put_off: bool 
 
 def _observe(db: Database, name: str, seconds: float) -> None:
     """Add a value to a histogram: to its sum, and to the count of its bucket."""
-    db.execute(ADD, (name, max(0.0, seconds)))
+    db.execute(ADD, (total_of(name), max(0.0, seconds)))
     bound_s = next((bound_s for bound_s in BOUNDS_S if seconds <= bound_s), math.inf)
     db.execute(ADD, (_bucket(name, bound_s), 1))
+
+
+def total_of(name: str) -> str:
+    """Return the name of a histogram's sum. The bare name is that of a sum of 1.0.0rc2, which counted no values."""
+    return f"{name}_sum"
 
 
 def _bucket(name: str, bound_s: float) -> str:

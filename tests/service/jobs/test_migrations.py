@@ -15,6 +15,7 @@ import pytest
 from service.errors import JobTableError
 from service.jobs import migrations
 from service.jobs.job import EncodeResult
+from service.jobs.outcomes import ENCODING, histogram, total_of
 from tests.support.data import DATA
 from tests.support.job_table import (
     LONG_S,
@@ -85,6 +86,8 @@ def test_jobs_outlive_an_upgrade(open_job_table: OpenTable) -> None:
     assert table.trace(RUNNING) == [{"step": 1}, {"step": 2}]
     counts = table.counts()
     assert (counts.jobs["done"], counts.stored_bytes, counts.totals["finished"]) == (1, 5100, 1)
+    assert "encode_seconds" in counts.totals  # a sum of encodes that no histogram counts
+    assert (total_of(ENCODING) in counts.totals, max(histogram(counts.totals, ENCODING))[1]) == (False, 0)
     delivery = table.due_delivery("https://app.example/pictures")
     assert delivery is not None
     assert delivery.job_id == DONE
