@@ -103,6 +103,6 @@ def _sandbox(settings: Settings) -> str:
     """Run a task in the sandbox. A missing layer is a failure only where it is required."""
     absent = absent_layers()  # before there is a second thread
     warnings = check_layers(absent, required=settings.require_sandbox)
-    with own_sandbox(settings.encode_threads, absent) as requests:
+    with own_sandbox(settings, absent) as requests:
         asyncio.run(Sandbox(requests).try_out(SANDBOX_STARTS_S))
     return "; ".join(warnings) or "every layer is there"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import logging
 import os
 import signal
 import socket
@@ -26,6 +27,8 @@ from service.settings import Settings, add_secrets, unknown_settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
 
+log = logging.getLogger(__name__)
+
 BAD_SETTING = 2
 TROUBLE = 1
 INTERRUPTED = 128 + signal.SIGINT
@@ -44,7 +47,8 @@ def main() -> int:
         settings = Settings()
         set_up_logging(settings.log_format, settings.log_level)
     except ValidationError as error:
-        _warn(map(_explain, error.errors()))
+        for fault in error.errors():
+            print(_explain(fault), file=sys.stderr)
         return BAD_SETTING
     except (OSError, SgError) as error:  # a file of a secret, or the kernels, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
@@ -53,12 +57,13 @@ def main() -> int:
     if supervisor is not None:
         end_with(supervisor, signal.SIGTERM)
     else:  # "serve" has printed it already
-        _warn(f"{name} is not a setting of this service and has no effect" for name in unknown_settings(os.environ))
+        unknown = unknown_settings(os.environ)
+        _warn(settings, (f"{name} is not a setting of this service and has no effect" for name in unknown))
     try:
         run: Callable[[Settings, argparse.Namespace], int | None] = arguments.run
         return run(settings, arguments) or 0
     except (OSError, JobTableError, MissingPackagesError, SandboxError, SgError) as error:
-        print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)
+        _say(settings, logging.ERROR, f"cannot start: {' '.join(str(error).split())}")
         return TROUBLE
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -95,8 +100,8 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
     stop.on_signals()
     absent = _before_start(settings)
     listener = _announce(settings)
-    _warn(check_layers(absent, required=False))
-    sandbox = SandboxProcess(settings.encode_threads, absent)
+    _warn(settings, check_layers(absent, required=False))
+    sandbox = SandboxProcess(settings, absent)
     supervise(settings, listener, sandbox, sandbox.requests, stop)
 
 
@@ -140,8 +145,8 @@ def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractConte
     if arguments.sandbox is not None:
         return socket.socket(fileno=arguments.sandbox)
     absent = _before_start(settings)
-    _warn(check_layers(absent, required=False))
-    return own_sandbox(settings.encode_threads, absent)
+    _warn(settings, check_layers(absent, required=False))
+    return own_sandbox(settings, absent)
 
 
 def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
@@ -166,13 +171,22 @@ def _announce(settings: Settings) -> socket.socket:
             f"SG_HOST={settings.host}: others could post, list and delete jobs without a key; set SG_API_KEYS_FILE, or "
             "SG_HOST_NAMES to the names under which everyone may"
         )
-    print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings, listener)}", flush=True)
+    where = f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings, listener)}"
+    _say(settings, logging.INFO, where)
     return listener
 
 
-def _warn(sentences: Iterable[str]) -> None:
+def _warn(settings: Settings, sentences: Iterable[str]) -> None:
     for sentence in sentences:
-        print(sentence, file=sys.stderr, flush=True)
+        _say(settings, logging.WARNING, sentence)
+
+
+def _say(settings: Settings, level: int, sentence: str) -> None:
+    """Print a line of the start, or log it where programs read the log."""
+    if settings.log_format == "json":
+        log.log(level, "%s", sentence)
+    else:
+        print(sentence, file=sys.stdout if level == logging.INFO else sys.stderr, flush=True)
 
 
 def _for_whom(settings: Settings, listener: socket.socket) -> str:

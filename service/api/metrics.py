@@ -51,7 +51,11 @@ class _TableFigures(Collector):
         waited = "Since the job ended whose webhook has been waiting for longest."
         for name, words, value in (
             ("stored_bytes", "Bytes of images and bitstreams.", counts.stored_bytes),
-            ("oldest_job_waits_seconds", "How long the oldest queued job has waited for a worker.", max(0.0, counts.waiting_s or 0.0)),
+            (
+                "oldest_job_waits_seconds",
+                "How long the oldest queued job has waited for a worker.",
+                max(0.0, counts.waiting_s or 0.0),
+            ),
             ("workers_silent_seconds", silent, math.inf if counts.silent_s is None else max(0.0, counts.silent_s)),
             ("webhooks_waiting", "Webhooks to be delivered.", counts.deliveries),
             ("oldest_webhook_waits_seconds", waited, max(0.0, counts.delivery_waits_s)),

@@ -31,6 +31,7 @@ from service.sandbox.frames import (
     Result,
     Task,
 )
+from service.settings import Settings
 from sgmethod import errors
 
 log = logging.getLogger(__name__)
@@ -193,18 +194,18 @@ class RunningTask:
 
 
 class SandboxProcess(Supervised):
-    """The process of the sandbox. requests: socket that its clients write to; threads: of an encode.
+    """The process of the sandbox. requests: socket that its clients write to.
 
     absent: layers that tasks may lack, as found at the start: later, a layer may be missing because memory is short.
     Requests written while it is dead are handled by its successor.
     """
 
-    def __init__(self, threads: int, absent: Collection[str]) -> None:
+    def __init__(self, settings: Settings, absent: Collection[str]) -> None:
         self.requests, self._served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         # Libraries read these when they load. OpenBLAS has one thread, since forks would lose the others.
-        variables = {**dict.fromkeys(THREAD_VARIABLES, str(threads)), "OPENBLAS_NUM_THREADS": "1"}
+        variables = {**dict.fromkeys(THREAD_VARIABLES, str(settings.encode_threads)), "OPENBLAS_NUM_THREADS": "1"}
         number = self._served.fileno()
-        command = [sys.executable, "-m", MODULE, str(number), *absent]
+        command = [sys.executable, "-m", MODULE, str(number), settings.log_format, *absent]
         super().__init__("sandbox", command, (number,), {**HUGE_PAGES, **environment(os.environ), **variables})
 
     def _start(self) -> None:
@@ -238,9 +239,9 @@ class SandboxProcess(Supervised):
 
 
 @contextlib.contextmanager
-def own_sandbox(threads: int, absent: Collection[str]) -> Iterator[socket.socket]:
+def own_sandbox(settings: Settings, absent: Collection[str]) -> Iterator[socket.socket]:
     """Run a sandbox for this process only, and provide its socket for requests."""
-    process, ended = SandboxProcess(threads, absent), StopSignal()
+    process, ended = SandboxProcess(settings, absent), StopSignal()
     keeper = PeriodicThread("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
     keeper.start()
     try:

@@ -1,4 +1,4 @@
-"""The sandbox: `service.sandbox.server DESCRIPTOR`, the socket for requests. It has the codec in memory, and forks.
+"""The sandbox: `service.sandbox.server DESCRIPTOR LOG_FORMAT ABSENT...`. It has the codec in memory, and forks.
 
 It reads no upload, and has one thread. Each fork does one task. Two forks wait in advance, so that no client waits for
 a fork. The sandbox ends when all its clients have closed their sockets, and its forks end with it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import os
 import select
 import selectors
@@ -21,6 +22,7 @@ from typing import NoReturn
 
 from pydantic import TypeAdapter
 
+from service.logs import log_seldom, set_up_logging
 from service.sandbox.confinement import SandboxError, confine, die_first, end_with, set_name
 from service.sandbox.frames import ALIVE, END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
@@ -36,6 +38,7 @@ PAUSE_S = 0.25  # after a fork that ended without a task
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
 SHORT_CPU_S = 0.5
 
+log = logging.getLogger("service.sandbox.server")  # its __name__ is __main__
 _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
 
 
@@ -72,6 +75,7 @@ class Server:
     def __init__(self, requests: socket.socket, absent: Collection[str]) -> None:
         self._requests = requests
         self._absent = absent
+        self._cannot_fork = False
         self._waiting: list[TaskProcess] = []
         self._forks: dict[int, TaskProcess] = {}  # all that have not ended, by number
         self._selector = selectors.DefaultSelector()
@@ -113,8 +117,11 @@ class Server:
                         run_fork(theirs.fileno(), parent, self._absent)
                 self._forks[number] = TaskProcess(number, ours)
                 self._waiting.append(self._forks[number])
+            self._cannot_fork = False
         except OSError as error:  # as when processes or memory run out
-            print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
+            if not self._cannot_fork:  # it is tried each second
+                log.error("the sandbox cannot fork: %s", error)
+            self._cannot_fork = True
 
     def _take(self) -> bool:
         """Hand a task to a fork, and drop malformed requests. Returns False once all clients have disconnected."""
@@ -174,7 +181,7 @@ class Server:
         fork.control.close()
         if fork in self._waiting:
             self._waiting.remove(fork)
-            print(f"a fork of the sandbox ended as it waited, with status {fork.status}", file=sys.stderr, flush=True)
+            log_seldom(log, "a fork of the sandbox ended as it waited, with status %s", fork.status)
             time.sleep(PAUSE_S)  # the next may end the same way
         if fork.answer is not None:
             self._send_end(fork, fork.answer)
@@ -272,15 +279,17 @@ def _read_whole(file: int) -> bytes:
 
 
 def main() -> None:
-    """Serve the socket that the command line names."""
+    """Serve the socket that the command line names, as it does the format of the log and the layers that are absent."""
+    descriptor, log_format, *absent = sys.argv[1:]
+    set_up_logging("json" if log_format == "json" else "text")
     # It ends with its clients; END_EARLY may arrive before a fork has a handler.
     for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
         signal.signal(number, signal.SIG_IGN)
-    requests = socket.socket(fileno=int(sys.argv[1]))
+    requests = socket.socket(fileno=int(descriptor))
     warm_up()
     gc.collect()
     gc.freeze()  # so that forks share it
-    server = Server(requests, sys.argv[2:])
+    server = Server(requests, absent)
     try:
         server.run()
     finally:

@@ -39,13 +39,14 @@ def sandbox(
     """A sandbox and the number of its process, which runs the preamble first. absent: layers that tasks may lack."""
     requests, served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     number = str(served.fileno())
-    command = [sys.executable, "-m", MODULE, number, *absent]
+    command = [sys.executable, "-m", MODULE, number, "json", *absent]
     if preamble:
         command = [
             sys.executable,
             "-c",
             f"{preamble}\nfrom service.sandbox import server\nserver.main()",
             number,
+            "json",
             *absent,
         ]
     known = {**environment(os.environ), "OPENBLAS_NUM_THREADS": "1", **(extra or {})}

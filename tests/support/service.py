@@ -39,7 +39,7 @@ class ServiceProcess:
     """One `python -m service`, started at once, and a client of it.
 
     Give settings by name, such as queue_length=2, and keys as api_keys; extra: more environment variables. What it
-    writes to standard error is appended to a log beside its data folder.
+    writes is appended to a log beside its data folder.
     """
 
     timeout_s = TIMEOUT_S  # of the client's requests
@@ -60,17 +60,23 @@ class ServiceProcess:
     def start(self) -> None:
         """Start it, again after a stop or kill. It listens when this returns."""
         with self.log.open("a") as log:
-            self.process = subprocess.Popen(
-                self._command, cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=log, text=True
-            )
-        assert self.process.stdout is not None
-        with self.process.stdout as output:
-            words = output.readline().split()
-        if words[:3] != ["sgmethod", "service", "on"]:
+            before = log.tell()
+            self.process = subprocess.Popen(self._command, cwd=ROOT, env=self.environment, stdout=log, stderr=log)
+
+        def announced() -> re.Match[str] | None:
+            ended, said = self.process.poll() is not None, self.log.read_text()[before:]
+            found = re.search(r"sgmethod service on ([^,\s]+),", said)
+            assert found or not ended, said
+            return found
+
+        try:
+            found = wait_until(announced)
+        except AssertionError:
             self.process.kill()
             self.process.wait()
-            raise AssertionError(self.log.read_text())
-        self.url = words[3].rstrip(",")
+            raise
+        assert found
+        self.url = found[1]
         self.client = httpx2.Client(base_url=self.url, timeout=self.timeout_s)
 
     def wait_ready(self) -> None:

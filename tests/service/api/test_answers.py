@@ -125,14 +125,16 @@ def test_requests_have_ids_and_lines(start_service: StartService) -> None:
 
 
 def test_logs_as_json(start_service: StartService) -> None:
-    """For programs: members instead of words, a time with its zone, and without what is asked all the time."""
-    web = start_service("web", api_keys=keys_of("ann"), log_format="json")
+    """For programs: members instead of words, a time with its zone, and without what is asked all the time. Lines of
+    the start, too.
+    """
+    web = start_service("web", api_keys=keys_of("ann"), log_format="json", misspelt=1)
     done = web.published(PICTURE, "ann")
     for path in ("/livez", "/metrics", f"/jobs/{done}", f"/decode/{done}.png", f"/jobs/{done[::-1]}"):
         web.client.get(path, headers={**bearer("ann"), "X-Request-Id": "of-this"})
 
     def lines() -> list[dict[str, Any]] | None:
-        found = [json.loads(line) for line in web.log.read_text().splitlines() if line.startswith("{")]
+        found = [json.loads(line) for line in web.log.read_text().splitlines()]
         ours = [line for line in found if line["logger"] == "access"]
         return ours if len(ours) >= 2 else None
 
@@ -142,6 +144,9 @@ def test_logs_as_json(start_service: StartService) -> None:
     assert (first["method"], first["path"], first["status"]) == ("GET", f"/decode/{done}.png", 200)
     assert (first["address"], first["bytes"] > 100) == ("127.0.0.1", True)
     assert (second["status"], second["refusal"]) == (404, "unknown")
+    start = [json.loads(line) for line in web.log.read_text().splitlines()[:10]]
+    told = {line["level"]: line["message"] for line in start if "service.commands" in line["logger"]}
+    assert "sgmethod service on http" in told["INFO"]
 
 
 def test_a_level_of_logs(run_command: RunCommand, tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import io
+import json
 import os
 import signal
 import socket
@@ -25,9 +27,10 @@ import sgmethod
 from service.jobs.job import EncodeRequest, new_job_id
 from service.pictures import Drawing, PictureOptions
 from service.sandbox import client, confinement, frames, server, tasks
-from service.sandbox.client import OutOfMemoryError, Sandbox, SandboxProcess, TaskError
+from service.sandbox.client import OutOfMemoryError, Sandbox, SandboxProcess, SandboxUnavailableError, TaskError
 from service.sandbox.confinement import absent_layers
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
+from service.settings import Settings
 from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
@@ -156,10 +159,40 @@ def test_what_starts_tasks_has_one_thread_and_reads_nothing() -> None:
         assert len([*Path("/proc", str(number), "task").iterdir()]) == 1
 
 
+# Forks 1 to 3 fail, then the first two, and again the next.
+NO_PROCESS = """
+import os
+from service.sandbox import server
+server.ALIVE_EVERY_S, fork, tries = 0.01, os.fork, []
+
+def sometimes():
+    tries.append(None)
+    if len(tries) in (1, 2, 3, 6):
+        raise BlockingIOError(11, "no process")
+    return fork()
+
+os.fork = sometimes
+"""
+
+
+def test_no_process_to_spare(capfd: pytest.CaptureFixture[str]) -> None:
+    """It says so once each time that this begins, not once a second; in the format of the log."""
+    with sandbox(NO_PROCESS, FAKE_CODEC) as (tasks, _):
+
+        def works() -> bool:
+            with contextlib.suppress(SandboxUnavailableError):
+                return isinstance(messages_of(tasks, task(), SMALL)[-1], Result)
+            return False
+
+        wait_until(works)
+    lines = [json.loads(line) for line in capfd.readouterr().err.splitlines()]
+    assert [line["message"] for line in lines] == 2 * ["the sandbox cannot fork: [Errno 11] no process"]
+
+
 def test_a_sandbox_that_hangs_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     """It was left alone for ever. What it was asked is done by its successor."""
     monkeypatch.setattr(client, "MAX_SILENT_LOOKS", 100)
-    process = SandboxProcess(1, absent_layers())
+    process = SandboxProcess(Settings(workers=1), absent_layers())
     try:
         wait_until(lambda: process.keep_alive() or process._silent_looks is not None)
         first = process.process.pid
