@@ -82,6 +82,9 @@ class Settings(BaseSettings):
     # One value suits everybody.
     max_waits: ClassVar[int] = 200
     max_waiting_decodes: ClassVar[int] = 64
+    lease_s: ClassVar[float] = 15.0  # after which a silent worker's job goes to another worker
+    stop_grace_s: ClassVar[float] = 10.0  # until processes that do not stop are killed
+    decode_time_s: ClassVar[float] = 10.0  # of a core
 
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
 
@@ -101,8 +104,6 @@ class Settings(BaseSettings):
     queue_length: int = Field(default=1000, ge=1)
     max_time_limit_s: float = Field(default=300.0, gt=0, le=MAX_SECONDS)
     job_memory_bytes: int = Field(default_factory=default_job_memory_bytes, ge=2**28, le=2**62)
-    lease_s: float = Field(default=15.0, ge=1, le=MAX_SECONDS)
-    stop_grace_s: float = Field(default=10.0, gt=0, le=MAX_SECONDS)
     require_sandbox: bool = False
 
     # Retention and quotas.
@@ -123,7 +124,6 @@ class Settings(BaseSettings):
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1)
     max_pixels: int = Field(default=50_000_000, ge=1)  # of an image, and of a picture or view to draw
     max_decodes: int = Field(default=3, ge=1)
-    decode_time_s: float = Field(default=10.0, gt=0, le=MAX_SECONDS)  # of a core
 
     # Logs.
     log_format: LogFormat = "text"

@@ -21,7 +21,7 @@ from tests.support.processes import TIMEOUT_S, Kind, Process, processes
 from tests.support.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
-    **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
+    **{"workers": 3, "lease_s": 2, "queue_length": 20},
     "source_retention_s": 0,  # what is left over shows at once
 }
 

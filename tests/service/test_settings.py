@@ -18,7 +18,7 @@ from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 from tests.support.data import ROOT
 from tests.support.processes import TIMEOUT_S, Outcome, failing, run, wait_until
-from tests.support.service import RunCommand
+from tests.support.service import RunCommand, environment_of
 
 COMPUTED = {
     "workers": "cores / 4, at least 1",
@@ -99,7 +99,7 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
 
 BAD = {
     "SG_PORT": ("x", "70000"),
-    **{"SG_WORKERS": ("0", "65"), "SG_LEASE_S": ("nan",), "SG_STOP_GRACE_S": ("inf",), "SG_DECODE_TIME_S": ("0",)},
+    **{"SG_WORKERS": ("0", "65"), "SG_MAX_TIME_LIMIT_S": ("nan", "inf", "0")},
     **{"SG_JOB_MEMORY_BYTES": ("9" * 30,), "SG_MAX_PIXELS": ("9" * 30,), "SG_RETENTION_S": ("1e300",)},
     **{"SG_API_KEYS_FILE": ("/dev/null/keys",), "SG_DATA_DIR": ("\udcff",), "SG_STORAGE_URL": ("s3://b u", "ftp://x")},
     **{"SG_DATABASE_URL": ("mysql://x",), "SG_LOG_FORMAT": ("xml",), "SG_LOG_LEVEL": ("loud",)},
@@ -190,8 +190,7 @@ def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
 @pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
 def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
     """SIGTERM as soon as it prints something: exit status 0 all the same."""
-    settings = {"port": 0, "data_dir": tmp_path / "data", "workers": 1, "stop_grace_s": TIMEOUT_S}
-    environment = {**os.environ, **{f"SG_{name}".upper(): str(value) for name, value in settings.items()}}
+    environment = environment_of(port=0, data_dir=tmp_path / "data", workers=1, stop_grace_s=TIMEOUT_S)
     words, pipes = [sys.executable, "-m", "service", command], {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with subprocess.Popen(words, cwd=ROOT, env=environment, text=True, **pipes) as process:
         assert process.stdout is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import re
 import signal
@@ -25,21 +26,29 @@ from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
 from tests.support.data import ROOT
-from tests.support.job_table import IMAGE, LONG_S, submitted
+from tests.support.job_table import IMAGE, settings, submitted
 from tests.support.pictures import SLOW, SMALL
 from tests.support.processes import TIMEOUT_S, Kind, Outcome, Process, processes, wait_until
 
 SMALL_QUEUE = 5
+_FOLDERS = (str(ROOT / "tests" / "support" / "child"), os.environ.get("PYTHONPATH", ""))
+CHILD = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
-_FOLDERS = (str(ROOT / "tests" / "support" / "fake_codec"), os.environ.get("PYTHONPATH", ""))
-FAKE_CODEC = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
+FAKE_CODEC = {**CHILD, "PYTHON_FAKE_CODEC": "1"}
+
+
+def environment_of(**settings: Any) -> dict[str, str]:
+    """The environment of a service with these settings, and constants of the settings."""
+    constants = json.dumps({name: settings.pop(name) for name in Settings.__class_vars__ & settings.keys()})
+    chosen = {f"SG_{name}".upper(): str(value) for name, value in settings.items()}
+    return {**os.environ, **CHILD, "TEST_CONSTANTS": constants, **chosen}
 
 
 class ServiceProcess:
     """One `python -m service`, started at once, and a client of it.
 
-    Give settings by name, such as queue_length=2, and keys as api_keys; extra: more environment variables. What it
-    writes is appended to a log beside its data folder.
+    Give settings and their constants by name, such as queue_length=2, and keys as api_keys; extra: more environment
+    variables. What it writes is appended to a log beside its data folder.
     """
 
     timeout_s = TIMEOUT_S  # of the client's requests
@@ -53,7 +62,7 @@ class ServiceProcess:
         if (keys := chosen.pop("api_keys", None)) is not None:
             chosen["api_keys_file"] = data_dir.with_name(data_dir.name + ".keys")
             chosen["api_keys_file"].write_text(keys)
-        self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}, **(extra or {})}
+        self.environment = {**environment_of(**chosen), **(extra or {})}
         self._command = [sys.executable, "-m", "service", command]
         self.start()
 
@@ -229,9 +238,7 @@ class Service(ServiceProcess):
     def _settings(self) -> Settings:
         kept_s = float(self.environment["SG_SOURCE_RETENTION_S"])
         url = self.environment.get("SG_DATABASE_URL", "")
-        return Settings(
-            data_dir=self.data_dir, database_url=url, lease_s=LONG_S, source_retention_s=kept_s, queue_length=100_000
-        )
+        return settings(data_dir=self.data_dir, database_url=url, source_retention_s=kept_s, queue_length=100_000)
 
     @staticmethod
     def _claimed(table: JobTable, job_id: str) -> Job:

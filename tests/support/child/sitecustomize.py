@@ -1,12 +1,16 @@
-"""A fake codec, which Python loads at its start where PYTHONPATH names this folder.
+"""What a service of a test does differently, which Python loads at its start where PYTHONPATH names this folder.
 
-The sandbox of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
-2.5 s of a core. The fake takes the time limit to the letter unless it is asked to end early, no core, and makes a
-file of one Gaussian.
+Constants of the settings have the values of TEST_CONSTANTS, as JSON.
+
+With PYTHON_FAKE_CODEC (whose name the sandbox may see), `sgmethod.codec` is a fake, and the sandbox the real one up to
+there. The codec takes torch, and 2.5 s of a core. The fake takes the time limit to the letter unless it is asked to
+end early, no core, and makes a file of one Gaussian.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -76,4 +80,10 @@ class _StandIn(MetaPathFinder, Loader):
         module.encode = encode  # type: ignore[attr-defined]
 
 
-sys.meta_path.insert(0, _StandIn())
+if os.environ.get("PYTHON_FAKE_CODEC"):
+    sys.meta_path.insert(0, _StandIn())
+if constants := os.environ.get("TEST_CONSTANTS"):
+    from service.settings import Settings
+
+    for name, value in json.loads(constants).items():
+        setattr(Settings, name, value)
