@@ -197,11 +197,6 @@ class Settings(BaseSettings):
         return keys
 
     @property
-    def max_queued_per_client(self) -> int:
-        """Maximum number of queued jobs of one API key, or of one address without keys."""
-        return -(-self.queue_length // 2)
-
-    @property
     def min_free_bytes(self) -> int:
         """Free disk space in bytes below which new jobs are refused."""
         return MIN_FREE_UPLOADS * self.max_upload_bytes

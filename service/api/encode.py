@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import hashlib
+import time
 from typing import Annotated, Any
 
 from fastapi import Depends, Request, Response
@@ -11,9 +13,9 @@ from fastapi.responses import JSONResponse
 from starlette.datastructures import UploadFile
 
 from service.api import models
-from service.api.context import Context, UseCaller, UseContext, context_of
+from service.api.context import Context, UseCaller, UseContext
 from service.api.files import bitstream_response, picture_response
-from service.api.jobs import job_within
+from service.api.metrics import WAITED_S
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
 from service.api.problems import RETRYABLE, ProblemError
 from service.api.requests import (
@@ -26,9 +28,11 @@ from service.api.requests import (
     image_and_fields,
     wanted_wait_s,
     wants_picture,
+    while_client_waits,
 )
 from service.errors import JobTableError, KeyReusedError, LimitError
-from service.jobs.job import Job, NewJob, new_job_id
+from service.jobs.job import FINAL_STATES, Job, NewJob, new_job_id
+from service.jobs.table import JobTable
 from service.pictures import PictureOptions
 from service.storage.files import source_key
 
@@ -53,6 +57,7 @@ ENCODE_BODY: dict[str, Any] = {
     "description": "a form with the image and the options, or the image itself with the options in the query",
     "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
 }
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 WaitSeconds = Annotated[int, Depends(wanted_wait_s)]
 IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
 
@@ -70,8 +75,7 @@ async def encode(
     async with image_and_fields(request) as (file, fields):
         options, fingerprint, job = read_options(fields), "", None
         if key is not None:  # first, since what would be refused now may have been accepted then
-            fingerprint = await context.store(_fingerprint, options, file)
-            job = await context.read(context.table.first, caller.owner, key, fingerprint)
+            fingerprint, job = await context.read(_earlier, context.table, options, file, caller.owner, key)
         if job is None:
             header = await context.tasks.read_header(caller.client, file)
             wanted = options.request(header, context.settings.max_time_limit_s)
@@ -79,14 +83,17 @@ async def encode(
             async with context.accepting.turn(caller.client):
                 await file.seek(0)
                 job = await context.store(_accept, context, new, await file.read())
-    return await _answer(request, job, wait_s)
+    return await _answer(request, context, job, wait_s)
 
 
-def _fingerprint(options: EncodeOptions, image: UploadFile) -> str:
-    """Return a digest of a client's request, independent of settings."""
+def _earlier(
+    table: JobTable, options: EncodeOptions, image: UploadFile, owner: str | None, key: str
+) -> tuple[str, Job | None]:
+    """Return a digest of a client's request, independent of settings, and the job that it made before."""
     image.file.seek(0)
     digest = hashlib.file_digest(image.file, "sha256").hexdigest()  # type: ignore[arg-type]
-    return hashlib.sha256(f"{options.model_dump_json(exclude_unset=True)} {digest}".encode()).hexdigest()
+    fingerprint = hashlib.sha256(f"{options.model_dump_json(exclude_unset=True)} {digest}".encode()).hexdigest()
+    return fingerprint, table.first(owner, key, fingerprint)
 
 
 def _accept(context: Context, new: NewJob, image: bytes) -> Job:
@@ -107,18 +114,17 @@ def _accept(context: Context, new: NewJob, image: bytes) -> Job:
     return job
 
 
-async def _answer(request: Request, job: Job, wait_s: int) -> Response:
+async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:
     """Answer with the finished file if the client waits and the job is done in time, else with the accepted job.
 
     An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
-    context = context_of(request)
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     file = None
     if wait_s and not context.waits.is_full_for(request.state.caller.client):
         try:
-            file = await _file_within(request, job, wait_s)
+            file = await _file_within(request, context, job, wait_s)
         except ProblemError as problem:
             if problem.status not in RETRYABLE:
                 problem.headers.update(headers)
@@ -131,12 +137,17 @@ async def _answer(request: Request, job: Job, wait_s: int) -> Response:
     return file
 
 
-async def _file_within(request: Request, job: Job, wait_s: int) -> Response | None:
+async def _file_within(request: Request, context: Context, job: Job, wait_s: int) -> Response | None:
     """Return the bitstream, or the picture that Accept asks for; None if the job is not done within wait_s seconds.
 
     Raises ProblemError, JobTableError, OSError.
     """
-    ended = await job_within(request, job, wait_s)
+    began = time.monotonic()
+    with context.waits.one(request.state.caller.client):
+        try:
+            ended = await while_client_waits(request, _ended(context, job, began + wait_s))
+        finally:
+            setattr(request.state, WAITED_S, time.monotonic() - began)
     if ended is None:
         return None
     if ended.error is not None and ended.state == "failed":
@@ -145,3 +156,18 @@ async def _file_within(request: Request, job: Job, wait_s: int) -> Response | No
     if wants_picture(request):
         return await picture_response(request, ended, await accepted_format(request), PictureOptions())
     return await bitstream_response(request, ended)
+
+
+async def _ended(context: Context, job: Job, deadline: float) -> Job | None:
+    """Return the job once it has ended, else None. Raises ProblemError 409 if it is removed meanwhile."""
+    pause_s = FIRST_POLL_S
+    while job.state not in FINAL_STATES:
+        pause_s = min(1.1 * pause_s, POLL_S)
+        await asyncio.sleep(pause_s)
+        if time.monotonic() >= deadline or context.stopping():
+            return None
+        seen = await context.read(context.table.glance, job.id)
+        if seen is None:
+            raise ProblemError(409, "the job was removed before it was done")
+        job = seen
+    return job

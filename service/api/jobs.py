@@ -1,26 +1,23 @@
-"""Handlers of existing jobs: get, list, wait, link, stop and remove."""
+"""Handlers of existing jobs: get, list, link, stop and remove."""
 
 from __future__ import annotations
 
-import asyncio
 import time
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import Query, Request, Response
+from fastapi import Query, Response
 from pydantic import Field
 
 from service.api import models
-from service.api.context import Context, KnownJob, UseCaller, UseContext, context_of, no_such_job
-from service.api.metrics import WAITED_S
+from service.api.context import KnownJob, UseCaller, UseContext, no_such_job
 from service.api.problems import ProblemError
-from service.api.requests import NEVER_STORED, Parameters, while_client_waits
-from service.jobs.job import FINAL_STATES, Job, JobState
+from service.api.requests import NEVER_STORED, Parameters
+from service.jobs.job import JobState
 from service.keys import Link
 from service.storage.files import keys_of
 
 MAX_LINK_S = 7 * 86_400
-FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
 class PageQuery(Parameters):
@@ -54,31 +51,6 @@ async def jobs(
     where = f"{settings.root_path}/jobs?limit={limit}"
     older = f"{where}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
     return models.JobPage(jobs=[models.summary(job, settings) for job in page[:limit]], next=older)
-
-
-async def job_within(request: Request, job: Job, seconds: int) -> Job | None:
-    """Wait for the job to end; None if it takes longer. Raises ProblemError 409 if it is removed meanwhile."""
-    context = context_of(request)
-    began = time.monotonic()
-    with context.waits.one(request.state.caller.client):
-        try:
-            return await while_client_waits(request, _ended(job, began + seconds, context))
-        finally:
-            setattr(request.state, WAITED_S, time.monotonic() - began)
-
-
-async def _ended(job: Job, deadline: float, context: Context) -> Job | None:
-    pause_s = FIRST_POLL_S
-    while job.state not in FINAL_STATES:
-        pause_s = min(1.1 * pause_s, POLL_S)
-        await asyncio.sleep(pause_s)
-        if time.monotonic() >= deadline or context.stopping():
-            return None
-        seen = await context.read(context.table.glance, job.id)
-        if seen is None:
-            raise ProblemError(409, "the job was removed before it was done")
-        job = seen
-    return job
 
 
 async def links(

@@ -141,6 +141,14 @@ def job_of(row: Any) -> Job:
     return _jobs.validate_python(dict(row))
 
 
+def row_of(job: NewJob) -> tuple[Any, ...]:
+    """Return the values of a new row, in the order of statements.INSERT."""
+    return (
+        *(job.id, job.owner or "", job.client, job.priority, job.idempotency_key, job.fingerprint),
+        *(as_json(job.request), as_json(job.image), job.image.size_bytes),
+    )
+
+
 def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
     """Return a part of a job as its row stores it."""
     return json.dumps(asdict(value))

@@ -15,7 +15,6 @@ from psycopg_pool import ConnectionPool
 
 from service.errors import JobTableError
 from service.jobs.migrations import NEWEST_VERSION, SCHEMA, migrate
-from service.jobs.statements import Database
 from service.jobs.table import JobTable
 from service.settings import Settings
 
@@ -159,12 +158,11 @@ class PostgresJobTable(JobTable):
             yield _Session(db)
 
     @contextmanager
-    def _transaction(self) -> Iterator[_Session]:
+    def _transaction(self, *, alone: bool = False) -> Iterator[_Session]:
         with self._connection() as db, db.connection.transaction():
+            if alone:
+                db.execute("SELECT pg_advisory_xact_lock(?)", (QUEUE_LOCK,))
             yield db
-
-    def _alone(self, db: Database) -> None:
-        db.execute("SELECT pg_advisory_xact_lock(?)", (QUEUE_LOCK,))
 
     def check_writable(self) -> None:
         with self._connection() as db:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from service.errors import JobTableError
 from service.jobs.migrations import SCHEMA, migrate
-from service.jobs.statements import Database
 from service.jobs.table import JobTable
 from service.settings import Settings
 
@@ -120,15 +119,12 @@ class SqliteJobTable(JobTable):
         idle.put(db)
 
     @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Provide a transaction that holds the write lock from the start, so that none fails half-way."""
+    def _transaction(self, *, alone: bool = False) -> Iterator[sqlite3.Connection]:
+        """Provide a transaction that holds the write lock from the start: it is alone, and does not fail half-way."""
         with self._connection() as db:
             db.execute("BEGIN IMMEDIATE")
             with db:  # commits, or rolls back
                 yield db
-
-    def _alone(self, db: Database) -> None:
-        """Do nothing: every transaction is alone."""
 
     def check_writable(self) -> None:
         self._follow_file()

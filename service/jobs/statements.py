@@ -14,6 +14,10 @@ SELECT epoch() - (
     (SELECT count(*) FROM deliveries) AS deliveries,
     coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
 """
+INSERT = """
+INSERT INTO jobs (id, owner, client, priority, idempotency_key, fingerprint, request, image, image_bytes, created_at)
+VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *, NULL AS position
+"""
 QUEUED = "SELECT CAST(coalesce(sum(jobs), 0) AS BIGINT) AS jobs FROM stored WHERE state = 'queued'"
 QUEUED_BY = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND client = ?"
 SELECT_JOB = "SELECT *, NULL AS position FROM jobs"

@@ -27,6 +27,7 @@ from service.jobs.job import (
     NewJob,
     as_json,
     job_of,
+    row_of,
 )
 from service.jobs.outcomes import Delivery
 from service.jobs.statements import Database
@@ -62,12 +63,11 @@ class JobTable(ABC):
         """Provide a connection in autocommit mode. Within, the database's errors become JobTableError."""
 
     @abstractmethod
-    def _transaction(self) -> AbstractContextManager[Database]:
-        """Provide a connection for changes, which are all on disk at the end, or undone after an error."""
+    def _transaction(self, *, alone: bool = False) -> AbstractContextManager[Database]:
+        """Provide a connection for changes, which are all on disk at the end, or undone after an error.
 
-    @abstractmethod
-    def _alone(self, db: Database) -> None:
-        """Keep others from accepting or claiming jobs until this transaction ends, so that counts stay valid."""
+        alone: nobody else accepts or claims a job until then, so that counts stay valid.
+        """
 
     @abstractmethod
     def check_writable(self) -> None:
@@ -82,22 +82,13 @@ class JobTable(ABC):
 
         Raises LimitError, or KeyReusedError if the key belongs to another request.
         """
-        with self._transaction() as db:
-            self._alone(db)
+        with self._transaction(alone=True) as db:
             first = _first(db, job.owner, job.idempotency_key, job.fingerprint)
             if first is not None:
                 return first, False
             self._check_queue(db, job.client)
             self._check_quotas(db, job.owner, job.image.size_bytes)
-            row = db.execute(
-                "INSERT INTO jobs (id, owner, client, priority, idempotency_key, fingerprint, request, image,"
-                " image_bytes, created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *, NULL AS position",
-                (
-                    *(job.id, job.owner or "", job.client, job.priority, job.idempotency_key, job.fingerprint),
-                    *(as_json(job.request), as_json(job.image), job.image.size_bytes),
-                ),
-            ).fetchone()
-            return job_of(row), True
+            return job_of(db.execute(sql.INSERT, row_of(job)).fetchone()), True
 
     def first(self, owner: str | None, idempotency_key: str, fingerprint: str) -> Job | None:
         """Return the owner's job that an earlier request with this key made, else None. Raises KeyReusedError."""
@@ -111,7 +102,7 @@ class JobTable(ABC):
                 self._check_queue(db, client)
 
     def _check_queue(self, db: Database, client: str) -> None:
-        max_own = self._settings.max_queued_per_client
+        max_own = -(-self._settings.queue_length // 2)
         if _queued(db) >= self._settings.queue_length:
             raise LimitError("queue", "the queue is full; try again later")
         if client and db.execute(sql.QUEUED_BY, (client,)).fetchone()["jobs"] >= max_own:
@@ -219,8 +210,7 @@ class JobTable(ABC):
         """
         if self.queued() == 0:  # called several times a second, so check before taking a lock
             return None
-        with self._transaction() as db:
-            self._alone(db)
+        with self._transaction(alone=True) as db:
             row = db.execute(sql.CLAIM, (worker, self._settings.lease_s)).fetchone()
             if row is None:
                 return None
