@@ -18,7 +18,7 @@ from sgmethod.io.files import bytes_of
 from sgmethod.many.folder import Item, Made, finish_elsewhere, into_folder
 from sgmethod.many.manifest import Row, text_of
 from sgmethod.many.processes import MAX_JOBS
-from sgmethod.many.run import Finished, OnRow, Tally, Task
+from sgmethod.many.run import Finished, OnRow, Tally, Task, made_or_error
 
 
 def encode_many(
@@ -65,7 +65,7 @@ def _in_thread(make: Callable[[Task[Row]], Made], task: Task[Row]) -> Future[Mad
 
     def run() -> None:
         try:
-            future.set_result(make(task))
+            future.set_result(made_or_error(make, task))
         except BaseException as error:
             future.set_exception(error)
 

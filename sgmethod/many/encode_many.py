@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import Executor, Future
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from sgmethod.io.image import Input
 from sgmethod.many.folder import Item, Made, finish_elsewhere, into_folder, written
 from sgmethod.many.manifest import Row
 from sgmethod.many.processes import MAX_JOBS
-from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, finish_locally
+from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, finish_locally, made_or_error
 
 GIVEN, MAX_GIVEN = 1000, 100_000  # pictures that an executor is given at a time
 
@@ -49,8 +49,8 @@ def encode_many(
 
     A picture that cannot be encoded is recorded with its error; the rest continues. Raises SgError for a name that is
     invalid or used twice (if the folder ignores case, "a" and "A" are one), for a manifest that cannot be written and
-    for an executor that has broken, and OSError if the folder cannot be created. Other errors of an executor are raised
-    as they are: run again with resume.
+    for an executor that has broken or raises an OSError, such as a lost connection; and OSError if the folder cannot be
+    created. Other errors of an executor are raised as they are. After any, run again with resume.
     """
     if executor is not None and not isinstance(executor, Executor):
         raise SgError(f"an executor must be a concurrent.futures.Executor, not {type(executor).__name__}")
@@ -69,17 +69,13 @@ def encode_many(
 def _finish_by(
     executor: Executor, options: dict[str, Any], folder: Path, tasks: Iterator[Task[Row]], most: int
 ) -> Finished[Row]:
-    """Finish tasks by an executor. Raises SgError if it has broken."""
-
     def begin(task: Task[Row]) -> Future[Made | SgError]:
         picture = task.picture  # the executor's processes may have another current folder
         there = Path(picture).absolute() if isinstance(picture, str | os.PathLike) else picture
-        return executor.submit(_encoded_or_error, options, there)
+        # Its error is returned, not raised: a picture's failure must not look like the executor's.
+        return executor.submit(made_or_error, partial(_encode, options), there)
 
-    try:
-        yield from finish_elsewhere(begin, folder, tasks, most)
-    except BrokenExecutor as error:
-        raise SgError(f"the executor has broken: {error}; run again with another one, and resume") from error
+    return finish_elsewhere(begin, folder, tasks, most)
 
 
 def _with_one_budget(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -93,16 +89,6 @@ def _with_one_budget(options: Mapping[str, Any]) -> dict[str, Any]:
             others = {name: value for name, value in options.items() if name not in BUDGET_KINDS}
             return {**others, "budget": (given.kind, float(given.value))}
     return dict(options)
-
-
-def _encoded_or_error(options: dict[str, Any], picture: Input) -> Made | SgError:
-    """Encode a picture; return expected errors, because some executors raise them as errors of their own."""
-    try:
-        return _encode(options, picture)
-    except MemoryError:
-        return SgError("out of memory")
-    except (SgError, OSError) as error:
-        return SgError(str(error))
 
 
 def _encode(options: dict[str, Any], picture: Input) -> Made:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
-from concurrent.futures import Future
+from concurrent.futures import BrokenExecutor, Future
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -67,20 +68,35 @@ def finish_elsewhere(
 ) -> Finished[Row]:
     """Write files into a folder as they are made elsewhere, at most `most` at a time.
 
-    They are written here: what outlives the run must not replace the files of the next one.
+    They are written here: what outlives the run must not replace the files of the next one. A picture's own failure is
+    the result of its future. What a future raises, or `begin`, is no picture's: it ends the run, as an SgError if it is
+    an OSError or a broken executor.
     """
 
-    def write(future: Future[Made | SgError], task: Task[Row]) -> Row:
-        def result(_: Any) -> Made:
+    def begin_task(task: Task[Row]) -> Future[Made | SgError]:
+        with _executor_errors():
+            return begin(task)
+
+    for task, future in as_they_finish(begin_task, tasks, most):
+        with _executor_errors():
             made = future.result()
-            if isinstance(made, SgError):
-                raise made
-            return made
+        yield caught(partial(written, partial(_given, made), folder), task)
 
-        return written(result, folder, task)
 
-    for task, future in as_they_finish(begin, tasks, most):
-        yield caught(partial(write, future), task)
+@contextmanager
+def _executor_errors() -> Iterator[None]:
+    try:
+        yield
+    except BrokenExecutor as error:
+        raise SgError(f"the executor has broken: {error}; run again with another one, and resume") from error
+    except OSError as error:  # such as a lost connection to a cluster
+        raise SgError(f"the executor has failed: {error}; run again, and resume") from error
+
+
+def _given(made: Made | SgError, _: Any) -> Made:
+    if isinstance(made, SgError):
+        raise made
+    return made
 
 
 def written(make: Callable[[Any], Made], folder: Path, task: Task[Row]) -> Row:

@@ -50,6 +50,7 @@ class Tally:
 
 
 AnyRow = TypeVar("AnyRow", bound=Row)
+Made = TypeVar("Made")
 OnRow = Callable[[AnyRow, Tally], None]
 
 
@@ -103,9 +104,15 @@ def finish_locally(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int)
 
 def caught(make: Make[AnyRow], task: Task[AnyRow]) -> AnyRow:
     """Finish a task; a file that cannot be made is a row with its error."""
+    made = made_or_error(make, task)
+    return replace(task.row, error=str(made)) if isinstance(made, SgError) else made
+
+
+def made_or_error(make: Callable[[Any], Made], picture: Any) -> Made | SgError:
+    """Return what is made of a picture, or the error by which it alone fails."""
     try:
-        return make(task)
+        return make(picture)
     except MemoryError:
-        return replace(task.row, error="out of memory")
+        return SgError("out of memory")
     except (SgError, OSError) as error:
-        return replace(task.row, error=str(error))
+        return SgError(str(error))

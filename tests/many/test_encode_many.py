@@ -259,6 +259,27 @@ def test_an_executor_that_loses_a_worker() -> None:
     assert [row["name"] for row in rows()] == ["a.sg", "b.sg", "lost.sg", "c.sg"]
 
 
+@pytest.mark.parametrize("is_begun", [False, True])
+def test_an_executor_that_loses_its_connection(is_begun: bool) -> None:
+    """The error is the executor's: each picture left became a failed line, and the run went on to the next."""
+
+    class Lost(Executor):
+        def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            if arguments[1].name == "0.png":
+                future.set_result(function(*arguments))
+            elif is_begun:
+                future.set_exception(ConnectionError("the scheduler is gone"))
+            else:
+                raise ConnectionError("the scheduler is gone")
+            return future
+
+    with pytest.raises(SgError, match=r"^the executor has failed: the scheduler is gone; run again, and resume$"):
+        many(executor=Lost(), jobs=1)
+    assert [(row["name"], row["error"]) for row in rows()] == [("0.sg", None)]
+    assert counts(many(resume=True)) == (2, 1, 0)
+
+
 def test_an_executor_is_given_few_pictures_ahead_and_those_are_cancelled() -> None:
     """Their paths are absolute, as its processes may have another current folder."""
     given: list[Future[Any]] = []
