@@ -192,6 +192,8 @@ class Client:
 
 def _query(budget: Budget | None, profile: Profile, options: Options) -> Json:
     wanted: Json = {"profile": profile, "effort": DEFAULT_EFFORT, "priority": "interactive", **options}
+    if wanted.get("texture"):  # the default, and a field that a service of 1.0.0rc2 refuses
+        del wanted["texture"]
     if budget is not None:
         wanted[budget.kind] = budget.value
     return {name: value for name, value in wanted.items() if value is not None}
