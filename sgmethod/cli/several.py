@@ -141,7 +141,9 @@ class _Report:
 
     def _show(self, outcome: Conversion, tally: Tally) -> None:
         done = self.done = tally.encoded + tally.failed
-        self._left -= Counter([outcome.input])
+        self._left[outcome.input] -= 1  # -= of a Counter goes through all pictures
+        if not self._left[outcome.input]:
+            del self._left[outcome.input]
         self._share = 0.0
         if self._measure:
             self._pace = f", {self._measure.after(outcome, tally)}"

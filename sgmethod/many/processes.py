@@ -9,11 +9,12 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
 from multiprocessing import get_context
+from queue import SimpleQueue
 from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
 
@@ -76,14 +77,17 @@ def as_they_finish(
     """
     waiting = iter(items)
     running: dict[Future[Result], Item] = {}
+    finished: SimpleQueue[Future[Result]] = SimpleQueue()  # wait() would go through all of them for each that is done
     try:
         while True:
             for item in islice(waiting, most - len(running)):
-                running[begin(item)] = item
+                future = begin(item)
+                running[future] = item
+                future.add_done_callback(finished.put)
             if not running:
                 return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future
+            future = finished.get()
+            yield running.pop(future), future
     finally:
         for future in running:
             future.cancel()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import closing
 from multiprocessing import active_children
 from unittest.mock import Mock
@@ -13,7 +14,7 @@ import pytest
 
 from sgmethod import SgError
 from sgmethod.many import processes
-from sgmethod.many.processes import in_processes
+from sgmethod.many.processes import as_they_finish, in_processes
 from sgmethod.native import native
 from tests.many.killing import doubled
 from tests.support.processes import wait_until
@@ -21,6 +22,25 @@ from tests.support.processes import wait_until
 
 def test_results_come_as_they_finish() -> None:
     assert sorted(in_processes(doubled, range(12), 2)) == [2 * item for item in range(12)]
+
+
+def test_each_that_finishes_takes_the_same_time() -> None:
+    """Of 4,000 at once, the time of each grew with those under way: 6 s of a core, where it now takes 0.02."""
+    given: list[Future[int]] = []
+
+    def begin(_: int) -> Future[int]:
+        given.append(Future())
+        if len(given) == 4000:
+            given[0].set_result(0)
+        return given[-1]
+
+    began = time.process_time()
+    for number, (item, future) in enumerate(as_they_finish(begin, range(4000), 4000), 1):
+        assert (item, future) == (number - 1, given[number - 1])
+        if number < len(given):
+            given[number].set_result(number)
+    assert number == 4000
+    assert time.process_time() - began < 1
 
 
 def test_a_killed_process_ends_the_run() -> None:
