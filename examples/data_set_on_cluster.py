@@ -28,10 +28,10 @@ class RayExecutor(Executor):
         import ray
 
         ray.init(address, log_to_driver=False, runtime_env={"env_vars": {"SG_THREADS": "1"}})
-        self._remote = cache(ray.remote(num_cpus=1, max_retries=-1))  # a function is sent to the nodes once
+        self._remote = cache(ray.remote(num_cpus=1, max_retries=3))  # a function is sent to the nodes once
 
     def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
-        """Begin a task, which Ray begins again if its node is lost."""
+        """Begin a task, which Ray begins again if its node is lost. A fourth loss, as by full memory, ends the run."""
         return self._remote(function).remote(*arguments, **named).future()
 
 
