@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.terminal import remaining
@@ -13,6 +16,9 @@ from sgmethod.io.opening import ImageLimits
 from sgmethod.many.run import Tally
 
 START_PIXELS = 100_000  # no encode is free: one of so many pixels takes twice as long for each as one of a megapixel
+
+READ_WHOLE = {"WebP", "AVIF", "HEIC", "JPEG XL"}  # by their readers, for the header too
+HEADER_BYTES = 1 << 16
 
 
 class Pace:
@@ -51,15 +57,28 @@ def pixels_of(picture: str) -> int | None:
         with warnings.catch_warnings(action="ignore"), Path(picture).open("rb") as file:
             kind = formats.name_of(file.read(256))
             file.seek(0)
-            if kind == "JPEG XL":  # whose reader decodes the whole picture
-                width, height, *_ = chunks.jpeg_xl_header(file.read())
-            else:
-                with formats.reader_of(kind)(file) as image:
-                    width, height = image.size
+            width, height = _size_by_header(kind, file) if kind in READ_WHOLE else _size(kind, file)
         ImageLimits().check(width, height)
     except Exception:  # of any reader: the encode itself says what is wrong
         return None
     return width * height
+
+
+def _size_by_header(kind: str, file: BinaryIO) -> tuple[int, int]:
+    """Size by a header's worth of the file, with zeros for the rest of it, which parsers of headers only skip."""
+    head = file.read(HEADER_BYTES)
+    try:
+        return _size(kind, io.BytesIO(head.ljust(os.fstat(file.fileno()).st_size, b"\0")))
+    except Exception:  # the header is longer, or not all at the start
+        return _size(kind, io.BytesIO(head + file.read()))
+
+
+def _size(kind: str, file: BinaryIO) -> tuple[int, int]:
+    if kind == "JPEG XL":  # whose reader decodes the whole picture
+        width, height, *_ = chunks.jpeg_xl_header(file.read())
+        return width, height
+    with formats.reader_of(kind)(file) as image:
+        return image.size
 
 
 def pace_of(per_second: float) -> str:

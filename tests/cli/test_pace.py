@@ -7,6 +7,7 @@ import os
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -63,6 +64,35 @@ def test_pixels_of_every_kind(suffix: str, package: str) -> None:
         PHOTO.save(f"a.{suffix}")
     Image.OPEN.pop("HEIF", None)  # which a program that reads a first picture has not registered
     assert pixels_of(f"a.{suffix}") == 128 * 96
+
+
+@pytest.mark.parametrize(
+    ("kind", "package"),
+    [("png", "PIL"), ("webp", "PIL"), ("avif", "PIL"), ("heif", "pillow_heif"), ("jxl", "pillow_jxl")],
+)
+def test_no_picture_is_read_whole_for_its_size(monkeypatch: pytest.MonkeyPatch, kind: str, package: str) -> None:
+    """A folder of them was read twice, perhaps from a network: WebP, AVIF, HEIC and JPEG XL by their readers."""
+    plugin = pytest.importorskip(package)
+    noise = Image.fromarray(np.random.default_rng(0).integers(0, 256, (300, 400, 3), np.uint8))
+    if kind == "heif":
+        plugin.from_pillow(noise).save("noise")
+    else:
+        noise.save("noise", kind)
+    counted = Counted("noise")
+    monkeypatch.setattr(Path, "open", lambda *_: counted)
+    assert pixels_of("noise") == 400 * 300
+    assert counted.taken <= 256 + 2**16 < Path("noise").stat().st_size
+
+
+class Counted(io.FileIO):
+    """A file that counts what is read of it."""
+
+    taken = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        data = super().read(size)
+        self.taken += len(data)
+        return data
 
 
 @pytest.mark.parametrize("command", ["encode", "preview"])
