@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from isal import isal_zlib
@@ -19,21 +19,19 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 import sgmethod
 from sgmethod.errors import ViewError
 from sgmethod.io import pictures
+from sgmethod.io.formats import WRITTEN, listed
 from sgmethod.io.within import last_within
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View, fitted_scale
 
-PictureFormat = Literal["png", "jpg", "webp", "avif"]
+# The formats that browsers show, by their suffix without the dot.
+WRITERS = {writer.suffixes[0][1:]: writer for writer in WRITTEN.values() if writer.media_type}
+MEDIA_TYPES = {kind: str(writer.media_type) for kind, writer in WRITERS.items()}
+if TYPE_CHECKING:
+    PictureFormat = str
+else:
+    PictureFormat = Literal[tuple(WRITERS)]
 ComparisonFormat = Literal["jpg", "webp", "avif"]
-MEDIA_TYPES: dict[PictureFormat, str] = {
-    "png": "image/png",
-    "jpg": "image/jpeg",
-    "webp": "image/webp",
-    "avif": "image/avif",
-}
-# Pixels of the longer side that a format can hold, or its library writes.
-MAX_SIDES: dict[PictureFormat, int] = {"png": 2**31 - 1, "jpg": 65_500, "webp": 16_383, "avif": 16_384}
-DEFAULT_QUALITY: dict[PictureFormat, int] = {"jpg": 90, "webp": 85, "avif": 75}
-OPTIONS: dict[PictureFormat, dict[str, Any]] = {"webp": {"method": 0}, "avif": {"speed": 9, "max_threads": 1}}
+LOSSY = listed((kind for kind, writer in WRITERS.items() if writer.quality), "or")
 # Without a colour profile, which would be a tenth of a small file.
 COMPARISONS: dict[ComparisonFormat, tuple[str, dict[str, Any]]] = {
     "jpg": ("JPEG", {"optimize": True}),
@@ -61,8 +59,8 @@ Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in 
 
 
 def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = None) -> bytes:
-    """Encode pixels, uint8 [H, W, 3], as a picture file. Sides are at most MAX_SIDES; quality: 1 to 100."""
-    options = {**OPTIONS.get(kind, {}), "quality": quality or DEFAULT_QUALITY.get(kind)}
+    """Encode pixels, uint8 [H, W, 3], as a picture file. quality: 1 to 100. Raises ImageError for too long a side."""
+    options = {**WRITERS[kind].quick, "quality": quality or WRITERS[kind].quality}
     return pictures.picture_file(
         pixels, pictures.SUFFIXES[f".{kind}"], options, lambda rows: isal_zlib.compress(rows, PNG_LEVEL)
     )
@@ -154,7 +152,7 @@ class PictureOptions(BaseModel):
     ] = None
     prefix: Annotated[float, Field(gt=0, le=1, description="fraction of the file to decode; less is coarser")] = 1.0
     texture: Annotated[bool, Field(description="draw the file's synthesised texture")] = True
-    quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
+    quality: Annotated[int | None, Field(ge=1, le=100, description=f"quality of a {LOSSY} file")] = None
 
     @field_validator("region")
     @classmethod
@@ -190,7 +188,8 @@ class Drawing:
 
         Raises ViewError if the result is empty, or exceeds max_pixels or the limits of the file format.
         """
-        if options.quality is not None and kind not in DEFAULT_QUALITY:
+        writer = WRITERS[kind]
+        if options.quality is not None and writer.quality is None:
             raise ViewError(f"quality does not apply to {kind} files")
         part = View(1.0, _region(options)).area(*size)
         scale, box = options.scale or 1.0, (options.width, options.height)
@@ -202,10 +201,10 @@ class Drawing:
             part = _middle(part, crop[0] / scale, crop[1] / scale)
         view = View(scale, None if part == (0, 0, *size) else part, options.prefix, options.texture)
         width, height = view.size(*size)
-        if width * height > max_pixels or max(width, height) > MAX_SIDES[kind]:
-            limit = f"{max_pixels:,} pixels and {MAX_SIDES[kind]:,} per side"
+        if width * height > max_pixels or max(width, height) > writer.max_side:
+            limit = f"{max_pixels:,} pixels and {writer.max_side:,} per side"
             raise ViewError(f"{width} x {height} pixels exceed the limit of {limit}")
-        quality = options.quality or DEFAULT_QUALITY.get(kind)
+        quality = options.quality or writer.quality
         return cls(kind, view, min(width, crop[0] or width), min(height, crop[1] or height), quality)
 
     def etag(self, sha256: str) -> str:

@@ -32,7 +32,7 @@ from service.api.requests import (
     media_type,
     while_client_waits,
 )
-from service.pictures import MAX_SIDES, MEDIA_TYPES, ComparisonFormat, PictureFormat, PictureOptions
+from service.pictures import MEDIA_TYPES, WRITERS, ComparisonFormat, PictureFormat, PictureOptions
 from service.sandbox.frames import PreviewFigures
 from service.storage.files import preview_key, source_key
 
@@ -55,7 +55,7 @@ class PreviewQuery(Parameters):
 
 
 async def picture(job: KnownJob, kind: PictureFormat, query: PictureQuery, request: Request) -> Response:
-    """Return the decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
+    """Return the decoded picture, whole or in part."""
     return await picture_response(request, job, kind, query)
 
 
@@ -136,8 +136,8 @@ async def comparison(
     is no larger, and AVIF is 4:4:4. 410 once the image has been deleted.
     """
     size = int(result_of(job).stats["bytes"])
-    if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
-        raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
+    if max(job.image.width, job.image.height) > (limit := WRITERS[kind].max_side):
+        raise ProblemError(422, f"the picture has more than {limit:,} pixels per side, too many for {kind}")
     until = (job.finished_at or 0.0) + context.settings.source_retention_s
     if time.time() >= until:  # also refuses a cached file
         raise _image_deleted()

@@ -23,7 +23,7 @@ from service.sandbox import frames
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
-from sgmethod.io.formats import READERS
+from sgmethod.io.formats import FORMATS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
 from sgmethod.native import native
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
@@ -50,14 +50,6 @@ IMPORTED_LATE = (
     *(f"encodings.{name}" for name in ("ascii", "cp1252", "latin_1", "utf_16", "utf_16_be", "utf_16_le", "utf_32")),
     *(f"numpy.{name}" for name in ("fft", "linalg", "ma", "random")),  # NumPy's median imports ma
 )
-
-
-# These decoders would start one thread per core for each image.
-DECODER_THREADS = {
-    "PIL.AvifImagePlugin": ("DEFAULT_MAX_THREADS", 1),
-    "pillow_heif.options": ("DECODE_THREADS", 1),
-    "pillow_jxl.JpegXLImagePlugin": ("DECODE_THREADS", 0),
-}
 
 
 class Answer:
@@ -97,12 +89,12 @@ def warm_up() -> None:
     set_threads(1)
     _import_all(sgmethod.__path__, "sgmethod.")
     Image.preinit()
-    for module in (*(module for module, _ in READERS.values()), *IMPORTED_LATE):
+    for module in (*(known.reader[0] for known in FORMATS.values()), *IMPORTED_LATE):
         with contextlib.suppress(ImportError):  # in an extra that is not installed
             importlib.import_module(module)
-    for module, (name, count) in DECODER_THREADS.items():
-        if module in sys.modules:
-            setattr(sys.modules[module], name, count)
+    for module, name, one in filter(None, (known.threads for known in FORMATS.values())):
+        if module in sys.modules:  # its decoder would start a thread for each core
+            setattr(sys.modules[module], name, one)
     for tune in ("psnr", "visual"):
         tiny_encode("rd", tune)
     for kind in MEDIA_TYPES:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from sgmethod.errors import SgError
+from sgmethod.io.formats import EXTRA, PLAIN, WRITTEN, listed
 
 BAD_INPUT = 2
 BUDGET_HELP = {
@@ -34,7 +35,7 @@ EXAMPLES = """examples:
 each command has its own examples: sgmethod encode --help"""
 ENCODE = (
     "Encode pictures as .sg files.",
-    """Reads PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF, PPM and QOI; HEIC and JPEG XL need an extra package. Colours are
+    f"""Reads {listed(PLAIN)}; {listed(EXTRA)} need an extra package. Colours are
 converted to sRGB. Give at most one of --bpp, --bytes, --quality, --psnr and --gaussians.
 
 examples:
@@ -47,7 +48,7 @@ examples:
 )
 DECODE = (
     "Decode .sg files, whole or in part, at any size.",
-    """The extension of OUT sets the format: .png, .jpg, .webp, .avif or .ppm.
+    f"""The extension of OUT sets the format: {listed((one.suffixes[0] for one in WRITTEN.values()), "or")}.
 
 examples:
   sgmethod decode photo.sg photo.png

@@ -10,7 +10,8 @@ from sgmethod.cli.naming import Conversion
 from sgmethod.cli.paths import CommandError
 from sgmethod.cli.several import convert_all, convert_one
 from sgmethod.decoder import SgFile
-from sgmethod.io.pictures import OPAQUE, SUFFIXES, picture_file
+from sgmethod.io.formats import WRITTEN
+from sgmethod.io.pictures import SUFFIXES, picture_file
 from sgmethod.view import View
 
 
@@ -34,7 +35,7 @@ def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Conversion
     pixels = file.pixels(**asdict(_view(arguments)), **sides)
     kind = naming.kind_of(conversion.target, SUFFIXES, "PNG")
     notes = []
-    if pixels.shape[2] == 4 and kind in OPAQUE:
+    if pixels.shape[2] == 4 and not WRITTEN[kind].has_alpha:
         notes.append(f"{kind} has no alpha channel: transparency is composited over white")
     data = picture_file(pixels, kind)
     paths.write(conversion.target, data)

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from sgmethod.cli import paths
 from sgmethod.cli.paths import STREAM, CommandError
-from sgmethod.io import formats
+from sgmethod.io.formats import SUFFIXES
 from sgmethod.many.manifest import Row
 from sgmethod.many.names import Names
 
 SUFFIX = ".sg"
-PICTURES = formats.SUFFIXES
+PICTURES = SUFFIXES
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from typing import BinaryIO
 
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.terminal import remaining
-from sgmethod.io import chunks, formats
+from sgmethod.io import formats
+from sgmethod.io.formats import FORMATS
 from sgmethod.io.opening import ImageLimits
 from sgmethod.many.run import Tally
 
 START_PIXELS = 100_000  # no encode is free: one of so many pixels takes twice as long for each as one of a megapixel
 
-READ_WHOLE = {"WebP", "AVIF", "HEIC", "JPEG XL"}  # by their readers, for the header too
 HEADER_BYTES = 1 << 16
 
 
@@ -57,7 +57,7 @@ def pixels_of(picture: str) -> int | None:
         with warnings.catch_warnings(action="ignore"), Path(picture).open("rb") as file:
             kind = formats.name_of(file.read(256))
             file.seek(0)
-            width, height = _size_by_header(kind, file) if kind in READ_WHOLE else _size(kind, file)
+            width, height = _size_by_header(kind, file) if FORMATS[kind].reads_whole else _size(kind, file)
         ImageLimits().check(width, height)
     except Exception:  # of any reader: the encode itself says what is wrong
         return None
@@ -74,9 +74,9 @@ def _size_by_header(kind: str, file: BinaryIO) -> tuple[int, int]:
 
 
 def _size(kind: str, file: BinaryIO) -> tuple[int, int]:
-    if kind == "JPEG XL":  # whose reader decodes the whole picture
-        width, height, *_ = chunks.jpeg_xl_header(file.read())
-        return width, height
+    if (header_of := FORMATS[kind].header) is not None:
+        header = header_of(file.read())
+        return header.width, header.height
     with formats.reader_of(kind)(file) as image:
         return image.size
 

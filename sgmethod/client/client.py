@@ -162,7 +162,7 @@ class Client:
         return self._connection.ask("GET", f"/bitstreams/{job_id}.sg").content
 
     def picture(self, job_id: str, kind: str = "png", **view: float | str) -> bytes:
-        """Fetch the picture of a finished job, as "png", "jpg", "webp" or "avif".
+        """Fetch the picture of a finished job, as "png" or another format of GET /decode.
 
         view: parameters of the request, such as width=320, height=240, fit="crop" or region="x,y,w,h".
         """

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from PIL import Image
 
 from sgmethod.errors import ImageError
-from sgmethod.io import chunks, formats
+from sgmethod.io import formats
 from sgmethod.io.colour import Colour, Levels
+from sgmethod.io.kinds import png
 from sgmethod.io.opening import BITS_PER_SAMPLE, ImageLimits, Opened
 
 # A TIFF tag, and a value
@@ -103,7 +104,7 @@ def _transparent_in_png(data: bytes, channels: int, white: int) -> npt.NDArray[A
     samples of 1, 2 and 4 bits to 8, but not this colour.
     """
     highest = (1 << data[24]) - 1
-    stored = np.frombuffer(chunks.png_chunks(data)[b"tRNS"], ">u2", channels).astype(np.int64)
+    stored = np.frombuffer(png.png_chunks(data)[b"tRNS"], ">u2", channels).astype(np.int64)
     return (stored & highest) * (white // highest)
 
 

@@ -1,4 +1,4 @@
-"""Image formats, recognised by their first bytes and read by a class of Pillow or of a plugin.
+"""All picture formats, recognised by their first bytes and read by a class of Pillow or of a plugin.
 
 The classes are called directly, because Image.open would try other formats, treat a JPEG with further pictures as
 another format, and apply its own pixel limit through a global and a warning.
@@ -10,40 +10,22 @@ import importlib
 import importlib.util
 import io
 import logging
+from collections.abc import Iterable
 
 from PIL import ImageFile
-from PIL.JpegImagePlugin import JpegImageFile
 
 from sgmethod.errors import ImageError
-from sgmethod.io import chunks
-from sgmethod.io.chunks import PNG_MAGIC
+from sgmethod.io.chunks import brands
+from sgmethod.io.kinds import avif, bmp, gif, heic, jpeg, jpeg_xl, png, ppm, qoi, tiff, webp
+from sgmethod.io.kinds.format import Format
 
-MAGICS: dict[str, tuple[bytes, ...]] = {
-    "PNG": (PNG_MAGIC,),
-    "JPEG": (b"\xff\xd8\xff",),
-    "TIFF": (b"II*\0", b"MM\0*", b"II+\0"),
-    "BMP": (b"BM",),
-    "GIF": (b"GIF87a", b"GIF89a"),
-    "QOI": (b"qoif",),
-    "JPEG XL": chunks.JPEG_XL_MAGICS,
-    "PPM": tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b" \t\n\r#"),
-}
-HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
-READERS = {
-    "PNG": ("PIL.PngImagePlugin", "PngImageFile"),
-    "JPEG": (__name__, "JpegReader"),
-    "WebP": ("PIL.WebPImagePlugin", "WebPImageFile"),
-    "TIFF": ("PIL.TiffImagePlugin", "TiffImageFile"),
-    "BMP": ("PIL.BmpImagePlugin", "BmpImageFile"),
-    "GIF": ("PIL.GifImagePlugin", "GifImageFile"),
-    "AVIF": ("PIL.AvifImagePlugin", "AvifImageFile"),
-    "HEIC": ("pillow_heif", "HeifImageFile"),
-    "JPEG XL": ("pillow_jxl.JpegXLImagePlugin", "JXLImageFile"),
-    "PPM": ("PIL.PpmImagePlugin", "PpmImageFile"),
-    "QOI": ("PIL.QoiImagePlugin", "QoiImageFile"),
-}
-SUFFIXES = {".png", ".apng", ".jpg", ".jpeg", ".jpe", ".jfif", ".webp", ".avif", ".avifs", ".heic", ".heif", ".hif"}
-SUFFIXES |= {".tif", ".tiff", ".bmp", ".dib", ".gif", ".jxl", ".ppm", ".pgm", ".pbm", ".pnm", ".qoi"}
+ALL: tuple[Format, ...] = tuple(
+    kind.FORMAT for kind in (png, jpeg, webp, tiff, bmp, gif, avif, heic, jpeg_xl, ppm, qoi)
+)
+FORMATS = {one.name: one for one in ALL}
+SUFFIXES = {suffix for one in ALL for suffix in one.suffixes}
+PLAIN, EXTRA = ([one.name for one in ALL if bool(one.extra) is is_extra] for is_extra in (False, True))
+WRITTEN = {one.name: one.writer for one in ALL if one.writer is not None}
 # Of picture formats that are not read. No .sg file should have such a name.
 OTHER_SUFFIXES = {".jp2", ".j2k", ".jpx", ".psd", ".svg", ".pdf", ".eps", ".exr", ".hdr", ".ico", ".icns", ".tga"}
 OTHER_SUFFIXES |= {".dds"}
@@ -58,60 +40,53 @@ REFUSED = {
     "an icon": (b"\0\0\1\0",),
 }
 VIDEO_BRANDS = {b"isom", b"mp41", b"mp42", b"qt  "}
-PLUGINS = {
-    "HEIC": "pip install 'sgmethod[heif]'",
-    "JPEG XL": "pip install 'sgmethod[jxl]'",
-    "AVIF": "pip install 'pillow>=11.3'",
-}
 
 # Without a handler, Python prints Pillow's messages about odd files to stderr.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
-class JpegReader(JpegImageFile):
-    """Pillow's reader, except that it leaves out the resolution in EXIF data, of whose damage it would warn."""
-
-    def _read_dpi_from_exif(self) -> None:
-        pass
+def listed(names: Iterable[str], conjunction: str = "and") -> str:
+    """Join names as prose does: "PNG, JPEG and WebP"."""
+    *others, last = names
+    return f"{', '.join(others)} {conjunction} {last}" if others else last
 
 
 def name_of(data: bytes) -> str:
-    """Recognise a file's format, one of READERS. Raises ImageError for any other."""
-    for name, magics in MAGICS.items():
-        if data.startswith(magics):
+    """Recognise a file's format, one of FORMATS. Raises ImageError for any other."""
+    for name, one in FORMATS.items():
+        if one.begins(data):
             return name
-    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
-        return "WebP"
-    brands = set(chunks.brands(data))
-    if {b"avif", b"avis"} & brands:
-        return "AVIF"
-    if HEIC_BRANDS & brands:
-        return "HEIC"
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
-    kind = "a video, " if VIDEO_BRANDS & brands else kind
-    raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
+    kind = "a video, " if VIDEO_BRANDS & set(brands(data)) else kind
+    raise ImageError(f"the file is {kind}not a {listed(FORMATS, 'or')} image")
 
 
 def is_read(first: bytes) -> bool:
     """Whether a file's format can be read, given its first 256 bytes."""
     try:
-        return importlib.util.find_spec(READERS[name_of(first)][0]) is not None
+        return importlib.util.find_spec(FORMATS[name_of(first)].reader[0]) is not None
     except (ImageError, ModuleNotFoundError):
         return False
 
 
+def how_to_install(name: str) -> str:
+    """Return the command that installs what reads a format."""
+    known = FORMATS[name]
+    return f"pip install '{f'sgmethod[{known.extra}]' if known.extra else f'pillow>={known.pillow}'}'"
+
+
 def reader_of(name: str) -> type[ImageFile.ImageFile]:
     """Import the class that reads a format. Raises ImageError if its package is missing."""
-    module, reader = READERS[name]
+    module, reader = FORMATS[name].reader
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
     except ImportError as error:
-        raise ImageError(f"reading {name} files needs an extra package: {PLUGINS[name]}") from error
+        raise ImageError(f"reading {name} files needs an extra package: {how_to_install(name)}") from error
     return found
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
     """Open a reader, which parses the header. Raises its errors, and ImageError if its package is missing."""
-    return reader_of(name)(io.BytesIO(chunks.plain_png(data) if name == "PNG" else data))
+    return reader_of(name)(io.BytesIO(FORMATS[name].prepared(data)))

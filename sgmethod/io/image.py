@@ -3,8 +3,7 @@
 _pixels() lists the steps. A refused picture raises an ImageError with one clear sentence, anything dropped an
 ImageWarning:
 
-    formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
-                   `heif`, JPEG XL with the extra `jxl`; recognised by their first bytes, never by file name
+    formats        those in formats/, recognised by their first bytes, never by file name
     size           checked against ImageLimits from the header, before pixels are decoded
     frames         the first, with a warning if there are others. Further pictures inside a JPEG (thumbnails, gain maps)
                    and thumbnails in a TIFF do not count. Animated JPEG XL is refused. Outside the first frame of a GIF,
@@ -45,10 +44,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from sgmethod.errors import NOTES, ImageError, ImageWarning, SgError
-from sgmethod.io import formats
 from sgmethod.io.decoding import Picture, decode, from_array
 from sgmethod.io.files import checked_path
-from sgmethod.io.opening import ImageLimits, check_jpeg_xl, open_file, open_pillow
+from sgmethod.io.formats import name_of
+from sgmethod.io.opening import ImageLimits, check_header, open_file, open_pillow
 from sgmethod.scene import Pixels
 
 __all__ = ["ImageHeader", "ImageLimits", "Input", "read_header", "read_image_8_bit", "read_input"]
@@ -62,7 +61,7 @@ PACKAGES = tuple(f"{folder}{os.sep}" for folder in (Path(__file__).parents[1], P
 class ImageHeader:
     """The header of an image file.
 
-    format: one of formats.READERS; width, height: pixels, after EXIF orientation; still: whether it is the only picture
+    format: one of formats.FORMATS; width, height: pixels, after EXIF orientation; still: whether it is the only picture
     in the file.
     """
 
@@ -78,10 +77,9 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     Raises ImageError for an unknown format, a damaged header, samples of an unknown range, high dynamic range, or a
     size of zero or beyond limits. A file that passes can still have damaged pixels.
     """
-    kind, limits = formats.name_of(data), limits or ImageLimits()
+    kind, limits = name_of(data), limits or ImageLimits()
     with only_image_errors(kind):
-        if kind == "JPEG XL":
-            header = check_jpeg_xl(data, limits)
+        if (header := check_header(data, kind, limits)) is not None:
             return ImageHeader(kind, header.width, header.height)
         opened = open_file(data, kind, limits)
         # Pillow's TIFF reader already reports the size after orientation.
@@ -121,7 +119,7 @@ def read_image_8_bit(
     Warns with ImageWarning of anything dropped. Raises ImageError where read_header does, and if pixel data are damaged
     or missing.
     """
-    kind, limits = formats.name_of(data), limits or ImageLimits()
+    kind, limits = name_of(data), limits or ImageLimits()
     return _pixels(lambda: decode(open_file(data, kind, limits), smaller), keep_alpha, kind)
 
 

@@ -11,6 +11,9 @@ from sgmethod.errors import ImageError
 from sgmethod.io import chunks, colour, formats, items
 from sgmethod.io.chunks import Box
 from sgmethod.io.colour import Colour, ProfileError
+from sgmethod.io.formats import FORMATS
+from sgmethod.io.kinds import bmp, png
+from sgmethod.io.kinds.format import Format, Header
 from sgmethod.native import native
 
 # TIFF: tags, and values of PLANAR and SAMPLE_FORMAT
@@ -66,8 +69,8 @@ class Opened:
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
-    """Open a file of one of formats.READERS after every check that needs no pixels. Raises ImageError, and Pillow's."""
-    jpeg_xl = check_jpeg_xl(data, limits) if kind == "JPEG XL" else None
+    """Open a file of one of FORMATS after every check that needs no pixels. Raises ImageError, and Pillow's."""
+    known, header = FORMATS[kind], check_header(data, kind, limits)
     try:
         reader = formats.open_reader(data, kind)
     except RuntimeError as error:
@@ -76,12 +79,11 @@ def open_file(data: bytes, kind: str, limits: ImageLimits) -> Opened:
     if kind == "TIFF" and _is_thumbnail(reader):
         raise ImageError("the first picture in the file is only a thumbnail, as in camera raw files")
     check_samples(reader)
-    _check_tiles(reader, kind)
-    if jpeg_xl is not None and jpeg_xl.depth > 8 and reader.mode == "LA":
-        raise ImageError("grey JPEG XL files with more than 8 bits and alpha are not supported")
-    exif = reader.info.get("exif") or (chunks.png_chunks(data).get(b"eXIf") if kind == "PNG" else None)
-    # Pillow's TIFF reader and libheif turn the picture themselves, as does libjxl unless it reconstructs a JPEG.
-    turned = kind in ("TIFF", "HEIC") or (jpeg_xl is not None and not getattr(reader, "jpeg", False))
+    _check_tiles(reader, known)
+    if header is not None and header.depth > 8 and reader.mode == "LA":
+        raise ImageError(f"grey {kind} files with more than 8 bits and alpha are not supported")
+    exif = reader.info.get("exif") or (png.png_chunks(data).get(b"eXIf") if kind == "PNG" else None)
+    turned = known.turns and not getattr(reader, "jpeg", False)  # libjxl does not turn a JPEG that it reconstructs
     orientation = 1 if turned else chunks.exif_orientation(exif)
     stated, notes = stated_colour(reader, data)
     still = _is_still(reader, data)
@@ -102,13 +104,16 @@ def open_pillow(image: Image.Image) -> Opened:
     return Opened(image, None, orientation, *stated_colour(image, None), frame=frame)
 
 
-def check_jpeg_xl(data: bytes, limits: ImageLimits) -> chunks.JpegXl:
-    """Check a JPEG XL's header first: its reader decodes all pixels on opening, some wrongly. Raises ImageError."""
-    formats.reader_of("JPEG XL")
-    header = chunks.jpeg_xl_header(data)
+def check_header(data: bytes, kind: str, limits: ImageLimits) -> Header | None:
+    """Check the header before a reader that decodes all pixels on opening; None for others. Raises ImageError."""
+    header_of = FORMATS[kind].header
+    if header_of is None:
+        return None
+    formats.reader_of(kind)
+    header = header_of(data)
     limits.check(header.width, header.height)
     if header.is_animated:
-        raise ImageError("animated JPEG XL files are not supported")
+        raise ImageError(f"animated {kind} files are not supported")
     return header
 
 
@@ -127,13 +132,11 @@ def _is_thumbnail(tiff: Any) -> bool:
     return bool(tiff.tag_v2.get(NEW_SUBFILE_TYPE, 0) & THUMBNAIL)
 
 
-def _check_tiles(reader: Any, kind: str) -> None:
+def _check_tiles(reader: Any, known: Format) -> None:
     """Raise ImageError if the file lacks data for some pixels, which Pillow would leave black."""
-    # libtiff checks this itself, Pillow lists no tiles for WebP and HEIC, and a GIF's first frame may be smaller than
-    # its screen.
-    if kind in ("WebP", "HEIC", "GIF", "JPEG XL") or (reader.tile and reader.tile[0][0] == "libtiff"):
+    if not known.lists_tiles or (reader.tile and reader.tile[0][0] == "libtiff"):  # which checks this itself
         return
-    is_planar = kind == "TIFF" and reader.tag_v2.get(PLANAR) == SEPARATE
+    is_planar = known.name == "TIFF" and reader.tag_v2.get(PLANAR) == SEPARATE
     planes = len(reader.getbands()) if is_planar else 1
     boxes = [tile[1] or (0, 0, *reader.size) for tile in reader.tile]
     if sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes) < planes * reader.width * reader.height:
@@ -172,16 +175,16 @@ def stated_colour(reader: Image.Image, data: bytes | None) -> tuple[Colour, tupl
     is_grey = reader.mode in ("1", "L", "LA", "I") or reader.mode.startswith("I;16")
     mode = "L" if is_grey else "CMYK" if reader.mode == "CMYK" else "RGB"
     info, kind = reader.info, reader.format if data is not None else None
-    png = chunks.png_chunks(data) if data is not None and kind == "PNG" else {}
+    chunks_of_png = png.png_chunks(data) if data is not None and kind == "PNG" else {}
     found: Colour = None
     try:
-        if len(cicp := png.get(b"cICP", b"")) == 4:
+        if len(cicp := chunks_of_png.get(b"cICP", b"")) == 4:
             found = colour.from_code_points(cicp[0], cicp[1])
-        elif b"iCCP" in png:
-            found = colour.from_profile(colour.inflate(png[b"iCCP"]), mode)
+        elif b"iCCP" in chunks_of_png:
+            found = colour.from_profile(colour.inflate(chunks_of_png[b"iCCP"]), mode)
         elif "icc_profile" in info:
             found = colour.from_profile(info["icc_profile"] or b"", mode)
-        elif data is not None and kind == "BMP" and (profile := chunks.bmp_profile(data)) is not None:
+        elif data is not None and kind == "BMP" and (profile := bmp.bmp_profile(data)) is not None:
             found = colour.from_profile(profile, mode)
         elif data is not None and kind == "AVIF" and (points := items.code_points(data)) is not None:
             found = colour.from_code_points(*points)

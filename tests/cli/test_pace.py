@@ -56,13 +56,15 @@ def test_what_fails_is_no_measure_of_the_rest() -> None:
 @pytest.mark.parametrize(
     ("suffix", "package"), [("png", "PIL"), ("avif", "PIL"), ("heic", "pillow_heif"), ("jxl", "pillow_jxl")]
 )
-def test_pixels_of_every_kind(suffix: str, package: str) -> None:
+def test_pixels_of_every_kind(monkeypatch: pytest.MonkeyPatch, suffix: str, package: str) -> None:
     plugin = pytest.importorskip(package)
     if suffix == "heic":
         plugin.from_pillow(PHOTO).save("a.heic")
     else:
         PHOTO.save(f"a.{suffix}")
-    Image.OPEN.pop("HEIF", None)  # which a program that reads a first picture has not registered
+    monkeypatch.delitem(
+        Image.OPEN, "HEIF", raising=False
+    )  # which a program that reads a first picture has not registered
     assert pixels_of(f"a.{suffix}") == 128 * 96
 
 

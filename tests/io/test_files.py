@@ -1,4 +1,4 @@
-"""Every rule of sgmethod/io/files.py and the checks of sgmethod/io/png.py."""
+"""Every rule of sgmethod/io/files.py and the checks of sgmethod/io/kinds/png.py."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sgmethod.io.files import write_atomically
-from sgmethod.io.png import ZLIB_LEVEL, encode_png, zlib_compress
+from sgmethod.io.kinds.png import ZLIB_LEVEL, encode_png, zlib_compress
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 1000, 70_000, 200_000])

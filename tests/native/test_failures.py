@@ -59,7 +59,7 @@ import ctypes, io
 import numpy as np
 from PIL import Image
 from sgmethod import decode
-from sgmethod.io.png import encode_png
+from sgmethod.io.kinds.png import encode_png
 from sgmethod.native import native
 from sgmethod.threads import in_parallel
 from tests.native.harness.golden import GOLDEN, is_golden

@@ -23,7 +23,7 @@ NO_LIMIT = 10**9
 @pytest.mark.parametrize("most", [100, 1 << 24])
 def test_png_is_lossless_and_whole(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     """However many chunks it has."""
-    monkeypatch.setattr("sgmethod.io.png.MAX_CHUNK_BYTES", most)
+    monkeypatch.setattr("sgmethod.io.kinds.png.MAX_CHUNK_BYTES", most)
     for width, height in ((1, 1), (1, 7), (7, 1), (64, 48), (333, 3)):
         pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
         for some in (pixels, np.zeros_like(pixels)):

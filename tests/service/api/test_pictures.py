@@ -13,7 +13,7 @@ from PIL import Image
 
 import sgmethod
 from service.api.files import MAX_CACHED_S
-from service.pictures import as_large, comparison_file
+from service.pictures import WRITERS, as_large, comparison_file
 from service.storage.files import bitstream_key, preview_key
 from sgmethod.view import View
 from tests.support import pictures
@@ -39,7 +39,7 @@ def pixels_of(answer: httpx2.Response) -> NDArray[np.uint8]:
     return pictures.pixels_of(answer.content)
 
 
-@pytest.mark.parametrize("kind", ["png", "jpg", "webp", "avif"])
+@pytest.mark.parametrize("kind", WRITERS)
 @pytest.mark.parametrize(
     ("query", "view"),
     [
