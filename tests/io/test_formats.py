@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from service.pictures import WRITERS
-from sgmethod.io import kinds
-from sgmethod.io.formats import ALL, EXTRA, FORMATS, PLAIN, WRITTEN, listed
+from sgmethod.io import kinds, pictures
+from sgmethod.io.formats import ALL, EXTRA, FORMATS, OTHER_SUFFIXES, PLAIN, REFUSED, SUFFIXES, WRITTEN, listed
 from sgmethod.io.kinds.format import Writer
-from sgmethod.io.pictures import SUFFIXES
 from tests.support.data import ROOT
 
 LIMITED = {name: f"{writer.max_side:,}" for name, writer in WRITTEN.items() if writer.max_side != Writer(()).max_side}
@@ -48,7 +47,7 @@ SENTENCES = {
         f"on the scale of the encoder; by default {listed(QUALITIES)} |",
     ),
     "service/page/index.html": (
-        "".join(f'<option value="{kind}">{SUFFIXES[f".{kind}"]}</option>' for kind in WRITERS),
+        "".join(f'<option value="{kind}">{pictures.SUFFIXES[f".{kind}"]}</option>' for kind in WRITERS),
     ),
 }
 
@@ -63,6 +62,12 @@ def test_the_page_recognises_every_format() -> None:
     images = re.search(r"const IMAGES = (.*?);", (ROOT / "service/page/kinds.js").read_text(), re.DOTALL)
     assert images is not None
     assert set(re.findall(r'^  \["(.*?)"', images[1], re.MULTILINE)) == set(FORMATS)
+
+
+def test_what_is_read_is_in_no_list_of_what_is_not() -> None:
+    assert SUFFIXES.isdisjoint(OTHER_SUFFIXES)
+    for magics in REFUSED.values():
+        assert not [one.name for one in ALL for magic in magics if one.begins(magic)]
 
 
 def test_every_module_of_a_format_is_listed() -> None:
