@@ -36,7 +36,7 @@ const ENTRIES = {
   encoder: { contents: encoder, isWhole: false },
   element: { contents: 'export * from "./src/encoder/element.js";', isWhole: false },
 };
-const MODULES_OF_NODE = ["node", "vite", "worker"];
+const MODULES_OF_NODE = ["node", "vite", "sgmethod-worker"];
 
 mkdirSync("dist", { recursive: true });
 for (const [name, { contents, isWhole }] of Object.entries(ENTRIES)) {

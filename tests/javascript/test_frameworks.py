@@ -210,11 +210,13 @@ BUNDLERS = {"esbuild": ("esbuild@0.28", ESBUILD), "webpack": ("webpack@5 webpack
 
 @pytest.mark.parametrize("bundler", BUNDLERS)
 def test_a_server_of_one_file_makes_previews(installed: Callable[[str], Path], bundler: str) -> None:
-    """A worker's file is not beside it, so previews are made in its only thread. They are the same."""
+    """A worker's file is not beside it, so previews are made in its only thread. They are the same. A worker of the
+    server's own is left alone."""
     packages, build = BUNDLERS[bundler]
     folder = installed(packages)
     (folder / "server.mjs").write_text(SERVER)
     (folder / "webpack.config.mjs").write_text(WEBPACK)
+    (folder / "worker.js").write_text('import { writeFileSync } from "node:fs"; writeFileSync("started", "");')
     Image.open(PARROT).convert("RGB").save(folder / "door.jpg")
     done = run("npx", *build.split(), folder=folder)
     assert done.status == 0, done.stdout + done.stderr
@@ -222,3 +224,4 @@ def test_a_server_of_one_file_makes_previews(installed: Callable[[str], Path], b
     assert built.status == 0, built.stderr
     assert len(json.loads(built.stdout)) == 2
     assert built.stdout == plain.stdout
+    assert not (folder / "started").exists()

@@ -164,6 +164,45 @@ def test_photographs_and_options_of_every_kind(npm_site: Path) -> None:
     ]
 
 
+WORKER = """
+import { existsSync, writeFileSync } from "node:fs";
+import { parentPort } from "node:worker_threads";
+parentPort.on("message", () => {
+  if (existsSync("failed")) return parentPort.postMessage({ text: "of the next worker" });
+  writeFileSync("failed", "");
+  FAIL
+});
+"""
+TWICE = """
+import { copyFileSync } from "node:fs";
+import { previewOf } from "sgmethod/node";
+const made = async () => (await previewOf("a.png", { cache: false })).text;
+const first = await made();
+copyFileSync("worker.js", "node_modules/sgmethod/dist/sgmethod-worker.js");
+console.log(JSON.stringify([first, await made()]));
+"""
+FAILURES = {
+    "exits": "process.exit();",
+    "throws": 'throw new Error("out of memory");',
+    "answers with something else": "parentPort.postMessage(null);",
+    "is missing": None,
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_worker_that_fails(npm_site: Path, failure: str) -> None:
+    """The preview is made in the calling thread. The next one has another worker, unless there is no file of it."""
+    shutil.copy(PARROT, npm_site / "a.png")
+    (expected,) = previews(npm_site, ("a.png", {"cache": False}))
+    program = npm_site / "node_modules" / "sgmethod" / "dist" / "sgmethod-worker.js"
+    program.unlink()
+    (npm_site / "worker.js").write_text(WORKER.replace("FAIL", FAILURES[failure] or ""))
+    if FAILURES[failure]:
+        shutil.copy(npm_site / "worker.js", program)
+    again = "of the next worker" if FAILURES[failure] else expected["text"]
+    assert answer_of(TWICE, folder=npm_site) == [expected["text"], again]
+
+
 def test_the_recipe_for_express(npm_site: Path) -> None:
     port = free_port()
     (recipe,) = code_in("docs/previews.md", heading="Express")

@@ -112,23 +112,31 @@ async function read(photograph) {
 }
 
 const idle = []; // worker threads
-let start = true; // whether they do
+let isThere = true; // their file
 
-/** A preview. It is made in this thread where no worker starts, as in a server that a bundler made one file of. */
+/** A preview. It is made in this thread where a worker fails, or none starts, as in a server that a bundler made one file
+ * of. */
 async function encoded(...picture) {
   try {
-    if (start) return await inWorker(picture);
-  } catch {
-    start = false;
+    if (isThere) return await inWorker(picture);
+  } catch (error) {
+    if (/MODULE_NOT_FOUND$/.test(error?.code)) isThere = false; // else, the next may do better
   }
   return encodePreview(...picture);
 }
 
 async function inWorker(picture) {
-  const worker = idle.pop() ?? new Worker(new URL("./worker.js", import.meta.url), { execArgv: [] }); // --eval, say, is not its
+  const file = new URL("./sgmethod-worker.js", import.meta.url); // a name that no other package has where all are bundled
+  const worker = idle.pop() ?? new Worker(file, { execArgv: [] }); // --eval, say, is not its
   worker.ref();
   worker.postMessage(picture);
-  const [answer] = await once(worker, "message");
+  const over = new AbortController();
+  const first = ["message", "exit"].map((event) => once(worker, event, over)); // or an error
+  const [answer] = await Promise.race(first).finally(() => over.abort());
+  if (typeof answer?.text !== "string") {
+    worker.terminate();
+    throw new Error("the worker made no preview");
+  }
   worker.unref(); // an idle one does not keep the process
   idle.push(worker);
   return answer;
