@@ -1,12 +1,12 @@
 """Measure the parts of profile paper, as the tables of the paper's ablations do.
 
-    python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions] [--most 6]
+    python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions,bitwidths] [--most 6]
                                   [--pictures kodim05] [--seeds 3] [--fit-steps 2000] [--tune-steps 1000]
     python -m benchmarks.ablation gains [--help]     the paper's start and regularisation, before coding
     python -m benchmarks.ablation show JSON...       the tables of what either measured
 
-Files of profile paper with 1,000, 3,000 and 7,000 Gaussians. All of it takes hours on two cores; a run can be extended
-by tables, pictures and seeds.
+Files of profile paper with 1,000, 3,000 and 7,000 Gaussians; of the table bitwidths, with 3,000. All of it takes hours
+on two cores; a run can be extended by tables, pictures and seeds.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
+from scipy.stats import spearmanr
 from torch import Tensor
 
 from benchmarks.ablation.gains import PIXELS, pixels_of
@@ -48,6 +49,8 @@ SHORT = "GSImage, a tenth of the fit"
 WEAK = "GSImage, all three"
 WIDE = replace(PLAIN, range_quantile=0.0)
 SHORT_FIT = 0.1  # of the steps
+BITWIDTHS: dict[str, dict[str, float]] = {f"from {b:g} bits": {"start_bitwidth": b} for b in (6.5, 8, 10, 12)}
+BITWIDTHS["from 8 bits, at four times the rate"] = {"bits_rate": 4 * PAPER.bits_rate}
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,16 @@ TABLES = {
     "positions": Table(
         {f"{bits}": replace(BUDGETED, position_bits=bits) for bits in (16, 14, 12, 10)}, (1000, 3000, 7000)
     ),
+    # Where bitwidths end, by what the paper does not give: where they begin, and how fast they learn.
+    "bitwidths": Table(
+        {
+            f"{name}{', gradient as printed' if printed else ''}": replace(PAPER, **changes, printed_gradient=printed)
+            for printed in (False, True)
+            for name, changes in BITWIDTHS.items()
+        },
+        (3000,),
+        (384, 256),
+    ),
 }
 
 
@@ -115,8 +128,17 @@ def measure(
         "psnr": psnr(draw(stream.scene()), pixels),
         "bpp": 8 * len(data) / (pixels.shape[0] * pixels.shape[1]),
         "bits_of_factor": float(tuner.bits().round().mean()),
+        "bits_by_size": bits_by_size(tuner),
         "seconds": seconds,
     }
+
+
+def bits_by_size(tuner: Tuner) -> float | None:
+    """Spearman's rank correlation of a Gaussian's soft bitwidth and its area; None where all bitwidths are equal."""
+    bits, factors = tuner.bits()[:, 0].numpy(), tuner.p.factors.numpy()
+    if np.ptp(bits) == 0:
+        return None
+    return float(spearmanr(bits, np.abs(factors[:, 0] * factors[:, 2])).statistic)
 
 
 @lru_cache(maxsize=8)

@@ -12,7 +12,7 @@ Row = dict[str, Any]
 Case = tuple[str, int]  # a picture and a seed
 BySetting = dict[str, dict[Case, list[Row]]]
 
-BASELINES = {"quantisation": "GSImage", "positions": "16"}  # of each table
+BASELINES = {"quantisation": "GSImage", "positions": "16", "bitwidths": "from 8 bits"}  # of each table
 COLUMNS = {"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".3f"), "bits_of_factor": ("bits of l1, l2, l3, each", ".1f")}
 Measure = Callable[[list[tuple[float, float]], list[tuple[float, float]]], float | None]  # of points by bpp and dB
 MEASURES: dict[str, tuple[Measure, str]] = {"BD-PSNR, dB": (bd_psnr, ".2f"), "BD-rate, %": (bd_rate, ".1f")}

@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "setting",
         ["16", "14", "12", "10"],
     ),
+    "ablation --tables bitwidths": ("--images {small} --seeds 1 --fit-steps 60 --tune-steps 20", "asked", [3000]),
     "ablation gains": (
         "--images {small} --tables optimiser,numbers --numbers 10000,30000 --steps 20",
         "setting",
