@@ -22,11 +22,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WHEELS = PROJECT["tool"]["cibuildwheel"]
 
 
-def test_python_npm_and_the_changelog_state_one_version() -> None:
+def test_python_npm_the_changelog_and_the_citation_state_one_version() -> None:
     npm = json.loads((ROOT / "sgmethod" / "javascript" / "package.json").read_text())["version"]
-    changes = re.findall(r"^## (\d\S*) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
-    assert PROJECT["project"]["version"] == changes[0]
-    assert Version(npm) == Version(changes[0])
+    changes = re.findall(r"^## (\d\S*) - (\d{4}-\d\d-\d\d)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    cited = re.findall(r"^(?:version|date-released): (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert PROJECT["project"]["version"] == changes[0][0]
+    assert Version(npm) == Version(changes[0][0])
+    assert tuple(cited) == changes[0]
 
 
 def test_wheels_are_made_for_every_python_that_the_project_names() -> None:
