@@ -77,7 +77,7 @@ FULL = {
     "gains/numbers": f"ablation gains {KODAK} --tables numbers --most 12",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 8 --seeds 1",
-    "bitwidths": f"ablation {KODAK} --tables bitwidths --most 12 --seeds 1",
+    "bitwidths": f"ablation {KODAK} --tables bitwidths --most 6 --seeds 1",
     "service/load": "service load",
     "service/attacks": "service attacks",
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
