@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Hashable, Sequence
 
 MISSING = "-"
 
@@ -22,9 +23,19 @@ def mean(values: Sequence[float | None]) -> float | None:
     return statistics.fmean(known) if known and len(known) == len(values) else None
 
 
-def standard_error(values: Sequence[float]) -> float | None:
-    """The standard error of the mean; None for fewer than two values."""
-    return statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
+def standard_error(values: Sequence[float], groups: Sequence[Hashable] | None = None) -> float | None:
+    """The standard error of the mean; None for fewer than two values, or groups.
+
+    groups: of each value, where those of one group are alike, such as photographs from one source: the error is
+    clustered by them.
+    """
+    of = range(len(values)) if groups is None else groups
+    sums: dict[Hashable, float] = defaultdict(float)
+    for value, group in zip(values, of, strict=True):
+        sums[group] += value - statistics.fmean(values)
+    if len(sums) < 2:
+        return None
+    return math.sqrt(math.fsum(one**2 for one in sums.values()) * len(sums) / (len(sums) - 1)) / len(values)
 
 
 def number(value: float | None, form: str) -> str:

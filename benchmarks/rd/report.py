@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -149,10 +149,12 @@ def curve(average: Means, codec: str, figure: str = "psnr") -> list[Point]:
     return [(bpp, value) for bpp, value in found if bpp is not None and value is not None]
 
 
-def against(rows: Sequence[Row], codec: str, anchor: str) -> BdRate | None:
-    """The BD-rates of a codec. None where a picture that both have has no such rate."""
+def against(rows: Sequence[Row], codec: str, anchor: str, groups: Mapping[str, str] | None = None) -> BdRate | None:
+    """The BD-rates of a codec. None where a picture that both have has no such rate. groups: by picture, those by which
+    the standard error is clustered.
+    """
     images = dict.fromkeys(row.image for row in rows if row.codec == anchor)
-    return _over_pictures({image: points(rows, anchor, image) for image in images}, rows, codec)
+    return _over_pictures({image: points(rows, anchor, image) for image in images}, rows, codec, groups)
 
 
 def against_cool_chic(rows: Sequence[Row], codec: str) -> BdRate | None:
@@ -161,7 +163,9 @@ def against_cool_chic(rows: Sequence[Row], codec: str) -> BdRate | None:
     return _over_pictures({image: published.cool_chic().get(Path(image).stem, []) for image in images}, rows, codec)
 
 
-def _over_pictures(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str) -> BdRate | None:
+def _over_pictures(
+    anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str, groups: Mapping[str, str] | None = None
+) -> BdRate | None:
     """BD-rates against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
     curves = [(anchors[image], points(rows, codec, image)) for image in images]
@@ -169,7 +173,8 @@ def _over_pictures(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: 
     if not rates or len(rates) < len(curves):
         return None
     low, high = (statistics.fmean(ends) for ends in zip(*(compared(*pair) for pair in curves), strict=True))
-    return BdRate(len(rates), statistics.fmean(rates), standard_error(rates), min(rates), max(rates), low, high)
+    error = standard_error(rates, [groups[image] for image in images] if groups else None)
+    return BdRate(len(rates), statistics.fmean(rates), error, min(rates), max(rates), low, high)
 
 
 def points(rows: Sequence[Row], codec: str, image: str) -> list[Point]:

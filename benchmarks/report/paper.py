@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import statistics
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from benchmarks.ablation import gains
-from benchmarks.ablation.paper import RANGES, SHORT, STAGES, WEAK
+from benchmarks.ablation.paper import BITWIDTHS, RANGES, SHORT, STAGES, WEAK
 from benchmarks.ablation.report import COLUMNS, BySetting, average, complete, worth
-from benchmarks.rd.report import bd_psnr, bd_rate
+from benchmarks.rd.report import Point, bd_psnr, bd_rate
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, rows
 from benchmarks.tables import mean, number, standard_error, table
@@ -28,6 +31,9 @@ CLAIMED = {
     "12": "+0.34 dB, -11.0 %",
     "10": "-0.34 dB, +8.2 %",
 }
+APART_DB = 5  # a fit came apart if it ends that far below the median of its seeds
+JPEGS = {"jpeg": "libjpeg-turbo", "mozjpeg": "mozjpeg"}
+BEYOND = 1.2  # times the highest rate measured: as far as a curve of JPEG is extended
 NAMES = {ABQ: f"{ABQ} (profile `paper`)", "ABQ, 7.5 bits by a budget": "ABQ, 7.5 bits by a budget (ours)"}
 
 
@@ -89,6 +95,57 @@ def positions_table() -> str:
     return table("bits | BD-PSNR | BD-rate | the paper", lines)
 
 
+def bitwidths_table() -> str:
+    """Where bitwidths end, by where they begin and which gradient moves them, and how they follow the sizes."""
+    found, lines = files("bitwidths"), []
+    for start in BITWIDTHS:
+        cells = [start]
+        for setting in (start, f"{start}, gradient as printed"):
+            follows = [row["bits_by_size"] for group in found[setting].values() for row in group]
+            cells += [average(found[setting], "bits_of_factor"), number(mean(follows), "+.2f")]
+        lines.append(cells)
+    columns = "bits at the end | their rank correlation with the size"
+    return table(f"bitwidths begin | {columns} | as printed: bits at the end | their rank correlation", lines)
+
+
+def jpeg_table() -> str:
+    """Files with 12 bits of a coordinate beside JPEG, interpolated to their rates."""
+    lines = []
+    for codec, name in JPEGS.items():
+        for asked in sorted({row["asked"] for row in rows("positions")}):
+            if pairs := beside_jpeg(asked, codec):
+                columns = zip(zip(*pairs, strict=True), (".3f", ".2f", ".2f"), strict=True)
+                cells = [number(mean(each), form) for each, form in columns]
+                apart = [ours - theirs for _, ours, theirs in pairs]
+                db = f"{number(mean(apart), '+.2f')} ± {number(standard_error(apart), '.2f')} dB"
+                better = f"{sum(one > 0 for one in apart)} of {len(apart)}"
+                lines.append([name, f"{asked:,}", *cells, db, better])
+    return table("JPEG by | Gaussians | bpp | PSNR | JPEG's PSNR | difference | ours is better on", lines)
+
+
+def beside_jpeg(asked: int, codec: str) -> list[tuple[float, float, float]]:
+    """By picture: rate and PSNR of a file with 12 bits of a coordinate, and JPEG's PSNR at that rate. Empty if JPEG was
+    not measured at such a rate on every picture.
+    """
+    curves: dict[str, set[Point]] = {}
+    for row in rows("rd/others"):
+        if row["codec"] == codec:
+            curves.setdefault(row["image"], set()).add((row["bpp"], row["psnr"]))
+    ours = [row for row in rows("positions") if (row["setting"], row["asked"]) == ("12", asked)]
+    theirs = [at_rate(sorted(curves[row["image"]]), row["bpp"]) for row in ours]
+    pairs = zip(ours, theirs, strict=True)
+    found = [(row["bpp"], row["psnr"], db) for row, db in pairs if db is not None]
+    return found if len(found) == len(ours) else []
+
+
+def at_rate(points: Sequence[Point], bpp: float) -> float | None:
+    """PSNR at a rate, linear in the log rate between neighbours; beyond the last point for BEYOND its rate at most."""
+    if not points[0][0] <= bpp <= BEYOND * points[-1][0]:
+        return None
+    (low, low_db), (high, high_db) = next((pair for pair in pairwise(points) if bpp <= pair[1][0]), points[-2:])
+    return low_db + (high_db - low_db) * math.log(bpp / low) / math.log(high / low)
+
+
 def bound() -> tuple[float | None, float | None]:
     """BD-PSNR over GSImage, mean and standard error, of files with the best PSNR of any choice of bits, if all of them
     were as small as those with 6 bits.
@@ -132,6 +189,33 @@ def optimiser_table() -> str:
     return table(f"{titles} | dB by regularisation", lines)
 
 
+def seeds_table() -> str:
+    """Fits of the same crops from several seeds by GaussianImage's optimiser."""
+    found, lines = fits("gains/seeds"), []
+    starts = {start: found[70_000, start] for start in ("random", "dynamic")}
+    for image in starts["random"]:
+        for start, by_image in starts.items():
+            every = [row["psnr"] for row in by_image[image]]
+            cells = [f"{number(db, '.2f')}{' (came apart)' if apart else ''}" for db, apart in marked(every)]
+            lines.append([image, STARTS[start].removeprefix("structure-guided, "), *cells])
+        gained = [f"{gain:+.2f}" for gain, _ in seed_gains(image)]
+        lines.append(["", "gain, dB", *gained])
+    columns = [f"seed {row['seed']}" for row in next(iter(starts["random"].values()))]
+    return table(" | ".join(["crop", "start", *columns]), lines)
+
+
+def marked(every: Sequence[float]) -> list[tuple[float, bool]]:
+    """The PSNR of fits that differ by the seed alone, and whether they came apart."""
+    return [(db, db < statistics.median(every) - APART_DB) for db in every]
+
+
+def seed_gains(image: str) -> list[tuple[float, bool]]:
+    """The start's gain by seed, and whether one of the two fits came apart."""
+    found = fits("gains/seeds")
+    random, dynamic = (marked([row["psnr"] for row in found[70_000, start][image]]) for start in ("random", "dynamic"))
+    return [(mine[0] - other[0], mine[1] or other[1]) for mine, other in zip(dynamic, random, strict=True)]
+
+
 def psnr(found: Fits) -> str:
     """The mean over pictures."""
     return number(mean([gains.figure(one, "psnr") for one in found.values()]), ".2f")
@@ -163,15 +247,32 @@ def figures() -> dict[str, float | None]:
     marks["paper.fewer-bits"], marks["paper.fewer-bits-error"] = -percent if percent else None, error
     short = worth(found, ABQ, SHORT, bd_rate)[0]
     marks["paper.fewer-bits-short"] = -short if short else None
-    seeds = fits("gains/seeds")
-    starts = [[one["psnr"] for one in every] for by_image in seeds.values() for every in by_image.values()]
-    marks["paper.seeds-db"] = mean([statistics.stdev(each) for each in starts])
-    random, dynamic = (
-        [gains.figure(every, "psnr") for every in seeds[70_000, start].values()] for start in ("random", "dynamic")
-    )
-    apart = [one - other for one, other in zip(dynamic, random, strict=True)]
-    marks["paper.seeds-gain"], marks["paper.seeds-gain-error"] = mean(apart), standard_error(apart)
-    return marks
+    for asked in (1000, 3000):
+        for codec in JPEGS:
+            pairs = beside_jpeg(asked, codec)
+            apart = [ours - theirs for _, ours, theirs in pairs]
+            marks[f"paper.{codec}-bpp-{asked}"] = mean([bpp for bpp, _, _ in pairs])
+            marks[f"paper.{codec}-{asked}"], marks[f"paper.{codec}-error-{asked}"] = mean(apart), standard_error(apart)
+    return marks | seed_figures()
+
+
+def seed_figures() -> dict[str, float | None]:
+    """The figures of fits from several seeds, by mark."""
+    starts = [
+        [one["psnr"] for one in every] for by_image in fits("gains/seeds").values() for every in by_image.values()
+    ]
+    found = [pair for image in dict.fromkeys(row["image"] for row in rows("gains/seeds")) for pair in seed_gains(image)]
+    every, whole = [gain for gain, _ in found], [gain for gain, apart in found if not apart]
+    return {
+        "paper.seeds-db": mean([statistics.stdev(each) for each in starts]),
+        "paper.seeds-fits": sum(map(len, starts)),
+        "paper.seeds-apart": sum(apart for each in starts for _, apart in marked(each)),
+        "paper.seeds-gain": mean(every),
+        "paper.seeds-gain-error": standard_error(every),
+        "paper.seeds-median": statistics.median(every),
+        "paper.seeds-gain-whole": mean(whole),
+        "paper.seeds-gain-whole-error": standard_error(whole),
+    }
 
 
 def draw(axes: Any) -> None:

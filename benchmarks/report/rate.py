@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import published
+from benchmarks.perceptual import photographs
 from benchmarks.rd.report import (
     AVIF,
     ONE_QUALITY,
@@ -52,6 +54,8 @@ NAMES = {
 }
 GRAIN = "avif grain"
 AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq", GRAIN)
+EYE = {"ms_ssim": ".4f", **SEEN}  # figures of what is tuned for the eye
+HIGHER_IS_BETTER = ("ms_ssim", "ssimulacra2")
 BPP = 0.25  # of the tables
 MAX_BPP = 0.5  # of the plot
 PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
@@ -77,14 +81,15 @@ RANGES = ("over pictures", "over bits per pixel")  # titles of differences()
 # README's rows: column of the JSON, its format, what picks the best, and which of the two codecs is measured.
 README_ROWS = {
     "PSNR, dB ↑": ("psnr", ".1f", max, 0),
+    "MS-SSIM ↑": ("ms_ssim", ".3f", max, 1),
     "SSIMULACRA 2 ↑": ("ssimulacra2", ".0f", max, 1),
     "LPIPS ↓": ("lpips", ".3f", min, 1),
     "DISTS ↓": ("dists", ".3f", min, 1),
     "Size, bytes": ("bytes", ",.0f", None, 1),
+    "Decoding by one thread, ms ↓": ("decode_ms", ".1f", min, 1),  # of AVIF in 8 bits, which is its faster one
 }
-# Its rows of time, from the page on run time: the figure, its format and factor; and the settings whose times they are.
-# AVIF's is the one tuned for PSNR, whose search was the shorter.
-README_TIMES = {"Encoding, ms ↓": ("seconds", ",.0f", 1000), "Decoding, ms ↓": ("decode_ms", ".1f", 1)}
+# The settings of its row of encoding, whose times are those of the page on run time. AVIF's is the one tuned for PSNR,
+# whose search was the shorter.
 README_TIMED = (("rd visual", ""), ("avif", "4"), ("jpegxl", "7"), ("webp", "6"), ("jpeg", "0"))
 LIBRARIES = ("libjxl-", "libwebp-", "libjpeg_turbo-", "libvips-", "libavif-")  # the last for AVIF with grain
 
@@ -105,9 +110,9 @@ def avif(figure: str = "psnr", name: str = KODAK) -> str:
     """AVIF as it is compared: the better of its settings for PSNR, or the best for the eye by another figure."""
     found = average(name)
     names = [codec for codec in (AVIF if figure == "psnr" else AVIF_VISUAL) if (codec, BPP) in found]
-    if figure not in SEEN:
+    if figure not in EYE:
         return names[0]
-    sign = -1 if figure == "ssimulacra2" else 1
+    sign = -1 if figure in HIGHER_IS_BETTER else 1
     return min(names, key=lambda codec: sign * (found[codec, BPP][figure] or 0))
 
 
@@ -122,7 +127,7 @@ def codecs_table() -> str:
     """At BPP, the best PSNR first; bits are those for the same PSNR over all rates."""
     found = {codec: average()[codec, BPP] for codec in NAMES if (codec, BPP) in average()}
     anchor = avif()
-    forms = {"bpp": ".3f", "psnr": ".2f", **SEEN}
+    forms = {"bpp": ".3f", "psnr": ".2f", **EYE}
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
         bits = differences(against(rows(), codec, anchor)) if codec != anchor else ["", "", ""]
@@ -130,6 +135,15 @@ def codecs_table() -> str:
         lines.append([NAMES[codec] + above, *(number(m[name], form) for name, form in forms.items()), *bits])
     titles = [f"codec, at most {BPP:g} bits per pixel", *(TITLES.get(name, name) for name in forms)]
     return table(" | ".join([*titles, f"bits for the same PSNR, against {NAMES[anchor]}", *RANGES]), lines)
+
+
+@cache
+def packages(name: str) -> dict[str, str] | None:
+    """The package that each held-out photograph comes from, as those of one are alike; None for Kodak."""
+    if name != UNSEEN:
+        return None
+    with photographs.UNSEEN.open() as file:
+        return {f"{row['name']}.png": row["package"] for row in csv.DictReader(file, delimiter="\t")}
 
 
 def within(every: Sequence[Row], rates: str) -> list[Row]:
@@ -142,7 +156,7 @@ def headline_table() -> str:
     lines = []
     for name, title in HEADLINE_SETS.items():
         for anchor, other in HEADLINE_AGAINST.items():
-            found = [against(within(rows(name), rates), "rd", anchor) for rates in HEADLINE_RATES]
+            found = [against(within(rows(name), rates), "rd", anchor, packages(name)) for rates in HEADLINE_RATES]
             count = f" ({found[0].pictures})" if found[0] else ""
             lines.append([f"{title}{count}", other, *(differences(rate)[0] for rate in found)])
     return table(" | ".join(["photographs", "against", *HEADLINE_RATES]), lines)
@@ -153,7 +167,7 @@ def eye_table() -> str:
     lines = []
     for name, title in HEADLINE_SETS.items():
         every = [row for row in rows(name) if row.max_bpp == BPP]
-        for figure, form in SEEN.items():
+        for figure, form in EYE.items():
             ours, theirs = (
                 {
                     row.image: value
@@ -162,18 +176,21 @@ def eye_table() -> str:
                 }
                 for codec in ("rd visual", avif(figure, name))
             )
-            pairs = [(ours[image], theirs[image]) for image in ours if image in theirs]
-            cells = _beside(pairs, form, figure == "ssimulacra2")
+            pairs = {image: (ours[image], theirs[image]) for image in ours if image in theirs}
+            cells = _beside(pairs, form, figure in HIGHER_IS_BETTER, packages(name))
             lines.append([f"{title} ({len(pairs)})", TITLES[figure], *cells])
     return table("photographs | figure | ours | AVIF's | difference | ours is better on", lines)
 
 
-def _beside(pairs: Sequence[tuple[float, float]], form: str, more_is_better: bool) -> list[str]:
+def _beside(
+    pairs: dict[str, tuple[float, float]], form: str, more_is_better: bool, groups: dict[str, str] | None
+) -> list[str]:
     """The cells of two files' figures, by picture."""
-    apart = [ours - theirs for ours, theirs in pairs]
+    apart = [ours - theirs for ours, theirs in pairs.values()]
     better = sum((one > 0) is more_is_better and one != 0 for one in apart)
-    means_of_both = [number(mean([pair[k] for pair in pairs]), form) for k in (0, 1)]
-    difference = f"{number(mean(apart), f'+{form}')} ± {number(standard_error(apart), form)}"
+    means_of_both = [number(mean([pair[k] for pair in pairs.values()]), form) for k in (0, 1)]
+    error = standard_error(apart, [groups[image] for image in pairs] if groups else None)
+    difference = f"{number(mean(apart), f'+{form}')} ± {number(error, form)}"
     return [*means_of_both, difference, f"{better} of {len(pairs)}"]
 
 
@@ -201,8 +218,7 @@ def readme_table() -> str:
         values = [average(UNSEEN)[codecs[tuned], BPP][name] or 0 for codecs in readme_codecs(name).values()]
         lines.append([title, *_best_in_bold(values, form, best_of)])
     timed = [m for method in README_TIMED if (m := speed.at(0.4, *method))]
-    for title, (name, form, factor) in README_TIMES.items():
-        lines.append([title, *_best_in_bold([m[name] * factor for m in timed], form, min)])
+    lines.append(["Encoding to that size, ms ↓", *_best_in_bold([1000 * m["seconds"] for m in timed], ",.0f", min)])
     named = [name for file in FILES[UNSEEN] for name in load(file)["settings"]["codecs"]]
     versions = dict(re.split("[-/ ]", name)[:2] for name in named if name.startswith(LIBRARIES))
     codecs = ", ".join(f"{library.replace('_', '-')} {version}" for library, version in sorted(versions.items()))
@@ -222,11 +238,11 @@ def figures() -> dict[str, float | None]:
     for name, end in ((UNSEEN, ""), (KODAK, "-on-kodak")):
         every, m, anchor = rows(name), average(name), avif(name=name)
         for mark, codec in {"avif": anchor, "heic": "heic", "webp": "webp"}.items():  # at equal PSNR
-            found |= of_rate(f"{mark}{end}", against(every, "rd", codec))
+            found |= of_rate(f"{mark}{end}", against(every, "rd", codec, packages(name)))
         worse, pictures = dists_worse(every, anchor)
         found |= {f"rate.dists-worse{end}": worse, f"rate.pictures{end}": pictures}
         found[f"rate.psnr-lpips{end}"] = m["rd", BPP]["lpips"]
-        for figure in SEEN:
+        for figure in EYE:
             found[f"rate.rd-{figure}{end}"] = m["rd visual", BPP][figure]
             found[f"rate.avif-{figure}{end}"] = m[avif(figure, name), BPP][figure]
             found[f"rate.grain-{figure}{end}"] = m[GRAIN, BPP][figure]
@@ -236,6 +252,7 @@ def figures() -> dict[str, float | None]:
         found[f"rate.avif-unused{end}"] = 100 * (1 - sizes[1] / sizes[0])
         found[f"rate.avif-filled-psnr{end}"] = value_at(m, anchor, "rd", "psnr")
         found[f"rate.avif-filled-ssimulacra2{end}"] = value_at(m, avif("ssimulacra2", name), "rd visual", "ssimulacra2")
+    found |= decode_figures(average(UNSEEN))
     shown = [codecs[0] for codecs in readme_codecs("psnr").values()]
     found["rate.above"] = sum(average(UNSEEN)[codec, BPP]["above"] or 0 for codec in shown)
     visual = [average()[codec, 0.4]["ssimulacra2"] or 0 for codec in (avif("ssimulacra2"), "rd visual")]
@@ -249,6 +266,16 @@ def figures() -> dict[str, float | None]:
     theirs = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"]]
     found["rate.gaussianimage-from-db"], found["rate.gaussianimage-to-db"] = shared(theirs, curve(average(), "rd"))
     found["rate.times-gaussianimage"] = 100 / (100 + (found["rate.more-than-gaussianimage"] or 0))
+    return found
+
+
+def decode_figures(m: Means) -> dict[str, float | None]:
+    """Times of decoding by one thread, by mark: ours, AVIF's in 8 and in 10 bits, and ours in units of each."""
+    ours = m["rd visual", BPP]["decode_ms"] or math.nan
+    found: dict[str, float | None] = {"rate.rd-decode": ours}
+    for bits, codec in {"8": "avif tune=iq 4:4:4", "10": "avif tune=iq 10 bits"}.items():
+        theirs = found[f"rate.avif-{bits}-bits-decode"] = m[codec, BPP]["decode_ms"] or math.nan
+        found[f"rate.times-avif-{bits}-bits-decode"] = ours / theirs
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import statistics
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from benchmarks.ablation.report import complete, worth
 from benchmarks.bd import compared, curves
 from benchmarks.machine import kept_rows, origin
 from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates, means
+from benchmarks.report.paper import at_rate, marked
 from benchmarks.report.previews import times_our_bytes
 from benchmarks.report.rate import value_at
-from benchmarks.tables import mean, number
+from benchmarks.tables import mean, number, standard_error
 
 ANCHOR = [(0.1, 26.0), (0.2, 29.0), (0.4, 32.0), (0.8, 34.0)]
 
@@ -53,11 +55,34 @@ def test_a_rate_is_the_mean_over_pictures() -> None:
     assert against(both[:-3], "new", "old") is None  # one has no curve: no mean hides that
 
 
+def test_errors_of_pictures_that_are_alike() -> None:
+    """Twice the same picture is no second sample: its group counts once."""
+    assert standard_error([1.0, 2.0, 6.0]) == pytest.approx(statistics.stdev([1, 2, 6]) / 3**0.5)
+    assert standard_error([1.0, 3.0, 1.0, 3.0], "abab") == pytest.approx(standard_error([1.0, 3.0]))
+    assert standard_error([1.0, 3.0], "aa") is standard_error([1.0]) is None
+    third = [(bpp / 4, db) for bpp, db in ANCHOR]
+    both = [row for image in "ab" for row in rows("old", image, ANCHOR)] + rows("new", "a", ANCHOR)
+    rate = against([*both, *rows("new", "b", third)], "new", "old", {"a": "one package", "b": "one package"})
+    assert rate is not None and rate.standard_error is None
+
+
 def test_values_between_sizes() -> None:
     average = means(rows("ours", "a", [(0.2, 30.0)], 0.25) + rows("theirs", "a", [(0.1, 26.0), (0.4, 30.0)]))
     assert value_at(average, "theirs", "ours", "psnr") == pytest.approx(28.0)  # 0.2 is half way between 0.1 and 0.4
     average = means(rows("ours", "a", [(0.5, 30.0)], 0.25) + rows("theirs", "a", [(0.1, 26.0), (0.4, 30.0)]))
     assert value_at(average, "theirs", "ours", "psnr") is None
+
+
+def test_a_curve_of_jpeg_ends_soon_after_its_last_file() -> None:
+    points = [(0.1, 24.0), (0.4, 28.0)]
+    assert at_rate(points, 0.2) == pytest.approx(26.0)  # half way between 0.1 and 0.4
+    assert at_rate(points, 0.4 * 2**0.1) == pytest.approx(28.2)
+    assert at_rate(points, 0.09) is at_rate(points, 0.5) is None
+
+
+def test_a_fit_far_below_its_other_seeds_came_apart() -> None:
+    assert marked([47.1, 38.1, 46.8]) == [(47.1, False), (38.1, True), (46.8, False)]
+    assert not any(apart for _, apart in marked([46.5, 44.2, 43.6]))
 
 
 def test_bytes_of_previews() -> None:

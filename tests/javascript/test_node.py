@@ -257,6 +257,13 @@ def test_eleventy(npm_site: Path) -> None:
     assert len(from_text(found[1])) <= 200
 
 
+def test_the_readme_shows_what_its_script_prints(npm_site: Path) -> None:
+    (script,), (shown,) = code_in("README.md", "js"), code_in("README.md", "html")
+    Image.open(PARROT).resize((768, 512)).save(npm_site / "photo.jpg")
+    cut = re.sub(r"\w+…", "…", shown)  # the texts of another photograph
+    assert re.fullmatch(re.escape(cut).replace("…", r"[\w+/=-]+"), node(script, folder=npm_site))
+
+
 @pytest.mark.parametrize("document", ["docs/previews.md", "sgmethod/javascript/README.md"])
 def test_a_page_in_one_script(each_browser: Page, npm_site: Path, document: str) -> None:
     """The first steps of the documents."""
