@@ -3,6 +3,9 @@
         sgmethod.encode("photo.jpg", bpp=0.3).save("photo.sg")
         pixels = sgmethod.decode("photo.sg")  # uint8 [H, W, 3]
 
+Read codec.py first, which turns a picture into a file; then rd/encode.py, the stages of an encode, and the modules
+that it imports; then decoder.py, the way back. docs/design.md follows one encode through them.
+
 The packages and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors

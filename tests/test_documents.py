@@ -39,7 +39,8 @@ def leads_somewhere(path: Path, link: str) -> bool:
 
 
 def test_links_lead_somewhere() -> None:
-    links = [(path, link) for path in documents() for link in re.findall(r"\]\(([^)\s]+)\)", prose(path))]
+    written = re.compile(r"""\]\(([^)\s]+)\)|(?:src|href)="([^"]+)\"""")
+    links = [(path, link or other) for path in documents() for link, other in written.findall(prose(path))]
     inner = [(path, link) for path, link in links if not re.match(r"[a-z]+:", link)]
     assert len(inner) > 100
     assert [f"{path.relative_to(ROOT)}: {link}" for path, link in inner if not leads_somewhere(path, link)] == []

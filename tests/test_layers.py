@@ -15,6 +15,7 @@ import pytest
 
 import service
 import sgmethod
+import sgmethod.native
 from tests.support.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
@@ -61,6 +62,14 @@ def imports_of(path: Path, known: set[str]) -> set[str]:
 
 MODULES = {name: path for package in FACES for name, path in modules(package).items()}
 IMPORTS = {name: imports_of(path, {*MODULES, "sgmethod.native._native"}) for name, path in MODULES.items()}
+
+
+@pytest.mark.parametrize("package", [sgmethod, service, sgmethod.native])
+def test_files_to_read_first_exist(package: ModuleType) -> None:
+    assert package.__file__ and package.__doc__
+    named = re.findall(r"[\w/]+\.(?:py|h|cpp)\b", package.__doc__)
+    assert len(named) > 2
+    assert [name for name in named if not (Path(package.__file__).parent / name).exists()] == []
 
 
 @pytest.mark.parametrize("package", FACES)

@@ -5,6 +5,10 @@ file, in folders that include and link only those before them: core/ (constants,
 (superpixels), texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd:
 integers, entropy coder) and refine/ (search over the integers, one Gaussian at a time) know nothing of Python.
 bindings/ is the interface to Python.
+
+Read core/gaussians.h first, then how a picture is drawn (raster/rasterization.h and raster/drawing.cpp), how a file is
+read and written (rd/symbols.h and rd/codec.cpp), how a fit moves (fit/gradients.cpp and rd/steps.cpp), and how integers
+are chosen (refine/refine.cpp). Each header says what its .cpp does.
 """
 
 from __future__ import annotations
