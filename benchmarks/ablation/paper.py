@@ -49,7 +49,7 @@ SHORT = "GSImage, a tenth of the fit"
 WEAK = "GSImage, all three"
 WIDE = replace(PLAIN, range_quantile=0.0)
 SHORT_FIT = 0.1  # of the steps
-BITWIDTHS: dict[str, dict[str, float]] = {f"from {b:g} bits": {"start_bitwidth": b} for b in (6.5, 8, 10, 12)}
+BITWIDTHS: dict[str, dict[str, Any]] = {f"from {b:g} bits": {"start_bitwidth": b} for b in (6.5, 8, 10, 12)}
 BITWIDTHS["from 8 bits, at four times the rate"] = {"bits_rate": 4 * PAPER.bits_rate}
 
 
