@@ -105,7 +105,13 @@ class Plan:
         shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.problem.objective.with_coarse(self.finest)
         if shrink == 0 or level.visibility is None or level.visibility.coarse == 0:
             return state.target.now
-        return led(state.target.now, level.missing(state.gaussians, half=True), level.visibility.coarse, shrink)
+        missing, seen = level.missing(state.gaussians, half=True), level.visibility.halved().values > 0
+        return led(
+            state.target.now,
+            lambda first, end: missing(first, end) * seen[first // 2 : -(-end // 2)],
+            level.visibility.coarse,
+            shrink,
+        )
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
         """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""

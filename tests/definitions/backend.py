@@ -53,13 +53,18 @@ def weighted(errors: Tensor, visibility: Visibility | None) -> Tensor:
 
 
 def with_coarse(errors: Tensor, frame: Frame, visibility: Visibility | None) -> Tensor:
-    """Errors [3, H, W] plus the weighted mean over each one's square, of which what is beyond the picture has none."""
+    """Errors [3, H, W] plus the weighted mean over each one's square.
+
+    What is beyond the picture, or hidden by alpha, has no error.
+    """
+    if visibility is None:
+        return errors
     found, side = errors.clone(), max(COARSE_SIDE // frame.spacing, 1)
+    shown = errors * torch.from_numpy(visibility.values > 0)
     for y in range(0, errors.shape[1], side):
         for x in range(0, errors.shape[2], side):
             square = np.s_[:, y : y + side, x : x + side]
-            mean = errors[square].sum((1, 2), keepdim=True) / side**2
-            found[square] += (0.0 if visibility is None else visibility.coarse) * mean
+            found[square] += visibility.coarse * shown[square].sum((1, 2), keepdim=True) / side**2
     return found
 
 

@@ -23,9 +23,10 @@ DETAIL = RD.objective.visibility
 
 
 def visibility(width: int, height: int, seed: int = 0) -> Visibility:
-    """That changes little from one pixel to the next, by a factor of four in all."""
+    """That changes little from one pixel to the next, by a factor of four in all; some pixels are hidden."""
     y, x = np.mgrid[:height, :width]
     levels = native.VISIBLE * 2.0 ** np.sin(x / 17 + y / 23 + seed)
+    levels[2::5, 1::3] = 0
     return Visibility(np.asarray(np.round(levels), np.int16))
 
 
@@ -61,7 +62,8 @@ def test_kernels_see_the_error_as_it_is_defined(
         raster = native.Rasterization(means, factors, *size, CUTOFF, isa=isa, pyramid=pyramid)
         raster.render(colors, drawn)
         difference = drawn - target / np.float32(native.TARGET_WHITE)
-        both = difference + coarse * means_of_squares(difference, max(native.COARSE_SIDE // spacing, 1))
+        shown = np.where(levels > 0, difference, np.float32(0))
+        both = difference + coarse * means_of_squares(shown, max(native.COARSE_SIDE // spacing, 1))
         by_picture = np.tensordot(visible.color, both, 1) * levels / native.VISIBLE * 2 / difference.size
         raster.backward(colors, by_picture.astype(np.float32), *wanted)
         counted = raster.squared_error(colors, target, *found, levels, by_eye, coarse, spacing)
@@ -90,7 +92,7 @@ def test_coarse_errors_of_decoded_pictures_count_once_more(size: tuple[int, int]
     decoded, source = rng.integers(0, 256, (2, *size[::-1], 3), np.uint8)
     visible = Visibility(visibility(*size).values, coarse=2)
     planes = (decoded.astype(np.float32) - source).transpose(2, 0, 1)
-    coarse = means_of_squares(planes, native.COARSE_SIDE)
+    coarse = means_of_squares(np.where(visible.values > 0, planes, np.float32(0)), native.COARSE_SIDE)
     wanted = seen(planes, visible) + visible.coarse * seen(coarse, visible)
     assert error(visible, decoded, source) == pytest.approx(wanted, rel=1e-6)
 

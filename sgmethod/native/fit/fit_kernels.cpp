@@ -62,7 +62,7 @@ SG_INLINE typename Simd<W>::F sum_groups(typename Simd<W>::F v) {
 
 // The same for the error weighted by visibility, in which mean errors of squares of kSide pixels count once more. With
 // m the mean of pixel i's square, the gradient by that pixel is V_i (e_i + weight m): visibility hardly changes within
-// it.
+// it. What alpha hides has no part in m.
 template <int W, int kSide>
 SG_INLINE double squares_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
@@ -97,11 +97,14 @@ SG_INLINE double squares_body(float* values, const TileTarget& target) {
     }
     for (int i = 0; i < kTileWidth; i += W) {
       F e[kSide][3], coarse[3] = {};
-      for (int row = 0; row < kSide; ++row)
+      for (int row = 0; row < kSide; ++row) {
+        const F seen = load_target<W>(in[row][3] + i);
         for (int k = 0; k < 3; ++k) {
-          e[row][k] = V::load(first + (3 * row + k) * kTileWidth + i) - load_target<W>(in[row][k] + i) * kStep;
+          const F error = V::load(first + (3 * row + k) * kTileWidth + i) - load_target<W>(in[row][k] + i) * kStep;
+          e[row][k] = seen > 0 ? error : F{};
           coarse[k] += e[row][k];
         }
+      }
       for (F& mean : coarse) mean = sum_groups<W, kSide>(mean) * of_sum;
       for (int row = 0; row < kSide; ++row) {
         const F e0 = e[row][0], e1 = e[row][1], e2 = e[row][2];

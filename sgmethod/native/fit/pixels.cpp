@@ -34,7 +34,8 @@ SG_CLONES double seen_row(const uint8_t* a, const uint8_t* b, int width, const i
   return sum;
 }
 
-// The squared mean errors of squares along rows of a picture, each times the sum of its pixels' visibility.
+// The squared mean errors of squares along rows of a picture, each times the sum of its pixels' visibility. What alpha
+// hides has no error.
 double seen_squares(const uint8_t* a, const uint8_t* b, int width, int rows, const int16_t* visibility,
                     const Seen& seen) {
   double sum = 0;
@@ -42,6 +43,7 @@ double seen_squares(const uint8_t* a, const uint8_t* b, int width, int rows, con
     int errors[3] = {}, visible = 0;
     for (int row = 0; row < rows; ++row)
       for (int64_t i = int64_t{row} * width + x, end = i + std::min(kCoarseSide, width - x); i < end; ++i) {
+        if (visibility[i] == 0) continue;
         for (int k = 0; k < 3; ++k) errors[k] += a[3 * i + k] - b[3 * i + k];
         visible += visibility[i];
       }
