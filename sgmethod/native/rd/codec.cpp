@@ -7,7 +7,6 @@
 #include "rd/codec.h"
 
 #include <algorithm>
-#include <cmath>
 #include <memory>
 
 #include "core/errors.h"
@@ -30,9 +29,7 @@ SizeClass class_of(const RdParameters& p, int number) {
 bool is_mapped(const RdParameters& p, int number, int last) { return number > last && !p.is_short; }
 
 // What a Gaussian adds to the map for each unit of its shape's aspect.
-double strength_of(const Symbols& s) {
-  return static_cast<double>(Steps(s).square) * std::ldexp(1.0, -2 - s.size_class);
-}
+double strength_of(const Symbols& s) { return static_cast<double>(Steps(s).square) * power_of_two(-2 - s.size_class); }
 
 // The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Each takes
 // three bits at least, the lowest of its distance; fitted ones take 20 and more.

@@ -105,12 +105,14 @@ void Structure::begin(int size_class, uint32_t count) {
   base_.resize(all);
   const int base = density_ + 16 * kPartBits + 8;
   const int inside_columns = width_in_blocks_ - 2 * kRim, inside_rows = height_in_blocks_ - 2 * kRim;
-  for (int y = 0; y < height_in_blocks_; ++y)
-    for (int x = 0; x < width_in_blocks_; ++x) {
-      const bool outside = x < kRim || y < kRim || x >= kRim + inside_columns || y >= kRim + inside_rows;
-      base_[static_cast<size_t>(y) * width_in_blocks_ + x] = static_cast<int16_t>(base - (outside ? kOutside : 0));
-    }
-  own_.assign(kOwn1 * kOwn2, known_ ? kUnknown : int16_t{0});
+  for (int y = 0; y < height_in_blocks_; ++y) {
+    int16_t* const row = &base_[static_cast<size_t>(y) * width_in_blocks_];
+    std::fill_n(row, width_in_blocks_, static_cast<int16_t>(base - kOutside));
+    if (y >= kRim && y < kRim + inside_rows) std::fill_n(row + kRim, inside_columns, static_cast<int16_t>(base));
+  }
+  if (own_.empty()) own_.assign(kOwn1 * kOwn2, kUnknown);
+  for (const uint32_t index : learned_) own_[index] = kUnknown;
+  learned_.clear();
   if (known_) predict();
   const size_t stride = static_cast<size_t>(width_in_blocks_) + 2 * kPad;
   counts_.assign(stride * height_in_blocks_, 0);
@@ -197,12 +199,13 @@ int Structure::learn(uint32_t beside, uint32_t around) {
   const int f[3] = {log_16(n1 + 77) - 128, log_16(n2 + 77) - 128, density_};
   const int group = group_of(class_);
   int sum = 0;
-  for (int h = 0; h < kOwnUnits; ++h) {
+  for (int h = 0; h < (known_ ? kOwnUnits : 0); ++h) {
     int unit = kOwnBias[group][h] * 64;
     for (int i = 0; i < 3; ++i) unit += kOwnWeights[h][i] * f[i];
     sum += kOwnOut[h] * (std::max(unit, 0) >> 6);
   }
-  own_[beside * kOwn2 + around] = static_cast<int16_t>(sum >> 6);
+  learned_.push_back(beside * kOwn2 + around);
+  own_[learned_.back()] = static_cast<int16_t>(sum >> 6);
   return sum >> 6;
 }
 

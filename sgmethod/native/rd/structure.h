@@ -202,7 +202,8 @@ class Structure {
   bool known_ = false;  // whether there are larger Gaussians
   int density_ = 0;  // logarithm of Gaussians per block
   std::vector<int16_t> base_;  // of the logarithm of parts of a block
-  std::vector<int16_t> own_;  // by numbers of Gaussians beside and around
+  std::vector<int16_t> own_;  // by numbers of Gaussians beside and around, as far as learned
+  std::vector<uint32_t> learned_;  // indices of own_
   std::vector<uint16_t> counts_, above_, window_, column_sums_;
   Blocks pooled_, spare_;
   // The walk.
