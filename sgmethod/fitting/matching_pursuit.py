@@ -51,14 +51,14 @@ class Places(NamedTuple):
 
 
 def candidates(
-    residual: Rows, size: tuple[int, int], limit: int, min_gain: float, hidden_by: int
+    residual: Rows, size: tuple[int, int], limit: int, min_gain: float, suppression_levels: int
 ) -> tuple[FloatArray, FloatArray]:
     """Find round Gaussians that reduce a residual of size (height, width), best first.
 
-    Returns means [N, 2] and factors [N, 3] of at most `limit` Gaussians, each with a gain above min_gain. hidden_by:
-    coarser sizes that can hide a place, at least 1.
+    Returns means [N, 2] and factors [N, 3] of at most `limit` Gaussians, each with a gain above min_gain.
+    suppression_levels: coarser sizes that can hide a place, at least 1.
     """
-    found = _places(residual, size, min_gain, hidden_by)
+    found = _places(residual, size, min_gain, suppression_levels)
     gain, x, y, blur = (np.concatenate(values) for values in zip(*found, strict=True))
     order = np.argsort(-gain, kind="stable")[: max(limit, 0)]
     scale = blur[order] * np.float32(SCALE_OF_BLUR)
@@ -67,7 +67,7 @@ def candidates(
     return means, np.stack([scale, 0 * scale, scale], 1)
 
 
-def _places(residual: Rows, size: tuple[int, int], min_gain: float, hidden_by: int) -> list[Places]:
+def _places(residual: Rows, size: tuple[int, int], min_gain: float, suppression_levels: int) -> list[Places]:
     height, width = size
     # Wider blurs would count the mirrored outside as gain, and hide all other places.
     blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
@@ -82,22 +82,22 @@ def _places(residual: Rows, size: tuple[int, int], min_gain: float, hidden_by: i
     margin = math.ceil(REACH * narrow[-1]) + _reach(narrow[-1], 1)
     half, seen = np.empty((3, *half_size), np.float32), np.zeros(half_size, np.float32)
 
-    levels: list[_Level] = []
+    levels: list[_GainLevel] = []
     if by_shrink:
         for first, end in parts:
             _halve(residual(first, end), half[:, first // 2 : -(-end // 2)])
         levels = _coarse_levels(list(half), by_shrink)
-    hiding = levels[-1].most(hidden_by - 1) if levels else None
+    hiding = levels[-1].most(suppression_levels - 1) if levels else None
     found = []
     for first, end in parts:
         top, bottom = max(first - margin, 0), min(end + margin, height)
-        level = _Level(list(residual(top, bottom)), 1, narrow)
+        level = _GainLevel(list(residual(top, bottom)), 1, narrow)
         most = level.gain if hiding is None else _larger(level.gain, hiding, top)
         here = slice(first - top, end - top)
         _max_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
         found.append(level.places(most, min_gain, here, top))
     for level in reversed(levels):  # finest first
-        np.maximum(seen, level.most(hidden_by), out=seen)
+        np.maximum(seen, level.most(suppression_levels), out=seen)
         found.append(level.places(seen, min_gain))
         seen = _max_of_four(seen)
     return found
@@ -109,11 +109,11 @@ def _drawn_once(residual: Rows, height: int) -> Rows:
     return lambda first, end: whole[:, first:end]
 
 
-class _Level:
+class _GainLevel:
     """Gains at one size of the picture."""
 
     def __init__(
-        self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: _Level | None = None
+        self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: _GainLevel | None = None
     ) -> None:
         """Compute gains. planes [3]: the residual; blurs: in pixels of the full size; coarser: the next level."""
         self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
@@ -175,15 +175,15 @@ class _Level:
         return x + beside(left, right), y + beside(above, below)
 
 
-def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> list[_Level]:
+def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> list[_GainLevel]:
     """Build a level for each shrink, coarsest first. half: the residual's planes at half the size."""
     planes = {2: half}
     for shrink in list(blurs)[1:]:
         height, width = planes[shrink // 2][0].shape
         planes[shrink] = list(_halve(planes[shrink // 2], np.empty((3, -(-height // 2), -(-width // 2)), np.float32)))
-    levels: list[_Level] = []
+    levels: list[_GainLevel] = []
     for shrink, here in reversed(blurs.items()):
-        levels.append(_Level(planes[shrink], shrink, here, levels[-1] if levels else None))
+        levels.append(_GainLevel(planes[shrink], shrink, here, levels[-1] if levels else None))
     return levels
 
 

@@ -84,9 +84,9 @@ class Objective:
             return ExaggeratedTarget.from_target(target, self.settings.moving, hides=not self.replaces_grain)
         return FitTarget(target, target)
 
-    def hidden_by(self, effort: Effort) -> int:
-        """Coarser sizes whose gains can hide a place of growth: few for the eye: growth does not see coarse errors."""
-        return effort.hidden_by_eye if self.for_eye else effort.hidden_by
+    def suppression_levels(self, effort: Effort) -> int:
+        """Coarser sizes whose gains can hide a place of growth: few for the eye."""
+        return effort.suppression_levels_for_eye if self.for_eye else effort.suppression_levels
 
     def with_coarse(self, level: Level) -> Level:
         """Return a level on which coarse errors count once more if they are visible."""

@@ -48,10 +48,10 @@ def encode(
     colours = replace(problem, objective=problem.objective.under(pixels, draw_whole(layer)[..., 0]))
     preview = session.recorder.preview
     recorder = replace(session.recorder, preview=preview and _with_alpha(preview, layer))
-    left, found = rate.beside_alpha(layer, error), list[tuple[float, StreamV2]]()
+    colour_rate, found = rate.beside_alpha(layer, error), list[tuple[float, StreamV2]]()
     for _ in session.deadline.tries(settings.alpha.tries):
         attempt = replace(session, deadline=session.deadline.at(1.0), recorder=recorder)
-        stream, taken = pipeline.encode(colours, settings, left, attempt, backend)
+        stream, taken = pipeline.encode(colours, settings, colour_rate, attempt, backend)
         steps += taken
         stream = replace(stream, alpha=layer)
         missing = rate.missing_db(stream, source)
@@ -59,7 +59,7 @@ def encode(
         if missing == 0:
             break
         # The colours' own error is not all of it: both layers are rounded and clamped.
-        left = left.with_higher_target(missing)
+        colour_rate = colour_rate.with_higher_target(missing)
     return min(found, key=lambda one: one[0])[1], steps
 
 
@@ -67,18 +67,18 @@ def _alpha(
     source: Pixels, is_short: bool, settings: RdSettings, rate: RateControl, session: Session, backend: Backend
 ) -> tuple[StreamV2, float, int]:
     """Encode the alpha plane of pixels [H, W, 4]; return it, the error of a file with exact colours, and the steps."""
-    own, steps = rate.for_alpha(settings.alpha), 0
+    alpha_rate, steps = rate.for_alpha(settings.alpha), 0
     deadline, recorder = session.deadline.at(settings.alpha.time), Recorder(session.recorder.clock)
     plane = Problem(Objective.from_alpha(source[..., 3], settings.objective), is_short, with_shear=True)
     once = replace(settings, effort=replace(settings.effort, rounds=(0,)))
     for _ in deadline.tries(settings.alpha.tries):
         attempt = replace(session, deadline=deadline.at(1.0), recorder=recorder)
-        layer, taken = pipeline.encode(plane, once, own, attempt, backend)
+        layer, taken = pipeline.encode(plane, once, alpha_rate, attempt, backend)
         steps += taken
         error = _error(np.dstack([source[..., :3], draw_whole(layer)[..., 0]]), source)
         if rate.allows_alpha(error, settings.alpha):
             break
-        own = replace(own, quantum=own.quantum / 2)
+        alpha_rate = replace(alpha_rate, quantum=alpha_rate.quantum / 2)
     return layer, error, steps
 
 

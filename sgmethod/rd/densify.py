@@ -75,9 +75,9 @@ def _found(plan: Plan, state: State, level: Level, limit: int, min_gain: float) 
 
     Their colours are solved together: neighbours overlap, and would overshoot.
     """
-    hidden_by = plan.problem.objective.hidden_by(plan.settings.effort)
+    suppression_levels = plan.problem.objective.suppression_levels(plan.settings.effort)
     size = level.frame.height, level.frame.width
-    means, factors = candidates(level.residual(state.gaussians), size, limit, min_gain, hidden_by)
+    means, factors = candidates(level.residual(state.gaussians), size, limit, min_gain, suppression_levels)
     if len(means) == 0:
         return Gaussians.empty(0)
     return level.solve_colors(

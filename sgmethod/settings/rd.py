@@ -73,15 +73,17 @@ class Effort:
     steps: int = 250  # of the first run of the schedule
     times: Times = Times()
     rounds: tuple[int, ...] = (1,)  # rounds after the first run at which a file is made; the best file is kept
-    hidden_by: int = 8  # coarser sizes whose gains can hide a place of growth: all, if the target does not move
-    hidden_by_eye: int = 2  # the same for the eye, as growth does not see that coarse errors count more
+    # Coarser sizes whose gains can hide a place of growth: all, if the target does not move. Few for the eye, as growth
+    # does not see that coarse errors count more.
+    suppression_levels: int = 8
+    suppression_levels_for_eye: int = 2
     refine_sweeps: int = 2  # over all Gaussians
     size_tries: int = 4  # further files with finer quanta, if refining leaves bytes unused
 
 
 EFFORTS: dict[int, Effort] = {
-    1: Effort(75, QUICK, (0,), hidden_by=1, hidden_by_eye=1, refine_sweeps=0, size_tries=0),
-    2: Effort(130, rounds=(0,), hidden_by=2, size_tries=2),
+    1: Effort(75, QUICK, (0,), suppression_levels=1, suppression_levels_for_eye=1, refine_sweeps=0, size_tries=0),
+    2: Effort(130, rounds=(0,), suppression_levels=2, size_tries=2),
     3: Effort(180, rounds=(0,)),
     4: Effort(rounds=(0,)),
     5: Effort(),

@@ -15,11 +15,11 @@ ALL_COARSER = len(BLURS_PX)  # sizes of the picture, at most
 
 
 def found_in(
-    residual: FloatArray, most: int, min_gain: float, hidden_by: int = ALL_COARSER
+    residual: FloatArray, most: int, min_gain: float, suppression_levels: int = ALL_COARSER
 ) -> tuple[FloatArray, FloatArray]:
     """What is found in a residual [H, W, 3]."""
     planes = np.ascontiguousarray(residual.transpose(2, 0, 1))
-    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, min_gain, hidden_by)
+    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, min_gain, suppression_levels)
 
 
 def planted(
@@ -66,8 +66,8 @@ def test_a_wide_error_hides_narrow_ones_only_where_it_is_to() -> None:
     for at in narrow:
         residual += planted(2.0, at, (-0.4, 0.2, 0.2), size)
 
-    def dots(hidden_by: int) -> int:
-        means, factors = found_in(residual, 100, 0.1, hidden_by)
+    def dots(suppression_levels: int) -> int:
+        means, factors = found_in(residual, 100, 0.1, suppression_levels)
         near = np.abs(means[:, None] - np.array(narrow)).max(axis=2) < 1.0
         return int((near & (factors[:, :1] < 5.0)).any(axis=0).sum())
 
