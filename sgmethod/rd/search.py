@@ -30,38 +30,24 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     problem, rate, deadline, s = plan.problem, plan.rate, plan.session.deadline, plan.settings.refine
     if plan.finest.values > MANY_VALUES:
         release_memory()  # which the fit kept for its next step
-
-    @cache  # several quanta have one code
-    def coded(quantum: float) -> StreamV2:
-        return problem.stream(state.gaussians, quantum)
+    coded = cache(partial(problem.stream, state.gaussians))  # several quanta have one code
 
     def payload(quantum: float) -> int:
         return len(coded(StreamV2.coded_quantum(quantum, problem.is_short)).payload)
 
-    @cache  # the fit stays as it is
-    def fit_error() -> float:
-        return plan.error(plan.rounded(state.gaussians, state.quantum))
-
+    fit_error = cache(lambda: plan.error(plan.rounded(state.gaussians, state.quantum)))  # the fit stays as it is
     report = partial(_report, plan, state, rounds, fit_error)
     report(0, rate.usual_tries)
-    has_time = deadline.has_time_for_codings(TEXTURE_CODINGS)
-    texture = problem.objective.texture(coded(state.quantum)) if has_time else None
-    if texture is not None and len(pack(texture)) > plan.settings.objective.texture.share * rate.max_bytes:
-        texture = None
+    texture = _texture(plan, lambda: coded(state.quantum))
     empty = replace(problem.stream(Gaussians.empty(0), state.quantum), texture=texture)
     limit, target = max(rate.max_bytes - empty.file_bytes, 0), plan.refining_target(state)
     refined = partial(_refined, plan, target, texture)
 
-    tried: list[Coded] = []
-    quantum: float | None = rate.first_quantum(state.quantum, payload, limit, deadline.tries)
-    for _ in deadline.tries(plan.settings.rate.aim_tries):
-        if quantum is None:
-            break
-        tried.append(refined(state.gaussians, quantum, limit))
-        report(len(tried), max(rate.usual_tries, len(tried) + 1))
-        quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
+    code = partial(refined, state.gaussians, max_bytes=limit)
+    first = rate.first_quantum(state.quantum, payload, limit, deadline.tries)
+    tried = _tried(plan, first, limit, code, report)
     if deadline.left_s() > 0 and rate.is_cut_short(payload(state.quantum), limit):
-        tried.append(refined(state.gaussians, state.quantum, limit))
+        tried.append(code(state.quantum))
     best = exact = rate.chosen(tried)
     if state.is_enough:  # the fit itself may be too large for the budget, and small enough below
         exact = rate.best([best, Coded(coded(state.quantum), problem.objective)])
@@ -74,12 +60,40 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
         best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best, s)))])
-    histogram = problem.objective.histogram
+    return _or_mean(plan, best, empty)
+
+
+def _tried(
+    plan: Plan, first: float, limit: int, code: Callable[[float], Coded], report: Callable[[int, int], None]
+) -> list[Coded]:
+    """Code a fit with one quantum after the other, as rate control chooses them, until nothing is to be gained."""
+    rate, tried = plan.rate, list[Coded]()
+    quantum: float | None = first
+    for _ in plan.session.deadline.tries(plan.settings.rate.aim_tries):
+        if quantum is None:
+            break
+        tried.append(code(quantum))
+        report(len(tried), max(rate.usual_tries, len(tried) + 1))
+        quantum = rate.next_quantum(tried, limit, plan.settings.effort.size_tries)
+    return tried
+
+
+def _texture(plan: Plan, coded: Callable[[], StreamV2]) -> Codes | None:
+    """Return the texture of a fit, if there is time to find it and it takes a small part of the budget."""
+    if not plan.session.deadline.has_time_for_codings(TEXTURE_CODINGS):
+        return None
+    texture, share = plan.problem.objective.texture(coded()), plan.settings.objective.texture.share
+    return texture if texture is not None and len(pack(texture)) <= share * plan.rate.max_bytes else None
+
+
+def _or_mean(plan: Plan, best: Coded, empty: StreamV2) -> Coded:
+    """Return the mean colour alone if that is better than a file of few bytes, or of a picture that is nearly flat."""
+    problem, histogram = plan.problem, plan.problem.objective.histogram
     if best.size > FEW_BYTES and histogram.spread > ROUNDING_LEVELS:
         return best
     mean = coded_background(histogram.mean, problem.is_short)
     empty = replace(empty, quantum=best.stream.quantum, texture=None, background=mean)
-    return rate.best([best, Coded(empty, problem.objective)])
+    return plan.rate.best([best, Coded(empty, problem.objective)])
 
 
 def _report(plan: Plan, state: State, rounds: int, error: Callable[[], float], step: int, steps: int) -> None:
