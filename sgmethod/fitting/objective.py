@@ -80,7 +80,7 @@ class Objective:
         """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
             return OvershootingTarget.from_target(target, background, self.settings.moving)
-        if self.for_eye and min(self.pixels.shape[:2]) >= texture.BLOCK and spacing < COARSE_SIDE:
+        if self.tune == "visual" and min(self.pixels.shape[:2]) >= texture.BLOCK and spacing < COARSE_SIDE:
             return ExaggeratedTarget.from_target(target, self.settings.moving, hides=not self.replaces_grain)
         return FitTarget(target, target)
 
