@@ -2,7 +2,7 @@
 
 import { leave, project, subtract } from "./grid.js";
 import { rounded, withGaussian } from "./integers.js";
-import { bitsOf, payloadOf } from "./writing.js";
+import { payloadOf } from "./writing.js";
 
 const { exp, min, sign } = Math;
 
@@ -50,10 +50,10 @@ function isSameShape(one, other) {
 }
 
 /** The best integers in place of these, or null if none are worth their bits. The grid is without them. */
-function chosen(s, grid, header, price, models) {
+function chosen(s, grid, header, price, bitsOf) {
   let [best, least] = [null, 0];
   const consider = (one, products) => {
-    const cost = change(one.g, products, -2) + price * bitsOf(one, models, header.grey);
+    const cost = change(one.g, products, -2) + price * bitsOf(one);
     if (cost < least) [best, least] = [one, cost];
     return cost;
   };
@@ -80,24 +80,24 @@ function chosen(s, grid, header, price, models) {
 /** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid is left without them.
  * price: squared error on the grid that a bit is worth. */
 export function refined(all, grid, header, price, limit) {
-  let [payload, models] = payloadOf(all, header);
+  let [payload, bitsOf] = payloadOf(all, header);
   const sweep = () => {
     all = all.flatMap((s) => {
       subtract(grid, s.g, -1);
-      const best = chosen(s, grid, header, price, models);
+      const best = chosen(s, grid, header, price, bitsOf);
       if (!best) return [];
       subtract(grid, best.g);
       return [best];
     });
-    [payload, models] = payloadOf(all, header);
+    [payload, bitsOf] = payloadOf(all, header);
   };
   const drop = () => {
     while (payload.length > limit) {
-      const worths = all.map((s) => change(s.g, project(grid, s.g), 2) / bitsOf(s, models, header.grey));
+      const worths = all.map((s) => change(s.g, project(grid, s.g), 2) / bitsOf(s));
       const least = worths.indexOf(min(...worths));
       subtract(grid, all[least].g, -1);
       all.splice(least, 1);
-      [payload, models] = payloadOf(all, header);
+      [payload, bitsOf] = payloadOf(all, header);
     }
   };
   leave(grid, all);

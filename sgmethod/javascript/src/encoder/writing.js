@@ -1,6 +1,6 @@
 // Integers to a payload, and a payload to a file: docs/format.md, "Payload" and "Header".
 
-import { MODEL, bitsAfter, edge } from "../coder.js";
+import { MODEL, edge } from "../coder.js";
 import { ALPHA_HEADER, HEADER, crc32 } from "../header.js";
 import { groupOf, newMap } from "../map.js";
 import { A, A_BY_GROUP, B, B_BY_LUMA, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, LUMA_BY_GROUP } from "../models.js";
@@ -11,50 +11,40 @@ import { MAX_CLASS } from "./integers.js";
 
 const { abs, floor, log2, max, min } = Math;
 
-const BITS_OF_DISTANCE = 7.4; // where a Gaussian is expected in every 64 parts
+const BITS_OF_DISTANCE = 4.4; // and three raw ones, where a Gaussian is expected in every 64 parts
 
 const signsOf = (one, two, three) => 4 * (one < 0) + 2 * (two < 0) + (three < 0);
 const levelOf = (value) => level(symbolOf(abs(value)));
 
-/** The rows of a Gaussian's models; of a symbol or a number, one or two. */
-function rowsOf({ k, y, a, b, v, r, h }) {
-  const group = groupOf(k);
-  const bucket = min(h, 7);
-  const s = symbolOf(abs(v));
-  const slant = (s > 0) + (s > 3) + (s > 6);
-  return {
-    y: [LUMA, LUMA_BY_GROUP + group],
-    a: [A + levelOf(y), A_BY_GROUP + 4 * levelOf(y) + (group >> 2)],
-    b: [B + levelOf(a), B_BY_LUMA + 4 * levelOf(a) + levelOf(y)],
-    colourSigns: COLOUR_SIGNS + 4 * (y !== 0) + 2 * (a !== 0) + (b !== 0),
-    v: [V + bucket, V_BY_GROUP + 8 * (group >> 1) + bucket],
-    r: [R + 6 * bucket + min((s + 1) >> 1, 5), R_BY_DIRECTION + 4 * bucket + slant],
-    shapeSigns: SHAPE_SIGNS + 2 * (v !== 0) + (r !== 0),
-  };
-}
-
-/** By how many bits a Gaussian's place is divided further than by its part, along x and y. */
-const bitsOfPlace = ({ parts, spot }) => [max(parts[0] - spot.xBits, 0), max(parts[1] - spot.yBits, 0)];
-
-/** Write part and colour of `next`, and shape and place of `now`; either may be missing. gap: parts between them. */
+/** Write, or count, part and colour of `next`, and shape and place of `now`; either may be missing. gap: parts between
+ * them. */
 function writeTurn(writer, gap, next, now, grey) {
   const { symbol, fetch, raw } = writer;
-  const [ofNext, ofNow] = [next && rowsOf(next), now && rowsOf(now)];
-  const number = (s, name, rows) => (s ? begin(writer, abs(s[name]), ...rows[name]) : 0);
+  const group = groupOf((next ?? now).k);
+  const bucket = now && min(now.h, 7);
   const far = floor(gap / 8);
   const distance = next ? begin(writer, far, DISTANCE) : 0;
-  if (now) symbol(signsOf(now.y, now.a, now.b), ofNow.colourSigns);
+  if (now) {
+    const { y, a, b } = now;
+    symbol(signsOf(y, a, b), COLOUR_SIGNS + 4 * (y !== 0) + 2 * (a !== 0) + (b !== 0));
+  }
   if (next) {
     fetch(distance + 3);
     raw(far, distance);
     raw(gap, 3);
   }
-  const y = number(next, "y", ofNext);
-  const v = number(now, "v", ofNow);
-  const a = number(!grey && next, "a", ofNext);
-  const r = number(now, "r", ofNow);
-  const b = number(!grey && next, "b", ofNext);
-  if (now) symbol(signsOf(0, now.v, now.r), ofNow.shapeSigns);
+  let [y, a, b, v, r] = [0, 0, 0, 0, 0]; // bits behind each symbol
+  const [ofY, ofA] = next && !grey ? [levelOf(next.y), levelOf(next.a)] : [];
+  if (next) y = begin(writer, abs(next.y), LUMA, LUMA_BY_GROUP + group);
+  if (now) v = begin(writer, abs(now.v), V + bucket, V_BY_GROUP + 8 * (group >> 1) + bucket);
+  if (next && !grey) a = begin(writer, abs(next.a), A + ofY, A_BY_GROUP + 4 * ofY + (group >> 2));
+  if (now) {
+    const s = symbolOf(abs(now.v));
+    const slant = (s > 0) + (s > 3) + (s > 6);
+    r = begin(writer, abs(now.r), R + 6 * bucket + min((s + 1) >> 1, 5), R_BY_DIRECTION + 4 * bucket + slant);
+  }
+  if (next && !grey) b = begin(writer, abs(next.b), B + ofA, B_BY_LUMA + 4 * ofA + ofY);
+  if (now) symbol(signsOf(0, now.v, now.r), SHAPE_SIGNS + 2 * (now.v !== 0) + (now.r !== 0));
   fetch(v + r + (now ? now.uBits : 0) + y + a + b);
   if (now) {
     raw(abs(now.v), v);
@@ -67,32 +57,28 @@ function writeTurn(writer, gap, next, now, grey) {
     raw(abs(next.b), b);
   }
   if (now) {
-    const [x, y] = bitsOfPlace(now);
+    const { parts, spot } = now;
+    const [x, y] = [max(parts[0] - spot.xBits, 0), max(parts[1] - spot.yBits, 0)];
     fetch(x + y);
-    raw((now.column - 2) * 2 ** now.parts[0] + now.px, x);
-    raw((now.row - 2) * 2 ** now.parts[1] + now.py, y);
+    raw(spot.px, x);
+    raw(spot.py, y);
   }
 }
 
-/** The bits of a symbol by these models. */
-function bitsOfSymbol(models, symbol, row, second = row) {
-  const [one, two] = [MODEL * row + symbol, MODEL * second + symbol];
-  return 15 - log2(edge(models, one + 1, two + 1) - edge(models, one, two));
-}
-
-/** About the bits of a Gaussian, where it was when it was last written. */
-export function bitsOf(s, models, grey) {
-  const rows = rowsOf(s);
-  const [x, y] = bitsOfPlace(s);
-  let bits = BITS_OF_DISTANCE + s.uBits + x + y;
-  for (const name of grey ? ["y", "v", "r"] : ["y", "a", "b", "v", "r"]) {
-    const value = abs(s[name]);
-    const symbol = symbolOf(value);
-    bits += bitsOfSymbol(models, symbol, ...rows[name]);
-    bits += symbol < 15 ? bitsAfter(symbol) : 36 - Math.clz32(value);
-  }
-  bits += bitsOfSymbol(models, signsOf(s.y, s.a, s.b), rows.colourSigns);
-  return bits + bitsOfSymbol(models, signsOf(0, s.v, s.r), rows.shapeSigns);
+/** A function that estimates the bits of a Gaussian, where it was when it was last written, by these models. */
+function estimateBy(models, grey) {
+  let bits;
+  const symbol = (found, row, second = row) => {
+    if (row === DISTANCE) return;
+    const [one, two] = [MODEL * row + found, MODEL * second + found];
+    bits += 15 - log2(edge(models, one + 1, two + 1) - edge(models, one, two));
+  };
+  const counter = { symbol, fetch() {}, raw: (_, count) => (bits += count) };
+  return (s) => {
+    bits = BITS_OF_DISTANCE;
+    writeTurn(counter, 0, s, s, grey);
+    return bits;
+  };
 }
 
 /** A number's bits, two places apart. */
@@ -117,12 +103,12 @@ function partOf({ column, row, px, py, parts }, { level, halvings }) {
   return (x << odd) + (y << (1 - odd));
 }
 
-/** The payload of Gaussians' integers, a list of bytes; and the models at its end. Each gets a `spot`: what is known of
- * it by its part. */
+/** The payload of Gaussians' integers, a list of bytes; and a function that estimates the bits of one, by the models at
+ * its end. Each gets a `spot`: what is known of it by its part. */
 export function payloadOf(all, header) {
   const models = newModels();
   const writer = newWriter(models);
-  if (!all.length) return [[], models];
+  if (!all.length) return [[]];
   const sorted = all.slice().sort((one, other) => other.k - one.k);
   const [first, last] = [sorted[0].k, sorted.at(-1).k];
   for (const value of [MAX_CLASS - first, first - last]) {
@@ -152,7 +138,8 @@ export function payloadOf(all, header) {
       for (const s of within.sort((one, other) => parts.get(one) - parts.get(other))) {
         const on = parts.get(s) - at.part;
         advance(on);
-        look((s.spot = {}));
+        const [px, py] = [(s.column - 2) * 2 ** s.parts[0] + s.px, (s.row - 2) * 2 ** s.parts[1] + s.py];
+        look((s.spot = { px, py }));
         writeTurn(writer, gap + on, s, now, header.grey);
         gap = 0;
         now = s;
@@ -160,7 +147,7 @@ export function payloadOf(all, header) {
     }
     writeTurn(writer, 0, null, now, header.grey);
   }
-  return [writer.bytes(), models];
+  return [writer.bytes(), estimateBy(models, header.grey)];
 }
 
 /** A short file. header and alpha, if there is one: width, height, code of the quantum, background of five bits a
