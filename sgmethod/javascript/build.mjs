@@ -14,7 +14,10 @@ import { encodePreview } from "./src/encoder/encoder.js";
 import { crc32 } from "./src/header.js";
 import { decodePreview } from "./src/preview.js";
 
-const MAX_BYTES = { preview: 5200, "sg-img": 7000, decoder: 10100, all: 11900, encoder: 12500, element: 600 }; // with gzip, as README.md says
+// In kB with gzip, by import.
+const SIZES = Object.fromEntries(
+  [...readFileSync("README.md", "utf8").matchAll(/^\| `"(sgmethod[^"]*)"` \|.*\| ([\d.]+) kB \|$/gm)].map((row) => row.slice(1)),
+);
 const SAMPLE = "wtIByUwsTlAigCIP2YFWEPX9zcgbOJ4ebv8IV-sG6g"; // with alpha
 const TEXTURED = "wqsMZeXg___fvfw-G6scF3GhVT6gasOEAVY";
 const VIEW = { scale: 1.5, region: [2, 1, 9, 7], prefix: 0.9 };
@@ -37,6 +40,10 @@ const ENTRIES = {
   element: { contents: 'export * from "./src/encoder/element.js";', isWhole: false },
 };
 const MODULES_OF_NODE = ["node", "vite", "sgmethod-worker"];
+const MODULES = Object.entries(JSON.parse(readFileSync("package.json")).exports)
+  .map(([path, { default: file }]) => [path.replace(".", "sgmethod"), file?.slice("./dist/".length, -".js".length)])
+  .filter(([, name]) => name);
+const IMPORTS = Object.fromEntries(MODULES.map(([path, name]) => [name, path]));
 
 mkdirSync("dist", { recursive: true });
 for (const [name, { contents, isWhole }] of Object.entries(ENTRIES)) {
@@ -55,7 +62,8 @@ for (const [name, { contents, isWhole }] of Object.entries(ENTRIES)) {
   writeFileSync(`dist/${name}.js`, code);
   const size = gzipSync(code, { level: 9 }).length;
   console.log(`${name}.js: ${code.length} bytes, ${size} with gzip`);
-  assert(size <= MAX_BYTES[name], `${name}.js is larger than ${MAX_BYTES[name]} bytes with gzip`);
+  const limit = SIZES[IMPORTS[name]];
+  assert(size <= 1000 * limit, `${name}.js is larger than README.md says: ${limit} kB with gzip`);
 }
 
 // What the cache of previews must not outlive.
@@ -67,6 +75,15 @@ await build({
   define: { VERSION: JSON.stringify(version.digest("hex").slice(0, 12)) },
 });
 copyFileSync("node/sg-img.css", "dist/sg-img.css");
+
+/** The names of values that types declare. */
+const declared = (name) =>
+  [...readFileSync(`types/${name}.d.ts`, "utf8").matchAll(/^export (?:(?:function|class) (\w+)|(?:\* |{(.*)} )from "\.\/(.*)\.js")/gm)]
+    .flatMap(([, own, names, other]) => own ?? names?.trim().split(", ") ?? declared(other));
+for (const [, name] of MODULES.filter(([, name]) => name !== "vite")) {
+  const names = Object.keys(await import(`./dist/${name}.js`));
+  assert.deepEqual([...new Set(declared(name))].sort(), names.sort(), `types/${name}.d.ts does not declare what ${name}.js exports`);
+}
 
 const { encodePreview: built } = await import("./dist/encoder.js");
 const rgba = Uint8Array.from({ length: 4 * 48 * 32 }, (_, i) => (i % 4 < 3 ? (7 * i) & 255 : 255 * (i % 192 < 96)));
