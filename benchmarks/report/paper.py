@@ -17,7 +17,7 @@ from benchmarks.report.results import Row, rows
 from benchmarks.tables import mean, number, standard_error, table
 
 STARTS = {"random": "random", "fixed": "structure-guided, 6:2:1", "dynamic": "structure-guided, dynamic ratio"}
-GSIMAGE, ABQ = "GSImage", "ABQ, weight 0.0012"
+GSIMAGE, ABQ, PRINTED = "GSImage", "ABQ, weight 0.0012", ", gradient as printed"
 BASELINES = (GSIMAGE, RANGES, STAGES, SHORT, WEAK)
 # What the paper reports of each row of its files, by BD-PSNR and BD-rate.
 CLAIMED = {
@@ -25,8 +25,8 @@ CLAIMED = {
     "LSQ, 6 bits": "+0.78 dB, -26.3 %",
     "LSQ, 7 bits": "+1.16 dB, -35.2 %",
     "LSQ, 8 bits": "+1.18 dB, -35.3 %",
-    **{f"{ABQ}{printed}": "+1.68 dB, -43.4 %" for printed in ("", ", gradient as printed")},
-    **{f"ABQ, weight 0.0014{printed}": "+0.96 dB, -30.3 %" for printed in ("", ", gradient as printed")},
+    **{f"{ABQ}{printed}": "+1.68 dB, -43.4 %" for printed in ("", PRINTED)},
+    **{f"ABQ, weight 0.0014{printed}": "+0.96 dB, -30.3 %" for printed in ("", PRINTED)},
     "14": "+0.19 dB, -6.4 %",
     "12": "+0.34 dB, -11.0 %",
     "10": "-0.34 dB, +8.2 %",
@@ -100,12 +100,16 @@ def bitwidths_table() -> str:
     found, lines = files("bitwidths"), []
     for start in BITWIDTHS:
         cells = [start]
-        for setting in (start, f"{start}, gradient as printed"):
-            follows = [row["bits_by_size"] for group in found[setting].values() for row in group]
-            cells += [average(found[setting], "bits_of_factor"), number(mean(follows), "+.2f")]
+        for setting in (start, f"{start}{PRINTED}"):
+            cells += [average(found[setting], "bits_of_factor"), number(mean(follow(found, setting)), "+.2f")]
         lines.append(cells)
     columns = "bits at the end | their rank correlation with the size"
     return table(f"bitwidths begin | {columns} | as printed: bits at the end | their rank correlation", lines)
+
+
+def follow(found: BySetting, setting: str) -> list[float]:
+    """By picture, the rank correlation of the bitwidth and the size of a Gaussian."""
+    return [row["bits_by_size"] for group in found[setting].values() for row in group]
 
 
 def jpeg_table() -> str:
@@ -253,6 +257,14 @@ def figures() -> dict[str, float | None]:
             apart = [ours - theirs for _, ours, theirs in pairs]
             marks[f"paper.{codec}-bpp-{asked}"] = mean([bpp for bpp, _, _ in pairs])
             marks[f"paper.{codec}-{asked}"], marks[f"paper.{codec}-error-{asked}"] = mean(apart), standard_error(apart)
+    bitwidths = files("bitwidths")
+    for bits in ("8", "12"):
+        for end, setting in {"": f"from {bits} bits", "-printed": f"from {bits} bits{PRINTED}"}.items():
+            ends = [row["bits_of_factor"] for group in bitwidths[setting].values() for row in group]
+            marks[f"paper.bits-from-{bits}{end}"] = mean(ends)
+            follows = follow(bitwidths, setting)
+            marks[f"paper.follow-from-{bits}{end}"] = mean(follows)
+            marks[f"paper.follow-error-from-{bits}{end}"] = standard_error(follows)
     return marks | seed_figures()
 
 
