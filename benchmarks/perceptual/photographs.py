@@ -3,6 +3,7 @@
 FOLDER/unseen gets those of unseen.tsv, which chose no constant of the codec and decided on none of its features: the
 headline rests on them. FOLDER/measured gets photographs that decided whether features stay, FOLDER/tuning those on
 which constants were chosen. The longer side becomes 768 pixels, so that no trace of their JPEG files is left.
+FOLDER/whole gets the photographs of unseen.tsv as people have them, with at most 4 megapixels.
 FOLDER/large gets files of 12 megapixels and more as they are, for speed. Needs apt-get, dpkg-deb and the packages of
 Debian 12; licences stand in unseen.tsv and in each package's copyright file.
 """
@@ -15,6 +16,8 @@ import math
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from PIL import Image, ImageOps
@@ -27,6 +30,7 @@ PACKAGES = (
     "ukui-wallpapers",
 )
 SIDE = 768  # pixels
+WHOLE_PIXELS = 4e6
 PICTURES = {
     "measured": """aqua blinds bridge_by_sander_klootwijk bythewater coldripple colorfulcups darkesthour
         free_by_peter_nerlich freshflower garden greentock_by_peter_nerlich grey kite life_by_aitzol_berasategi
@@ -41,17 +45,30 @@ LARGE_PIXELS = 12e6
 UNSEEN = Path(__file__).with_name("unseen.tsv")
 
 
+@cache
+def packages() -> dict[str, str]:
+    """The package of each photograph in unseen.tsv."""
+    with UNSEEN.open(newline="") as file:
+        return {row["name"]: row["package"] for row in csv.DictReader(file, delimiter="\t")}
+
+
+def grouped(images: Iterable[str]) -> list[str]:
+    """What pictures may have in common: the package that brings them, or nothing but themselves."""
+    return [packages().get(Path(image).stem, image) for image in images]
+
+
 def name_of(path: Path) -> str:
     """A wallpaper of Plasma's is a folder with one file for each size."""
     return (path.parents[2].name if path.parent.name == "images" else path.stem).lower()
 
 
-def reduced(source: Path, target: Path) -> None:
-    """Write a photograph as PNG, upright and with a longer side of SIDE pixels."""
+def reduced(source: Path, target: Path, most: float | None = None) -> None:
+    """Write a photograph as PNG, upright and with a longer side of SIDE pixels, or with at most that many pixels."""
     picture = ImageOps.exif_transpose(Image.open(source)).convert("RGB")
-    scale = SIDE / max(picture.size)
+    scale = min(1, math.sqrt(most / math.prod(picture.size))) if most else SIDE / max(picture.size)
     target.parent.mkdir(parents=True, exist_ok=True)
-    picture.resize((round(picture.width * scale), round(picture.height * scale)), Image.Resampling.LANCZOS).save(target)
+    size = round(picture.width * scale), round(picture.height * scale)
+    (picture if scale == 1 else picture.resize(size, Image.Resampling.LANCZOS)).save(target)
 
 
 def unpacked(package: str, into: Path) -> Path:
@@ -84,6 +101,7 @@ def main() -> None:
             files = unpacked(package, Path(there))
             for row in (row for row in rows if row["package"] == package):
                 reduced(files / row["file"], folder / "unseen" / f"{row['name']}.png")
+                reduced(files / row["file"], folder / "whole" / f"{row['name']}.png", WHOLE_PIXELS)
                 if math.prod(Image.open(files / row["file"]).size) >= LARGE_PIXELS:
                     shutil.copy(files / row["file"], large / f"{row['name']}.jpg")
             shutil.rmtree(files)

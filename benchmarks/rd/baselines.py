@@ -14,6 +14,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,8 @@ class Baseline:
 
     name: str
     qualities: Sequence[float]
+    _source: Pixels | None = None  # the picture whose files around() keeps
+    _kept: dict[int, File]
 
     def encode(self, pixels: Pixels, quality: float) -> bytes:
         """Encode a picture [H, W, 3] at a quality."""
@@ -62,6 +65,24 @@ class Baseline:
             low, high = _around(self.qualities.index(near), high, lambda k: size(k) <= max_bytes)
         low = last_within(size, max_bytes, low, high)
         return files.get(low) or self._file(pixels, self.qualities[low])
+
+    def around(self, pixels: Pixels, aim: float) -> list[File]:
+        """The largest file within a rate and the next one, which is not; one alone where there is no other.
+
+        Files of a picture are kept until another one comes: rates share the first steps of their searches.
+        """
+        if self._source is not pixels:
+            self._source, self._kept = pixels, {}
+        max_bytes, count = aim * pixels.shape[0] * pixels.shape[1] / 8, len(self.qualities)
+
+        def file(k: int) -> File:
+            if k not in self._kept:
+                self._kept[k] = self._file(pixels, self.qualities[k])
+            return self._kept[k]
+
+        low = last_within(lambda k: len(file(k).data), max_bytes, 0, count)
+        is_last = low + 1 == count or len(file(low).data) > max_bytes
+        return [file(low)] if is_last else [file(low), file(low + 1)]
 
     def _file(self, pixels: Pixels, quality: float) -> File:
         began = time.perf_counter()
@@ -106,6 +127,20 @@ class MozJpeg(Jpeg):
             path = Path(folder) / "picture.jpg"
             picture.write_spatial(str(path), qt=int(quality), base_quant_tbl_idx=1)
             return path.read_bytes()
+
+
+class Jpegli(Baseline):
+    """jpegli, 4:2:0, as pyjpegli writes it."""
+
+    name, qualities = "jpegli", range(1, 101)
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        height, width = pixels.shape[:2]
+        return bytes(package("pyjpegli").encode(pixels.tobytes(), width, height, int(quality)))
+
+    def decode(self, data: bytes) -> Pixels:
+        decoded, width, height = package("pyjpegli").decode(data)
+        return np.frombuffer(decoded, np.uint8).reshape(height, width, 3)
 
 
 class Jpeg2000(Baseline):
@@ -253,6 +288,12 @@ class AvifForEyes(TunedAvif):
     name = "avif tune=iq"
 
 
+class AvifForSsimulacra2(TunedAvif):
+    """AVIF tuned for SSIMULACRA 2, in 8 bits: no library that takes this tuning here writes 10."""
+
+    name, subsampling, advanced = "avif tune=ssimulacra2", "4:4:4", {"tune": "ssimulacra2"}
+
+
 class AvifWithGrain(TunedAvif):
     """AVIF with grain that is taken out of the picture and drawn again by the decoder."""
 
@@ -300,9 +341,9 @@ class PatientAvif(AvifOf10BitsForPsnr):
 
 AVIFS = (AvifForPsnr, AvifOf10BitsForPsnr, AvifOf8BitsForEyes, AvifOf10BitsForEyes)
 USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, *AVIFS)
-SELDOM = (PatientAvif, AvifForEyes, AvifOfSharp, AvifWithGrain)
+SELDOM = (PatientAvif, AvifForEyes, AvifForSsimulacra2, AvifOfSharp, AvifWithGrain, Jpegli)
 BASELINES: dict[str, Callable[[], Baseline]] = {baseline.name: baseline for baseline in (*USUAL, *SELDOM)}
-PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif", "pyvips")
+PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif", "pyjpegli", "pyvips")
 
 
 def package(name: str) -> Any:
@@ -327,6 +368,7 @@ def versions() -> list[str]:
     return [
         *(name for name in imagecodecs().version().split(", ") if name.startswith(wanted)),
         "mozjpeg-4.0.3",
+        f"pyjpegli-{version('pyjpegli')}",
         f"libavif-{features.version('avif')} of Pillow",
         f"libvips-{'.'.join(str(package('pyvips').version(k)) for k in range(3))}",
         f"libheif-{heif['libheif']} ({heif['HEIF']})",

@@ -31,12 +31,13 @@ class File:
 class Sg:
     """One profile of this project.
 
-    tune, effort: of profile rd; one_quality: what is aimed at is not bits per pixel but one quantum for all pictures,
-    given as a quality: 16 points halve it.
+    tune, texture, effort: of profile rd; one_quality: what is aimed at is not bits per pixel but one quantum for all
+    pictures, given as a quality: 16 points halve it.
     """
 
     profile: Profile
     tune: Tune = "psnr"
+    texture: bool = True
     effort: int = DEFAULT_EFFORT
     one_quality: bool = False
 
@@ -44,7 +45,8 @@ class Sg:
     def name(self) -> str:
         """The profile, and every setting that is not the usual one."""
         parts = {
-            "visual": self.tune == "visual",
+            self.tune: self.tune != "psnr",
+            "without texture": not self.texture,
             f"effort {self.effort}": self.effort != DEFAULT_EFFORT,
             "one quality": self.one_quality,
         }
@@ -56,7 +58,8 @@ class Sg:
         if self.one_quality:
             data = self._at_quantum(pixels, 3.2 * 2 ** (-aim / 16))
         else:
-            data = encode(pixels, bpp=aim, profile=self.profile, tune=self.tune, effort=self.effort).data
+            tuned = {"tune": self.tune, "texture": self.texture, "effort": self.effort}
+            data = encode(pixels, bpp=aim, profile=self.profile, **tuned).data
         return File(data, time.perf_counter() - began)
 
     def decode(self, data: bytes) -> Pixels:
@@ -66,7 +69,7 @@ class Sg:
     def _at_quantum(self, pixels: Pixels, quantum: float) -> bytes:
         """The file of a fixed quantum, which is no budget."""
         settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
-        objective = Objective.from_pixels(pixels, self.tune, settings.objective, texture=True)
+        objective = Objective.from_pixels(pixels, self.tune, settings.objective, texture=self.texture)
         rate, deadline = (
             RateControl(settings.rate, size, quantum),
             Deadline.from_limit(clock, None, size, settings.deadline),

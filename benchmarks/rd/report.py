@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
+from benchmarks.perceptual.photographs import grouped
 from benchmarks.tables import mean, standard_error
 
 
@@ -38,6 +39,8 @@ class Row:
     ssimulacra2: float | None = None  # None for pictures too small for it
     lpips: float | None = None  # None where networks had no weights, or were not asked; dists too
     dists: float | None = None
+    butteraugli: float | None = None  # None where the judges were not asked; cvvdp too
+    cvvdp: float | None = None
 
     @property
     def aim(self) -> float:
@@ -70,7 +73,10 @@ Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or
 AVIF = ("avif tune=psnr 10 bits", "avif tune=psnr")  # for the highest PSNR, the better one first
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
-FIGURES = ("bytes", "bpp", "psnr", "ms_ssim", *SEEN, "gaussians", "encode_s", "decode_ms")
+JUDGED = {"ms_ssim": ".4f", "butteraugli": ".2f", "cvvdp": ".2f"}  # which chose nothing in the codec
+QUALITIES = ("psnr", *SEEN, *JUDGED)
+LESS_IS_BETTER = ("lpips", "dists", "butteraugli")
+FIGURES = ("bytes", "bpp", *QUALITIES, "gaussians", "encode_s", "decode_ms")
 TITLES = {
     "images": "pictures",
     "psnr": "PSNR",
@@ -78,6 +84,8 @@ TITLES = {
     "ssimulacra2": "SSIMULACRA 2",
     "lpips": "LPIPS",
     "dists": "DISTS",
+    "butteraugli": "Butteraugli",
+    "cvvdp": "ColorVideoVDP",
     "gaussians": "Gaussians",
     "encode_s": "encode s",
     "decode_ms": "decode ms",
@@ -149,12 +157,10 @@ def curve(average: Means, codec: str, figure: str = "psnr") -> list[Point]:
     return [(bpp, value) for bpp, value in found if bpp is not None and value is not None]
 
 
-def against(rows: Sequence[Row], codec: str, anchor: str, groups: Mapping[str, str] | None = None) -> BdRate | None:
-    """The BD-rates of a codec. None where a picture that both have has no such rate. groups: by picture, those by which
-    the standard error is clustered.
-    """
+def against(rows: Sequence[Row], codec: str, anchor: str) -> BdRate | None:
+    """The BD-rates of a codec. None where a picture that both have has no such rate."""
     images = dict.fromkeys(row.image for row in rows if row.codec == anchor)
-    return _over_pictures({image: points(rows, anchor, image) for image in images}, rows, codec, groups)
+    return _over_pictures({image: points(rows, anchor, image) for image in images}, rows, codec)
 
 
 def against_cool_chic(rows: Sequence[Row], codec: str) -> BdRate | None:
@@ -163,9 +169,7 @@ def against_cool_chic(rows: Sequence[Row], codec: str) -> BdRate | None:
     return _over_pictures({image: published.cool_chic().get(Path(image).stem, []) for image in images}, rows, codec)
 
 
-def _over_pictures(
-    anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str, groups: Mapping[str, str] | None = None
-) -> BdRate | None:
+def _over_pictures(anchors: dict[str, list[Point]], rows: Sequence[Row], codec: str) -> BdRate | None:
     """BD-rates against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
     curves = [(anchors[image], points(rows, codec, image)) for image in images]
@@ -173,7 +177,7 @@ def _over_pictures(
     if not rates or len(rates) < len(curves):
         return None
     low, high = (statistics.fmean(ends) for ends in zip(*(compared(*pair) for pair in curves), strict=True))
-    error = standard_error(rates, [groups[image] for image in images] if groups else None)
+    error = standard_error(rates, grouped(images))
     return BdRate(len(rates), statistics.fmean(rates), error, min(rates), max(rates), low, high)
 
 

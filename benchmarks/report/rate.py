@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import published
-from benchmarks.perceptual import photographs
+from benchmarks.rd.equal import cells, difference
 from benchmarks.rd.report import (
     AVIF,
     ONE_QUALITY,
@@ -31,7 +30,7 @@ from benchmarks.rd.report import (
 from benchmarks.report import results, speed
 from benchmarks.report.plots import style
 from benchmarks.report.results import load
-from benchmarks.tables import MISSING, mean, number, standard_error, table
+from benchmarks.tables import MISSING, number, table
 
 NAMES = {
     "rd": "`rd`, tuned for PSNR",
@@ -137,15 +136,6 @@ def codecs_table() -> str:
     return table(" | ".join([*titles, f"bits for the same PSNR, against {NAMES[anchor]}", *RANGES]), lines)
 
 
-@cache
-def packages(name: str) -> dict[str, str] | None:
-    """The package that each held-out photograph comes from, as those of one are alike; None for Kodak."""
-    if name != UNSEEN:
-        return None
-    with photographs.UNSEEN.open() as file:
-        return {f"{row['name']}.png": row["package"] for row in csv.DictReader(file, delimiter="\t")}
-
-
 def within(every: Sequence[Row], rates: str) -> list[Row]:
     """The rows of one of HEADLINE_RATES."""
     return [row for row in every if row.max_bpp in HEADLINE_RATES[rates]]
@@ -156,7 +146,7 @@ def headline_table() -> str:
     lines = []
     for name, title in HEADLINE_SETS.items():
         for anchor, other in HEADLINE_AGAINST.items():
-            found = [against(within(rows(name), rates), "rd", anchor, packages(name)) for rates in HEADLINE_RATES]
+            found = [against(within(rows(name), rates), "rd", anchor) for rates in HEADLINE_RATES]
             count = f" ({found[0].pictures})" if found[0] else ""
             lines.append([f"{title}{count}", other, *(differences(rate)[0] for rate in found)])
     return table(" | ".join(["photographs", "against", *HEADLINE_RATES]), lines)
@@ -166,32 +156,11 @@ def eye_table() -> str:
     """The default beside AVIF's best setting for each figure at BPP: means, and the difference picture by picture."""
     lines = []
     for name, title in HEADLINE_SETS.items():
-        every = [row for row in rows(name) if row.max_bpp == BPP]
         for figure, form in EYE.items():
-            ours, theirs = (
-                {
-                    row.image: value
-                    for row in every
-                    if row.codec == codec and (value := getattr(row, figure)) is not None
-                }
-                for codec in ("rd visual", avif(figure, name))
-            )
-            pairs = {image: (ours[image], theirs[image]) for image in ours if image in theirs}
-            cells = _beside(pairs, form, figure in HIGHER_IS_BETTER, packages(name))
-            lines.append([f"{title} ({len(pairs)})", TITLES[figure], *cells])
+            codecs = "rd visual", avif(figure, name)
+            if found := difference(rows(name), *codecs, BPP, figure):
+                lines.append([f"{title} ({found.pictures})", TITLES[figure], *cells(found, form)])
     return table("photographs | figure | ours | AVIF's | difference | ours is better on", lines)
-
-
-def _beside(
-    pairs: dict[str, tuple[float, float]], form: str, more_is_better: bool, groups: dict[str, str] | None
-) -> list[str]:
-    """The cells of two files' figures, by picture."""
-    apart = [ours - theirs for ours, theirs in pairs.values()]
-    better = sum((one > 0) is more_is_better and one != 0 for one in apart)
-    means_of_both = [number(mean([pair[k] for pair in pairs.values()]), form) for k in (0, 1)]
-    error = standard_error(apart, [groups[image] for image in pairs] if groups else None)
-    difference = f"{number(mean(apart), f'+{form}')} ± {number(error, form)}"
-    return [*means_of_both, difference, f"{better} of {len(pairs)}"]
 
 
 def quoted_table() -> str:
@@ -238,7 +207,7 @@ def figures() -> dict[str, float | None]:
     for name, end in ((UNSEEN, ""), (KODAK, "-on-kodak")):
         every, m, anchor = rows(name), average(name), avif(name=name)
         for mark, codec in {"avif": anchor, "heic": "heic", "webp": "webp"}.items():  # at equal PSNR
-            found |= of_rate(f"{mark}{end}", against(every, "rd", codec, packages(name)))
+            found |= of_rate(f"{mark}{end}", against(every, "rd", codec))
         worse, pictures = dists_worse(every, anchor)
         found |= {f"rate.dists-worse{end}": worse, f"rate.pictures{end}": pictures}
         found[f"rate.psnr-lpips{end}"] = m["rd", BPP]["lpips"]

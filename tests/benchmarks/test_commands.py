@@ -18,7 +18,11 @@ pytestmark = pytest.mark.thorough
 
 # Its arguments, what tells its rows apart, and what these come to.
 COMMANDS: dict[str, tuple[str, str, list[object]]] = {
-    "rd": ("--images {small} --bpp 2 --effort 1", "codec", ["rd effort 1", "rd visual effort 1"]),
+    "rd": (
+        "--images {small} --bpp 2 --effort 1",
+        "codec",
+        ["rd effort 1", "rd fidelity effort 1", "rd visual effort 1"],
+    ),
     "convergence": (
         "--images {small} --megapixels 0.002 --bpp 4 --few --methods rd --limits 0.3",
         "setting",
@@ -78,6 +82,17 @@ def test_a_command_measures(command: str, tmp_path: Path, small: Path) -> None:
     rows = json.loads(out.read_text())["rows"]
     assert list(dict.fromkeys(row[field] for row in rows if field in row)) == list(dict.fromkeys(wanted))
     assert all(row["psnr"] > 8 for row in rows if row.get("psnr"))
+
+
+def test_other_codecs_come_at_exactly_the_rate(tmp_path: Path) -> None:
+    pytest.importorskip("imagecodecs")
+    out, codecs = tmp_path / "rd.json", ("--baselines", "avif tune=ssimulacra2")
+    ours = ("--most", "1", "--bpp", "0.35", "--tune", "visual-without-texture", "--effort", "1")
+    run("rd", out, "--images", str(PHOTOGRAPHS), *ours, "--equal", *codecs)
+    rows = {row["codec"]: row for row in json.loads(out.read_text())["rows"]}
+    assert list(rows) == ["rd visual without texture effort 1", "avif tune=ssimulacra2"]
+    assert rows["avif tune=ssimulacra2"]["bpp"] == 0.35
+    assert 0.33 < rows["rd visual without texture effort 1"]["bpp"] <= 0.35
 
 
 def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:

@@ -5,15 +5,20 @@ from __future__ import annotations
 import json
 import re
 import statistics
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.ablation.gains import summary
 from benchmarks.ablation.report import complete, worth
 from benchmarks.bd import compared, curves
 from benchmarks.machine import kept_rows, origin
+from benchmarks.pictures import Pixels
+from benchmarks.rd.baselines import Baseline
+from benchmarks.rd.equal import between, difference
 from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates, means
 from benchmarks.report.paper import at_rate, marked
 from benchmarks.report.previews import times_our_bytes
@@ -83,6 +88,35 @@ def test_a_curve_of_jpeg_ends_soon_after_its_last_file() -> None:
 def test_a_fit_far_below_its_other_seeds_came_apart() -> None:
     assert marked([47.1, 38.1, 46.8]) == [(47.1, False), (38.1, True), (46.8, False)]
     assert not any(apart for _, apart in marked([46.5, 44.2, 43.6]))
+
+
+def test_differences_at_equal_bytes() -> None:
+    """By hand. Pictures of one package are one cluster, and files above the rate are not compared."""
+    small, large = (replace(rows("avif", "a", [point])[0], max_bpp=0.2) for point in ((0.1, 26.0), (0.4, 30.0)))
+    assert (between(small, large).bpp, between(small, large).psnr) == (0.2, pytest.approx(28))  # half way, in log bytes
+    names = ["oled_display", "led_matrix", "broken_pcb", "lying_dog", "too_large"]
+    gains = [1.0, 2.0, 3.0, 6.0, 99.0]
+    measured = [row for name in names for row in rows("avif", name, [(0.2 if name != "too_large" else 0.3, 30.0)], 0.2)]
+    measured += [row for name, gain in zip(names, gains, strict=True) for row in rows("rd", name, [(0.2, 30 + gain)])]
+    found = difference(measured, "rd", "avif", 0.2, "psnr")
+    assert found is not None
+    assert (found.pictures, found.gain, found.better) == (4, pytest.approx(3), 4)
+    # The last two come from one package: sums of -2, -1 and 3, times 3 / 2, over the square of 4.
+    assert found.standard_error == pytest.approx((1.5 * (4 + 1 + 9)) ** 0.5 / 4)
+    assert standard_error(gains[:4]) == pytest.approx(statistics.stdev(gains[:4]) / 2)
+
+
+def test_files_around_a_rate() -> None:
+    class Doubling(Baseline):
+        name, qualities = "doubling", range(4)
+
+        def encode(self, pixels: Pixels, quality: float) -> bytes:
+            return bytes(10 * 2 ** int(quality))
+
+    codec, pixels = Doubling(), np.zeros((8, 10, 3), np.uint8)  # 10 bytes for each bit per pixel
+    found = {aim: [len(file.data) for file in codec.around(pixels, aim)] for aim in (0.9, 1, 3, 8, 9)}
+    assert found == {0.9: [10], 1: [10, 20], 3: [20, 40], 8: [80], 9: [80]}  # alone where there is no other
+    assert [len(file.data) for file in codec.around(pixels[:4], 3)] == [10, 20]  # nothing is kept of another picture
 
 
 def test_bytes_of_previews() -> None:
