@@ -16,6 +16,7 @@ import shlex
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from benchmarks.arguments import some_of
@@ -27,6 +28,12 @@ KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 UNSEEN = "--images {photographs}/unseen --weights {weights} --seen-bpp 0.25"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
+# The metrics that take longest look at two rates.
+EQUAL = (
+    "--equal --judges --weights {weights} --seen-bpp 0.25,0.5 --tune psnr fidelity visual visual-without-texture "
+    "--baselines 'avif tune=psnr' 'avif tune=psnr 10 bits' 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits' "
+    "'avif tune=ssimulacra2' 'avif grain' jpegxl webp jpegli"
+)
 EIGHT = "--images {photographs}/unseen --most 8 --megapixels 0.4"
 # Of the photographs in LARGE, those that chose no constant.
 LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
@@ -51,6 +58,8 @@ FULL = {
     "rd/others": f"rd {SEEN} {RATES} --seen-bpp 0.25 --profiles '' --baselines",
     "rd/unseen": f"rd {UNSEEN} {RATES} --baselines 'avif tune=psnr 10 bits' heic webp jpegxl jpeg "
     f"+ rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits'",
+    "rd/equal-768": f"rd --images {{photographs}}/unseen {EQUAL} --bpp 0.1,0.25,0.5,1,1.5",
+    "rd/equal-whole": f"rd --images {{photographs}}/whole {EQUAL} --bpp 0.1,0.25,0.5,1,1.5",
     "rd/grain": f"rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif grain'",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
@@ -83,20 +92,22 @@ FULL = {
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-# The others are measured by one thread: their times are those of a processor, or do not matter, and several may run
-# side by side.
+# The others are measured by one thread, as many side by side as there are cores: their times are those of a processor,
+# or do not matter.
 ON_ALL_CORES = ("convergence", "speed", "service")
 COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
 
 
-def run(result: str, words: list[str], folder: Path) -> None:
-    """Run a command, and print how long it took. If it fails, the next one runs all the same."""
-    print(f"--- {shlex.join(words)}", flush=True)
-    began = time.monotonic()
-    command = [sys.executable, "-m", f"benchmarks.{words[0]}", *words[1:], "--out", str(folder / f"{result}.json")]
-    threads = {} if words[0] in ON_ALL_CORES else {"SG_THREADS": "1"}
-    status = subprocess.run(command, cwd=ROOT, env={**os.environ, **threads}, check=False).returncode
-    print(f"{result}: {time.monotonic() - began:.0f} s{f', failed with status {status}' if status else ''}", flush=True)
+def run(result: str, commands: list[list[str]], folder: Path) -> None:
+    """Run the commands of a JSON, and print how long they took. If one fails, the next one runs all the same."""
+    for words in commands:
+        print(f"--- {shlex.join(words)}", flush=True)
+        began = time.monotonic()
+        command = [sys.executable, "-m", f"benchmarks.{words[0]}", *words[1:], "--out", str(folder / f"{result}.json")]
+        threads = {} if words[0] in ON_ALL_CORES else {"SG_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        status = subprocess.run(command, cwd=ROOT, env={**os.environ, **threads}, check=False).returncode
+        took = f"{result}: {time.monotonic() - began:.0f} s"
+        print(f"{took}, failed with status {status}" if status else took, flush=True)
 
 
 def main() -> None:
@@ -122,9 +133,16 @@ def main() -> None:
     if any("{photographs}" in line for line in lines.values()) and not options.photographs:
         parser.error("--full needs --photographs: python -m benchmarks.perceptual.photographs FOLDER fetches them")
     folders = {"images": options.images, "photographs": options.photographs, "weights": options.weights}
-    for name, commands in lines.items():
-        for line in commands.split(" + "):
-            run(name, [word.format(**folders) for word in shlex.split(line)], RESULTS if options.full else RUNS)
+    folder = RESULTS if options.full else RUNS
+    alone, beside = [], []
+    for name, line in lines.items():
+        commands = [[word.format(**folders) for word in shlex.split(one)] for one in line.split(" + ")]
+        (alone if commands[0][0] in ON_ALL_CORES else beside).append((name, commands, folder))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done in [pool.submit(run, *each) for each in beside]:
+            done.result()
+    for each in alone:
+        run(*each)
     if options.report:
         subprocess.run([sys.executable, "-m", "benchmarks.report"], cwd=ROOT, check=False)
 

@@ -19,7 +19,7 @@ from functools import cache, partial
 from benchmarks.flat import flat
 from benchmarks.machine import RESULTS, ROOT, write_text
 from benchmarks.perceptual import local
-from benchmarks.report import paper, previews, rate, scenes, seen, service, speed, stability
+from benchmarks.report import equal, paper, previews, rate, scenes, seen, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 
@@ -31,6 +31,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "headline": rate.headline_table,
     "headline-eye": rate.eye_table,
     "quoted": rate.quoted_table,
+    **{f"equal-{size}": partial(equal.means_table, size) for size in equal.SETS},
+    **{f"equal-{size}-differences": partial(equal.differences_table, size) for size in equal.SETS},
     "speed": speed.sizes_table,
     "within-small": partial(speed.within_table, 0.4),
     "within-large": partial(speed.within_table, 4),
@@ -144,7 +146,7 @@ def main() -> None:
     else:
         for path in changed:
             write_text(path, texts[path])
-        for name, (title, of, panels) in PLOTS.items():
+        for name, (title, of, panels) in (PLOTS | equal.plots()).items():
             save(panels, title, of, ROOT / "docs" / "plots" / name)
     if errors:
         sys.exit("\n".join(errors))

@@ -1,0 +1,110 @@
+"""Codecs at equal bytes, each setting in a row of its own: no row mixes the files of two."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, partial
+from typing import Any
+
+from benchmarks.machine import RESULTS
+from benchmarks.rd.equal import FORMS, cells, difference
+from benchmarks.rd.report import QUALITIES, TITLES, Means, Row, means
+from benchmarks.report import results
+from benchmarks.report.plots import Draw, style
+from benchmarks.tables import number, table
+
+SETS = {"768": "longer side of 768 pixels", "whole": "whole, at most 4 megapixels"}
+# Codec and setting of a row, and the names of its files. Where AVIF was made in 8 and in 10 bits, a row has those bits
+# that are better in the figure that the setting is for.
+CODECS: dict[tuple[str, str], tuple[str, ...]] = {
+    ("sgmethod", "psnr"): ("rd",),
+    ("sgmethod", "fidelity"): ("rd fidelity",),
+    ("sgmethod", "visual"): ("rd visual",),
+    ("sgmethod", "visual, no texture"): ("rd visual without texture",),
+    ("AVIF", "psnr"): ("avif tune=psnr", "avif tune=psnr 10 bits"),
+    ("AVIF", "iq"): ("avif tune=iq 4:4:4", "avif tune=iq 10 bits"),
+    ("AVIF", "ssimulacra2"): ("avif tune=ssimulacra2",),
+    ("AVIF", "iq, film grain"): ("avif grain",),
+    ("JPEG XL", "effort 7"): ("jpegxl",),
+    ("WebP", "method 6"): ("webp",),
+    ("jpegli", "4:2:0"): ("jpegli",),
+}
+# Settings that aim at the same, ours and theirs.
+PAIRS = (("psnr", "psnr"), ("fidelity", "ssimulacra2"), ("visual, no texture", "iq"), ("visual", "iq, film grain"))
+
+
+@cache
+def rows(size: str) -> tuple[Row, ...]:
+    """The rows of one of SETS."""
+    return tuple(Row(**row) for row in results.rows(f"rd/equal-{size}"))
+
+
+@cache
+def average(size: str) -> Means:
+    """Their means over pictures."""
+    return means(rows(size))
+
+
+def rates(size: str) -> list[float]:
+    """The rates that were measured, in order."""
+    return sorted({bpp for _, bpp in average(size)})
+
+
+def file_of(size: str, codec: tuple[str, str], bpp: float) -> str | None:
+    """The name of a row's files; None where none was made."""
+    found = average(size)
+    figure = "psnr" if codec[1] == "psnr" else "ssimulacra2"
+    names = [name for name in CODECS[codec] if (name, bpp) in found]
+    return max(names, key=lambda name: found[name, bpp][figure] or 0, default=None)
+
+
+def means_table(size: str) -> str:
+    """A row for each rate, codec and setting."""
+    lines = []
+    for bpp in rates(size):
+        for codec in CODECS:
+            if name := file_of(size, codec, bpp):
+                m = average(size)[name, bpp]
+                bits = f"{codec[1]}, 10 bits" if name.endswith("10 bits") else codec[1]
+                above = f" (larger on {m['above']:g} of {m['images']:g})" if m["above"] else ""
+                lines.append([f"{bpp:g}", codec[0], bits + above, *(number(m[q], FORMS[q]) for q in QUALITIES)])
+    return table(" | ".join(["bpp", "codec", "setting", *(TITLES[q] for q in QUALITIES)]), lines)
+
+
+def differences_table(size: str) -> str:
+    """Our settings less AVIF's that aim at the same, picture by picture."""
+    lines = []
+    for bpp in rates(size):
+        for ours, theirs in PAIRS:
+            names = file_of(size, ("sgmethod", ours), bpp), file_of(size, ("AVIF", theirs), bpp)
+            if None in names:
+                continue
+            for figure in QUALITIES:
+                if found := difference(rows(size), str(names[0]), str(names[1]), bpp, figure):
+                    lines.append([f"{bpp:g}", ours, theirs, TITLES[figure], *cells(found, FORMS[figure])])
+    return table("bpp | sgmethod | AVIF | figure | ours | AVIF's | difference | ours is better on", lines)
+
+
+def draw(axes: Any, size: str, figure: str) -> None:
+    """A figure against bits per pixel."""
+    for k, codec in enumerate(CODECS):
+        files = [(bpp, file_of(size, codec, bpp)) for bpp in rates(size)]
+        found = [(bpp, average(size)[name, bpp]) for bpp, name in files if name]
+        points = [(bpp, m[figure]) for bpp, m in found if m[figure] is not None and not m["above"]]
+        if points:
+            axes.plot(*zip(*points, strict=True), **style(k) | {"label": ", ".join(codec)})
+    axes.set(xscale="log", xlabel=f"bits per pixel; {SETS[size]}", ylabel=TITLES[figure])
+
+
+def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
+    """A plot for each figure, with a panel for each of SETS; none before they are measured."""
+    measured = [size for size in SETS if (RESULTS / f"rd/equal-{size}.json").exists()]
+    return {
+        f"equal-{figure.replace('_', '-')}": (
+            f"{TITLES[figure]} at equal bytes",
+            "means of photographs on which nothing was chosen",
+            [partial(draw, size=size, figure=figure) for size in measured],
+        )
+        for figure in QUALITIES
+        if measured
+    }
