@@ -134,7 +134,8 @@ def main() -> None:
         parser.error("--full needs --photographs: python -m benchmarks.perceptual.photographs FOLDER fetches them")
     folders = {"images": options.images, "photographs": options.photographs, "weights": options.weights}
     folder = RESULTS if options.full else RUNS
-    alone, beside = [], []
+    alone: list[tuple[str, list[list[str]], Path]] = []
+    beside: list[tuple[str, list[list[str]], Path]] = []
     for name, line in lines.items():
         commands = [[word.format(**folders) for word in shlex.split(one)] for one in line.split(" + ")]
         (alone if commands[0][0] in ON_ALL_CORES else beside).append((name, commands, folder))

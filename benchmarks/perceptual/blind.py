@@ -1,13 +1,13 @@
 """A page on which anyone can choose between this codec and AVIF without knowing which is which.
 
-    python -m benchmarks.perceptual.blind --images FOLDER [--pairs 20] [--bpp 0.2] [--seed 0] [--out build/blind]
-    python -m benchmarks.perceptual.blind --score build/blind/key.json ANSWERS.json ...
+    python -m benchmarks.perceptual.blind --images FOLDER [--pairs 24] [--bpp 0.2] [--seed 0] [--out build/study]
+    python -m benchmarks.perceptual.blind --score build/study/key.json ANSWERS.json ...
 
-The first command writes OUT/site, static files for a server or for a browser alone, and OUT/key.json, which stays home.
-Each pair is a part of a photograph, drawn by lot: our file tuned for the eye, and the largest of AVIF (8 bits, 4:4:4,
-speed 4, tune=iq) that is no larger than --bpp; ours is no larger than AVIF's. The page draws the order of pairs and
-sides anew for each visitor, shows the source between them, and hands out the answers as JSON. The second command counts
-votes; its standard error is over pairs, as the votes on one pair are not independent.
+The first command (make study IMAGES=FOLDER) writes OUT/site, static files for a server or for a browser alone, and
+OUT/key.json, which stays home. Each pair is a part of a photograph, drawn by lot, by one of our settings and one of
+AVIF's: OURS and THEIRS, each with each equally often. AVIF's file is the largest within --bpp, and ours is no larger.
+The page shows the source between them, draws the order of pairs anew for each visitor, has ours on the left in half of
+them, and hands out the answers as JSON. The second command says who is preferred, with 95 % intervals (study.py).
 """
 
 from __future__ import annotations
@@ -16,34 +16,40 @@ import argparse
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from io import BytesIO
+from itertools import cycle, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from benchmarks.machine import ROOT
+from benchmarks.perceptual.study import summary, votes
 from benchmarks.pictures import Pixels, chosen_from
-from benchmarks.rd.baselines import AvifOf8BitsForEyes
-from benchmarks.tables import mean, number, standard_error, table
+from benchmarks.rd.baselines import AvifForSsimulacra2, AvifWithGrain, Baseline
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
+from sgmethod.profiles import Tune
 
 PART = (360, 270)  # width and height in pixels
 PAGE = Path(__file__).with_name("blind.html")
-NEITHER = "neither"
+# What each side has for fidelity and for texture.
+OURS: dict[str, Tune] = {"sgmethod fidelity": "fidelity", "sgmethod visual": "visual"}
+THEIRS: dict[str, Callable[[], Baseline]] = {
+    baseline.name: baseline for baseline in (AvifForSsimulacra2, AvifWithGrain)
+}
 
 
-def made(path: Path, bpp: float, lot: np.random.Generator) -> dict[str, Pixels]:
-    """The same part of the source, of our file and of AVIF's."""
-    source = read_image_8_bit(path.read_bytes())
-    codec = AvifOf8BitsForEyes()
+def made(path: Path, bpp: float, pair: tuple[str, str], lot: np.random.Generator) -> dict[str, Pixels]:
+    """The same part of the source, of our file and of AVIF's, in a file of as many bytes."""
+    source = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
+    ours, theirs = pair
+    codec = THEIRS[theirs]()
     avif = codec.best(source, bpp).data
-    ours = encode(source, bytes=len(avif)).data
+    data = encode(source, bytes=len(avif), tune=OURS[ours]).data
     y, x = (lot.integers(0, max(side - part, 0) + 1) for side, part in zip(source.shape, PART[::-1], strict=False))
-    whole = {"source": source, "ours": decode(ours), "avif": codec.decode(avif)}
+    whole = {"source": source, ours: decode(data), theirs: codec.decode(avif)}
     return {name: pixels[y : y + PART[1], x : x + PART[0]] for name, pixels in whole.items()}
 
 
@@ -60,30 +66,27 @@ def make(paths: Sequence[Path], bpp: float, seed: int, out: Path) -> None:
     """Write the page and its key."""
     site, lot = out / "site", np.random.default_rng(seed)
     site.mkdir(parents=True, exist_ok=True)
+    every = [pair for pair, _ in zip(cycle(product(OURS, THEIRS)), paths, strict=False)]
     key, pairs = {}, []
-    for path in paths:
-        names = {name: saved(pixels, site) for name, pixels in made(path, bpp, lot).items()}
-        key[names["source"]] = {"photograph": path.stem, "ours": names["ours"], "avif": names["avif"]}
-        pairs.append([names["source"], *sorted([names["ours"], names["avif"]])])
+    for path, k in zip(paths, lot.permutation(len(every)), strict=True):
+        source, *versions = made(path, bpp, every[k], lot).items()
+        name = saved(source[1], site)
+        key[name] = {
+            "photograph": path.stem,
+            "versions": {saved(pixels, site): codec for codec, pixels in versions},
+        }
+        pairs.append([name, *key[name]["versions"]])
     (out / "key.json").write_text(json.dumps({"bpp": bpp, "seed": seed, "pairs": key}, indent=1) + "\n")
-    (site / "pairs.js").write_text(f"const PAIRS = {json.dumps(pairs)};\n")
+    (site / "pairs.js").write_text(f"const PAIRS = {json.dumps(in_twos(pairs, lot))};\n")
     shutil.copy(PAGE, site / "index.html")
 
 
-def score(key: dict[str, Any], answers: Sequence[dict[str, Any]]) -> str:
-    """Count votes: a line for each pair, and the share of ours among those that chose."""
-    votes: dict[str, dict[str, int]] = {}
-    for answer in (one for visitor in answers for one in visitor["answers"]):
-        pair = key["pairs"].get(answer["source"])
-        if pair is None:
-            raise SystemExit(f"{answer['source']} is not in the key: it is another page's")
-        name = next((name for name in ("ours", "avif") if pair[name] == answer["chosen"]), NEITHER)
-        of_pair = votes.setdefault(pair["photograph"], {"ours": 0, "avif": 0, NEITHER: 0})
-        of_pair[name] += 1
-    lines = [[name, *of_pair.values()] for name, of_pair in sorted(votes.items())]
-    shares = [of["ours"] / (of["ours"] + of["avif"]) for of in votes.values() if of["ours"] + of["avif"]]
-    whole = f"visitors: {len(answers)}, pairs: {len(votes)}; ours is preferred in {number(mean(shares), '.1%')}"
-    return f"{table('photograph | ours | AVIF | neither', lines)}\n\n{whole} ± {number(standard_error(shares), '.1%')}"
+def in_twos(pairs: Sequence[list[str]], lot: np.random.Generator) -> list[list[str]]:
+    """Of each two pairs one, drawn by lot, with its versions turned: the page turns both or none, so that every visitor
+    sees ours on the left as often as on the right, and nothing on the page says which is ours."""
+    turned = [[source, second, first] for source, first, second in pairs]
+    first_of_two = lot.integers(0, 2, len(pairs) // 2 + 1)
+    return [(turned if k % 2 == first_of_two[k // 2] else pairs)[k] for k in range(len(pairs))]
 
 
 def main() -> None:
@@ -92,16 +95,21 @@ def main() -> None:
     which.add_argument("--images", type=Path, help="a folder of photographs")
     which.add_argument("--score", type=Path, metavar="KEY.json")
     parser.add_argument("answers", type=Path, nargs="*")
-    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--pairs", type=int, default=24)
     parser.add_argument("--bpp", type=float, default=0.2)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "blind")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "study")
     options = parser.parse_args()
     if options.score:
-        print(score(json.loads(options.score.read_text()), [json.loads(path.read_text()) for path in options.answers]))
+        if not options.answers:
+            parser.error("--score needs the visitors' answers")
+        answers = [json.loads(path.read_text()) for path in options.answers]
+        print(summary(votes(json.loads(options.score.read_text()), answers)))
     else:
         make(chosen_from(options.images, options.pairs), options.bpp, options.seed, options.out)
-        print(f"open {options.out / 'site' / 'index.html'}; {options.out / 'key.json'} stays at home")
+        key = options.out / "key.json"
+        print(f"put {options.out / 'site'} on a server, or open its index.html; {key} stays at home")
+        print(f"count answers with: python -m benchmarks.perceptual.blind --score {key} ANSWERS.json ...")
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ import re
 import shutil
 import subprocess
 import tempfile
-from importlib.metadata import version
-from pathlib import Path
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import torch
@@ -24,26 +23,30 @@ BUTTERAUGLI = "butteraugli_main"
 DISPLAY = "standard_4k"
 
 
+def judge_versions() -> list[str]:
+    """Names and versions of both, for a JSON; none where cvvdp is missing."""
+    try:
+        return [f"cvvdp-{version('cvvdp')} on {DISPLAY}", BUTTERAUGLI]
+    except PackageNotFoundError:
+        return []
+
+
 class Judges:
-    """Both metrics. The last source lies in a folder of its own until another one is given."""
+    """Both metrics."""
 
     def __init__(self) -> None:
         """Raises SystemExit where one of them is not installed."""
         if shutil.which(BUTTERAUGLI) is None:
             raise SystemExit(f"the judges need {BUTTERAUGLI}: apt-get install libjxl-devtools")
         self._vdp = self._color_video_vdp()
-        self._source: Pixels | None = None
-        self._folder = tempfile.TemporaryDirectory()
 
     def __call__(self, picture: Pixels, source: Pixels) -> dict[str, float]:
         """Measure "butteraugli" and "cvvdp" of a picture [H, W, 3]."""
-        folder = Path(self._folder.name)
-        if self._source is not source:
-            self._source = source
-            Image.fromarray(source).save(folder / "source.png", compress_level=1)
-        Image.fromarray(picture).save(folder / "picture.png", compress_level=1)
-        command = [BUTTERAUGLI, str(folder / "source.png"), str(folder / "picture.png")]
-        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [f"{folder}/{name}.png" for name in ("source", "picture")]
+            for path, pixels in zip(paths, (source, picture), strict=True):
+                Image.fromarray(pixels).save(path, compress_level=1)
+            told = subprocess.run([BUTTERAUGLI, *paths], capture_output=True, text=True, check=True).stdout
         norm = re.search(r"3-norm: ([\d.]+)", told)
         if norm is None:
             raise SystemExit(f"{BUTTERAUGLI} says {told!r}, which has no 3-norm")
@@ -52,12 +55,13 @@ class Judges:
 
     def _color_video_vdp(self) -> Any:
         try:
-            if torch.version.cuda is None and "+" not in version("torchvision"):
+            if torch.__version__.endswith("+cpu") and "+" not in version("torchvision"):
                 # PyPI's torchvision cannot load its operators beside a PyTorch for CPUs alone, and fails to start where
                 # they are unknown. ColorVideoVDP uses its blur, which needs none.
-                self._operators = torch.library.Library("torchvision", "DEF")
+                library: Any = torch.library.Library("torchvision", "DEF")  # type: ignore[no-untyped-call]
                 for name in ("nms", "qnms"):
-                    self._operators.define(f"{name}() -> ()")
+                    library.define(f"{name}() -> ()")
+                self._operators = library  # which lives as long as they do
             import pycvvdp
         except ImportError as error:
             raise SystemExit("the judges need cvvdp: pip install -e '.[judges]'") from error

@@ -40,7 +40,7 @@ import numpy as np
 from benchmarks.arguments import numbers, some_of
 from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
-from benchmarks.perceptual.judges import Judges
+from benchmarks.perceptual.judges import Judges, judge_versions
 from benchmarks.perceptual.networks import LPIPS_SIDE, Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.baselines import BASELINES, USUAL, Baseline, versions
@@ -53,7 +53,7 @@ from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES, Tune
 
 Codec = Sg | Baseline
-Metric = Callable[[Pixels, Pixels], dict[str, float]]  # of a picture and its source, by field of a row
+Metric = Callable[[Pixels, Pixels], dict[str, Any]]  # of a picture and its source, by field of a row
 PLAIN = "visual-without-texture"
 OURS: dict[str, tuple[Tune, bool]] = {**{tune: (tune, True) for tune in TUNES}, PLAIN: ("visual", False)}
 DECODES = 5  # the median of their times is reported
@@ -152,7 +152,7 @@ def main() -> None:
     settings: dict[str, Any] = {"codecs": versions() if options.baselines else []}
     settings |= {"seen": options.weights is not None, "seen_bpp": options.seen_bpp}
     if options.equal or options.judges:  # the rows of runs without them stay valid
-        settings |= {"equal": options.equal, "judges": options.judges}
+        settings |= {"equal": options.equal, "judges": judge_versions() if options.judges else []}
     metrics: list[Metric] = [Networks(options.weights)] if options.weights else []
     metrics += [Judges()] if options.judges else []
     record = Record(options.out, "benchmarks.rd", settings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 from benchmarks.pictures import Pixels
 from sgmethod import decode, encode
@@ -58,8 +59,13 @@ class Sg:
         if self.one_quality:
             data = self._at_quantum(pixels, 3.2 * 2 ** (-aim / 16))
         else:
-            tuned = {"tune": self.tune, "texture": self.texture, "effort": self.effort}
-            data = encode(pixels, bpp=aim, profile=self.profile, **tuned).data
+            tuned: dict[str, Any] = {
+                "tune": self.tune,
+                "texture": self.texture,
+                "effort": self.effort,
+                "profile": self.profile,
+            }
+            data = encode(pixels, bpp=aim, **tuned).data
         return File(data, time.perf_counter() - began)
 
     def decode(self, data: bytes) -> Pixels:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from benchmarks.perceptual.photographs import grouped
 from benchmarks.rd.report import LESS_IS_BETTER, QUALITIES, TITLES, Row
-from benchmarks.tables import mean, number, standard_error, table
+from benchmarks.tables import number, standard_error, table
 
 FORMS = {"psnr": ".2f", "ssimulacra2": ".2f", "lpips": ".4f", "dists": ".4f"}
 FORMS |= {"ms_ssim": ".4f", "butteraugli": ".3f", "cvvdp": ".3f"}
@@ -29,7 +31,7 @@ class Difference:
 def between(smaller: Row, larger: Row) -> Row:
     """A row of exactly the rate: figures interpolated along the logarithm of bytes."""
     share = math.log(smaller.aim / smaller.bpp) / math.log(larger.bpp / smaller.bpp)
-    found: dict[str, float] = {}
+    found: dict[str, Any] = {}
     for name in QUALITIES:
         ends = getattr(smaller, name), getattr(larger, name)
         if None not in ends:
@@ -50,11 +52,8 @@ def difference(rows: Sequence[Row], ours: str, theirs: str, bpp: float, figure: 
     first, second = ([values[codec, image] for image in images] for codec in (ours, theirs))
     gains = [one - other for one, other in zip(first, second, strict=True)]
     better = sum(gain < 0 if figure in LESS_IS_BETTER else gain > 0 for gain in gains)
-    ends = mean(first), mean(second), mean(gains)
-    assert ends[0] is not None
-    assert ends[1] is not None
-    assert ends[2] is not None
-    return Difference(len(images), *ends, standard_error(gains, grouped(images)), better)
+    ours_mean, theirs_mean, gain = (statistics.fmean(values) for values in (first, second, gains))
+    return Difference(len(images), ours_mean, theirs_mean, gain, standard_error(gains, grouped(images)), better)
 
 
 def differences_table(rows: Sequence[Row], ours: Sequence[str], theirs: Sequence[str]) -> str:

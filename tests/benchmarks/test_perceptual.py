@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.perceptual.blind import score
 from benchmarks.perceptual.networks import Networks
 from tests.metrics.test_metrics import disturbed, picture
 
@@ -46,15 +45,3 @@ def test_networks(weights: Path) -> None:
     assert 0 < little["dists"] < more["dists"] < 1
     other = disturbed(SOURCE, 60)
     assert networks(SOURCE, other)["dists"] == pytest.approx(more["dists"], rel=1e-4)  # it has no direction
-
-
-def test_votes_are_counted_by_pair() -> None:
-    key = {"pairs": {f"s{k}": {"photograph": f"p{k}", "ours": f"o{k}", "avif": f"a{k}"} for k in range(3)}}
-    chosen = [["o0", "a1", "neither"], ["o0", "o1", "neither"]]
-    answers = [{"answers": [{"source": f"s{k}", "chosen": one} for k, one in enumerate(of)]} for of in chosen]
-    text = score(key, answers)
-    assert "| p0 | 2 | 0 | 0 |" in text
-    assert "| p1 | 1 | 1 | 0 |" in text
-    assert text.endswith("visitors: 2, pairs: 3; ours is preferred in 75.0% ± 25.0%")
-    with pytest.raises(SystemExit, match="another page"):
-        score(key, [{"answers": [{"source": "s9", "chosen": "o9"}]}])
