@@ -15,9 +15,9 @@ import sgmethod
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from sgmethod.native import native
+from tests.support import javascript_settings
 from tests.support.data import JAVASCRIPT, ROOT, damaged as tampered, golden
 from tests.support.node import answer_of, node
-from tools import javascript_settings
 
 FILES = 2000  # of each kind
 SIDES = [1, 2, 7, 16, 33, 64, 300, 4096, 65_535]
@@ -139,15 +139,15 @@ def refused(call: Callable[[], object]) -> bool:
 
 
 def test_it_has_the_tables(tmp_path: Path) -> None:
-    """Those that `node tools/javascript_tables.mjs` packs."""
-    for folder in (JAVASCRIPT, NATIVE, ROOT / "tools"):
-        shutil.copytree(folder, tmp_path / folder.relative_to(ROOT))
-    tables = tmp_path / JAVASCRIPT.relative_to(ROOT) / "tables.js"
+    """Those that `node sgmethod/javascript/tables.mjs` packs."""
+    shutil.copytree(JAVASCRIPT.parent, tmp_path / "javascript")
+    shutil.copytree(NATIVE, tmp_path / "native" / "rd")
+    tables = tmp_path / "javascript" / "src" / "tables.js"
     tables.unlink()
-    node(f'await import("{(tmp_path / "tools" / "javascript_tables.mjs").as_uri()}")')
+    node(f'await import("{(tmp_path / "javascript" / "tables.mjs").as_uri()}")')
     assert tables.read_text() == (JAVASCRIPT / "tables.js").read_text()
 
 
 def test_its_encoder_has_the_settings() -> None:
-    """Those that `python -m tools.javascript_settings` writes."""
+    """Those that `python -m tests.support.javascript_settings` writes."""
     assert javascript_settings.WRITTEN.read_text() == javascript_settings.text()

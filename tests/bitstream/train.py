@@ -6,7 +6,7 @@ The pictures are the photographs that benchmarks.perceptual.photographs puts int
 each at the middle of their sides, and six of skimage.data; none of them is measured anywhere. They are encoded at three
 rates, and as previews of three sizes. The plain decoder of the tests says what every symbol and every block saw.
 --write replaces sgmethod/native/rd/start_tables.h and structure_net.h; without it, they go to the folder of work. Then
-build the kernels, and run tests.bitstream.remake and tools/javascript_tables.mjs: files coded with other tables are
+build the kernels, and run tests.bitstream.remake and sgmethod/javascript/tables.mjs: files coded with other tables are
 no longer readable. As the fit prices by the tables so far, a second run gives slightly different ones.
 """
 

@@ -26,7 +26,7 @@ export const MAPPED_R = 293;
 export const MAPPED_SIGNS = 581;
 export const ALL = 681;
 
-// The tables are payloads themselves, as tools/javascript_tables.mjs writes them.
+// The tables are payloads themselves, as ../tables.mjs writes them.
 const starts = [];
 const rows = [];
 const unpack = (text) => {

@@ -1,4 +1,4 @@
-// Made by tools/javascript_settings.py from Python's, which say why.
+// Made by tests/support/javascript_settings.py from Python's, which say why.
 
 export const SPARSE = 0.01;
 export const DENSE = 0.035;

@@ -1,13 +1,13 @@
-// Packs the tables that tests.bitstream.train trains, from the C++ sources into tables.js:
-// node tools/javascript_tables.mjs. models.js beside it unpacks them.
+// Packs the tables that tests.bitstream.train trains, from the C++ sources into src/tables.js: node tables.mjs.
+// src/models.js unpacks them.
 
 import { writeFileSync, readFileSync } from "node:fs";
-import { FLAT, modelsOf } from "../sgmethod/javascript/src/coder.js";
-import { newWriter, write } from "../sgmethod/javascript/src/encoder/coder.js";
+import { FLAT, modelsOf } from "./src/coder.js";
+import { newWriter, write } from "./src/encoder/coder.js";
 
 /** The numbers of an array in sgmethod/native/rd/. */
 function numbersOf(file, name) {
-  const text = readFileSync(new URL(`../sgmethod/native/rd/${file}.h`, import.meta.url), "utf8");
+  const text = readFileSync(new URL(`../native/rd/${file}.h`, import.meta.url), "utf8");
   return text.match(new RegExp(` ${name}\\[.* = ({[^;]*);`))[1].match(/-?\d+/g).map(Number);
 }
 
@@ -55,4 +55,4 @@ const tables = {
   MAPPED: pack(sorted.slice(count), [short.at(-1), ...renumbered(ofMap)], net),
 };
 const lines = Object.entries(tables).map(([name, text]) => `export const ${name} =\n  "${text}";\n`);
-writeFileSync(new URL("../sgmethod/javascript/src/tables.js", import.meta.url), `// Made by tools/javascript_tables.mjs.\n\n${lines.join("\n")}`);
+writeFileSync(new URL("src/tables.js", import.meta.url), `// Made by tables.mjs.\n\n${lines.join("\n")}`);

@@ -1,4 +1,4 @@
-"""Constants of the encoder in JavaScript that are ours: python -m tools.javascript_settings writes them."""
+"""Constants of the encoder in JavaScript that are ours: python -m tests.support.javascript_settings writes them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ CONSTANTS: dict[str, float | tuple[int, ...]] = {
 def text() -> str:
     """The module."""
     lines = (f"export const {name} = {_written(value)};\n" for name, value in CONSTANTS.items())
-    return f"// Made by tools/javascript_settings.py from Python's, which say why.\n\n{''.join(lines)}"
+    return f"// Made by tests/support/javascript_settings.py from Python's, which say why.\n\n{''.join(lines)}"
 
 
 def _written(value: float | tuple[int, ...]) -> str:
