@@ -66,8 +66,9 @@ def test_errors_of_pictures_that_are_alike() -> None:
     assert standard_error([1.0, 3.0, 1.0, 3.0], "abab") == pytest.approx(standard_error([1.0, 3.0]))
     assert standard_error([1.0, 3.0], "aa") is standard_error([1.0]) is None
     third = [(bpp / 4, db) for bpp, db in ANCHOR]
-    both = [row for image in "ab" for row in rows("old", image, ANCHOR)] + rows("new", "a", ANCHOR)
-    rate = against([*both, *rows("new", "b", third)], "new", "old", {"a": "one package", "b": "one package"})
+    alike = ("broken_pcb.png", "lying_dog.png")  # of one package
+    both = [row for image in alike for row in rows("old", image, ANCHOR)] + rows("new", alike[0], ANCHOR)
+    rate = against([*both, *rows("new", alike[1], third)], "new", "old")
     assert rate is not None and rate.standard_error is None
 
 
