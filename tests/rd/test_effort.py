@@ -11,6 +11,7 @@ import pytest
 
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
+from sgmethod.metrics import ssimulacra2
 from sgmethod.rd.densify import densify, prune
 from sgmethod.rd.fit import fit
 from sgmethod.rd.plan import Plan, State, stages
@@ -153,3 +154,16 @@ def test_a_picture_of_one_colour_takes_no_search() -> None:
 def test_an_effort_that_is_none_is_refused(effort: object) -> None:
     with pytest.raises(BudgetError, match="effort must be a whole number from 1 to 9"):
         encode(CROP, effort=effort)  # type: ignore[arg-type]
+
+
+@pytest.mark.thorough
+def test_a_round_is_worth_its_time_to_the_eye() -> None:
+    """By some seeds of small pictures, a round is 8 points worse or 7 better. It gains 1.1 ± 0.3 points on average."""
+
+    def score(pixels: np.ndarray, bpp: float, seed: int, effort: int) -> float:
+        drawn = decode(encode(pixels, bpp=bpp, seed=seed, effort=effort, texture=False).data)
+        return ssimulacra2(drawn, pixels) or 0
+
+    cases = [(photo(name), bpp) for name in ("kodim04-crop", "kodim05-crop", "kodim23-crop") for bpp in (0.5, 1.0)]
+    gains = [score(*case, seed, DEFAULT_EFFORT) - score(*case, seed, 4) for case in cases for seed in range(4)]
+    assert np.mean(gains) > -0.3
