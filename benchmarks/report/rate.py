@@ -14,6 +14,7 @@ from benchmarks import published
 from benchmarks.rd.equal import cells, difference
 from benchmarks.rd.report import (
     AVIF,
+    LESS_IS_BETTER,
     ONE_QUALITY,
     SEEN,
     TITLES,
@@ -54,7 +55,6 @@ NAMES = {
 GRAIN = "avif grain"
 AVIF_VISUAL = ("avif tune=iq 4:4:4", "avif tune=iq 10 bits", "avif tune=iq", GRAIN)
 EYE = {"ms_ssim": ".4f", **SEEN}  # figures of what is tuned for the eye
-HIGHER_IS_BETTER = ("ms_ssim", "ssimulacra2")
 BPP = 0.25  # of the tables
 MAX_BPP = 0.5  # of the plot
 PLOTTED = ("rd", "rd visual", "heic", "jpegxl", "webp", "jpeg")  # and AVIF
@@ -111,7 +111,7 @@ def avif(figure: str = "psnr", name: str = KODAK) -> str:
     names = [codec for codec in (AVIF if figure == "psnr" else AVIF_VISUAL) if (codec, BPP) in found]
     if figure not in EYE:
         return names[0]
-    sign = -1 if figure in HIGHER_IS_BETTER else 1
+    sign = 1 if figure in LESS_IS_BETTER else -1
     return min(names, key=lambda codec: sign * (found[codec, BPP][figure] or 0))
 
 
