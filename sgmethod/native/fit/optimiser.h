@@ -23,8 +23,6 @@ struct AdamSettings {
 
 // Weights of the errors that are minimised, by which the curvature grows.
 struct ErrorWeights {
-  // Of a Gaussian, at least 1. Where errors are hidden steps stay short, as they gain little there.
-  float of(const float* mean, const float* factor) const;
   const int16_t* visibility;  // [height, width], or null
   int width, height;
   float spacing;  // of the visibility, in pixels of the whole picture
