@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import VISIBLE, Visibility, seen_difference
+from sgmethod.native import native
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import VisibilitySettings
@@ -52,13 +53,10 @@ def _color_root(visibility: Visibility) -> FloatArray:
     return np.asarray((axes * np.sqrt(values)) @ axes.T, np.float32)
 
 
-def amplitudes(visibility: Visibility, planes: FloatArray, first: int, end: int) -> FloatArray:
-    """Scale rows [3, end - first, W] of an error so that their squares are the weighted error."""
-    seen = np.sqrt(visibility.values[first:end].astype(np.float32) / VISIBLE)
-    if visibility.by_eye:
-        # Not tensordot: threads that it wakes in OpenBLAS would spin on the kernels' cores for the next 30 ms.
-        planes = np.einsum("ab,bij->aij", _color_root(visibility), planes)
-    return planes * seen
+def to_amplitudes(visibility: Visibility, planes: FloatArray, first: int) -> None:
+    """Scale rows [3, N, W] of an error from row `first` on, in place, so that their squares are the weighted error."""
+    root = _color_root(visibility).ravel() if visibility.by_eye else None
+    native.to_amplitudes(planes, visibility.values[first : first + planes.shape[1]], root)
 
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:

@@ -202,6 +202,12 @@ def seen_difference(
 ) -> float:
     """VISIBLE times the squared difference of pictures [height, width, 3], as the visibility counts it."""
 
+def to_amplitudes(planes: FloatArray, visibility: NDArray[np.int16], root: FloatArray | None) -> None:
+    """Scale an error's planes [3, height, width], in place, so that their squares are the error as it is seen.
+
+    root [9]: square root of the weights of channels; None if all count alike.
+    """
+
 def gains(
     red: FloatArray,
     green: FloatArray,

@@ -66,6 +66,14 @@ double seen_difference(Pixels a, Pixels b, Visibility visibility, bool by_eye, d
   return sg::seen_difference(a.data(), b.data(), width, height, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike, coarse);
 }
 
+void to_amplitudes(ImageOut planes, Visibility visibility, std::optional<Numbers> root) {
+  const int height = side(planes, 1), width = side(planes, 2);
+  require(!root || root->size() == 9, "a matrix of 3 x 3");
+  const int16_t* seen = values_of(visibility, width, height);
+  const Unlocked unlocked;
+  sg::to_amplitudes(planes.data(), width, height, seen, root ? root->data() : nullptr);
+}
+
 void gains(Plane red, Plane green, Plane blue, Numbers sigmas, Numbers scales, PlaneOut gain, MarksOut chosen,
            int isa) {
   const int height = side(red, 0), width = side(red, 1);
@@ -111,6 +119,7 @@ void bind_fit(nb::module_& m) {
         "factors"_a.noconvert(), "colors"_a.noconvert());
   m.def("squared_difference", &squared_difference, "a"_a, "b"_a);
   m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a, "coarse"_a = 0.0);
+  m.def("to_amplitudes", &to_amplitudes, "planes"_a.noconvert(), "visibility"_a, "root"_a.none());
   m.def("gains", &gains, "red"_a, "green"_a, "blue"_a, "sigmas"_a, "scales"_a, "gain"_a.noconvert(),
         "chosen"_a.noconvert(), "isa"_a = -1);
   m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <numeric>
 #include <vector>
 
@@ -56,6 +57,16 @@ double seen_squares(const uint8_t* a, const uint8_t* b, int width, int rows, con
   return sum;
 }
 
+SG_CLONES void row_to_amplitudes(float* red, float* green, float* blue, int width, const int16_t* visibility,
+                                 const float* root) {
+  for (int i = 0; i < width; ++i) {
+    const float seen = std::sqrt(static_cast<float>(visibility[i]) / kVisible), e0 = red[i], e1 = green[i], e2 = blue[i];
+    red[i] = (root[0] * e0 + root[1] * e1 + root[2] * e2) * seen;
+    green[i] = (root[3] * e0 + root[4] * e1 + root[5] * e2) * seen;
+    blue[i] = (root[6] * e0 + root[7] * e1 + root[8] * e2) * seen;
+  }
+}
+
 }  // namespace
 
 uint64_t squared_difference(const uint8_t* a, const uint8_t* b, int64_t count) {
@@ -83,6 +94,16 @@ double seen_difference(const uint8_t* a, const uint8_t* b, int width, int height
     sums[static_cast<size_t>(square)] = sum;
   });
   return std::accumulate(sums.begin(), sums.end(), 0.0);
+}
+
+void to_amplitudes(float* planes, int width, int height, const int16_t* visibility, const float* root) {
+  constexpr float kAlike[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  const int64_t plane = int64_t{width} * height;
+  parallel_each(height, std::max(kValues / (3 * width), 1), [&](int y) {
+    float* const red = planes + int64_t{y} * width;
+    row_to_amplitudes(red, red + plane, red + 2 * plane, width, visibility + int64_t{y} * width,
+                      root == nullptr ? kAlike : root);
+  });
 }
 
 }  // namespace sg

@@ -1,4 +1,4 @@
-// Errors of decoded pictures, in 8 bits.
+// Errors of pictures as they are seen, and of decoded ones in 8 bits.
 #pragma once
 
 #include <cstdint>
@@ -14,5 +14,9 @@ uint64_t squared_difference(const uint8_t* a, const uint8_t* b, int64_t count);
 // with which mean errors over squares of kCoarseSide pixels count once more.
 double seen_difference(const uint8_t* a, const uint8_t* b, int width, int height, const int16_t* visibility,
                        const Seen& seen, double coarse);
+
+// Scales an error's planes [3][height][width], in place, so that their squares are the error as it is seen. root [9]:
+// square root of the weights of channels, or null if all count alike.
+void to_amplitudes(float* planes, int width, int height, const int16_t* visibility, const float* root);
 
 }  // namespace sg
