@@ -239,11 +239,11 @@ class VisibilitySettings:
 class MovingTargetSettings:
     """Moving targets: for the eye, one that exaggerates detail; for alpha, one that overshoots black and white."""
 
-    every: int = 6  # steps
+    every: int = 12  # steps
     max_detail: tuple[float, ...] = (3.0, 1.4)  # in multiples of the source's, by octave, finest first
     detail_window: float = 1.4  # sigma, in samples of the octave; small, so that peaks do not hide their surroundings
     detail_power: float = 1.15  # of the inverse of structural similarity
-    detail_rate: float = 0.3  # part of the way per move
+    detail_rate: float = 0.5  # part of the way per move
     faint_levels: float = 2.0  # of 8 bits: fainter detail is not exaggerated
     overshoot: float = 0.4  # most overshoot allowed, 1 being white
     overshoot_every: int = 2  # steps
