@@ -15,6 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from sgmethod import __version__
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 
@@ -33,8 +34,9 @@ CODE = ("sgmethod", "service", "benchmarks", "tests/support", *(f":!{path}" for 
 
 
 def origin() -> dict[str, object]:
-    """Commit, date (UTC) and machine, in plain JSON types."""
+    """Version, commit, date (UTC) and machine, in plain JSON types."""
     return {
+        "version": __version__,
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": {

@@ -92,7 +92,7 @@ APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
 @cache
 def figures() -> dict[str, float | None]:
     """Every figure that a sentence may have, by its mark."""
-    parts = (paper, rate, speed, scenes, previews, seen, stability, service)
+    parts = (paper, rate, equal, speed, scenes, previews, seen, stability, service)
     return {mark: value for part in parts for mark, value in part.figures().items()}
 
 

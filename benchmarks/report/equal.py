@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
 from benchmarks.machine import RESULTS
-from benchmarks.rd.equal import FORMS, cells, difference
-from benchmarks.rd.report import QUALITIES, TITLES, Means, Row, means
+from benchmarks.rd.equal import FORMS, Difference, cells, difference
+from benchmarks.rd.report import QUALITIES, TITLES, Means, Row, against, means
 from benchmarks.report import results
 from benchmarks.report.plots import Draw, style
 from benchmarks.tables import number, table
@@ -71,9 +71,8 @@ def means_table(size: str) -> str:
     return table(" | ".join(["bpp", "codec", "setting", *(TITLES[q] for q in QUALITIES)]), lines)
 
 
-def differences_table(size: str) -> str:
-    """Our settings less AVIF's that aim at the same, picture by picture."""
-    lines = []
+def differences(size: str) -> Iterator[tuple[float, str, str, str, Difference]]:
+    """Rate, our setting, AVIF's that aims at the same, figure, and ours less AVIF's picture by picture."""
     for bpp in rates(size):
         for ours, theirs in PAIRS:
             names = file_of(size, ("sgmethod", ours), bpp), file_of(size, ("AVIF", theirs), bpp)
@@ -81,8 +80,34 @@ def differences_table(size: str) -> str:
                 continue
             for figure in QUALITIES:
                 if found := difference(rows(size), str(names[0]), str(names[1]), bpp, figure):
-                    lines.append([f"{bpp:g}", ours, theirs, TITLES[figure], *cells(found, FORMS[figure])])
+                    yield bpp, ours, theirs, figure, found
+
+
+def differences_table(size: str) -> str:
+    """A row for each of them."""
+    lines = [
+        [f"{bpp:g}", ours, theirs, TITLES[figure], *cells(found, FORMS[figure])]
+        for bpp, ours, theirs, figure, found in differences(size)
+    ]
     return table("bpp | sgmethod | AVIF | figure | ours | AVIF's | difference | ours is better on", lines)
+
+
+def figures() -> dict[str, float | None]:
+    """The differences and their standard errors, and the bits that AVIF saves us or we save at equal PSNR."""
+    found: dict[str, float | None] = {}
+    for size in measured():
+        for bpp, ours, _, figure, one in differences(size):
+            mark = f"equal.{size}-{ours.replace(', ', '-').replace(' ', '-')}-{figure}-at-{bpp:g}"
+            found |= {mark: one.gain, f"{mark}-error": one.standard_error, f"{mark}-better": one.better}
+            found[f"equal.{size}-pictures"] = one.pictures
+        if rate := against(rows(size), "rd", "avif tune=psnr 10 bits"):
+            found |= {f"equal.{size}-fewer": -rate.mean, f"equal.{size}-fewer-error": rate.standard_error}
+    return found
+
+
+def measured() -> list[str]:
+    """Those of SETS that have been measured."""
+    return [size for size in SETS if (RESULTS / f"rd/equal-{size}.json").exists()]
 
 
 def draw(axes: Any, size: str, figure: str) -> None:
@@ -98,13 +123,12 @@ def draw(axes: Any, size: str, figure: str) -> None:
 
 def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
     """A plot for each figure, with a panel for each of SETS; none before they are measured."""
-    measured = [size for size in SETS if (RESULTS / f"rd/equal-{size}.json").exists()]
     return {
         f"equal-{figure.replace('_', '-')}": (
             f"{TITLES[figure]} at equal bytes",
             "means of photographs on which nothing was chosen",
-            [partial(draw, size=size, figure=figure) for size in measured],
+            [partial(draw, size=size, figure=figure) for size in measured()],
         )
         for figure in QUALITIES
-        if measured
+        if measured()
     }

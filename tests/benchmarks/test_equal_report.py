@@ -35,6 +35,8 @@ def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.
     differences = equal.differences_table("768").splitlines()
     assert "| 0.25 | fidelity | ssimulacra2 | SSIMULACRA 2 | 63.00 | 62.00 | +1.00 ± 0.00 | 2 of 2 |" in differences
     assert "| 0.5 | visual | iq, film grain | LPIPS | 0.0580 | 0.0480 | +0.0100 ± 0.0000 | 0 of 2 |" in differences
+    figures = equal.figures()
+    assert (figures["equal.768-visual-lpips-at-0.5"], figures["equal.whole-pictures"]) == (pytest.approx(0.01), 2)
     plots = equal.plots()
     assert list(plots)[1] == "equal-ssimulacra2"
     title, of, panels = plots["equal-ssimulacra2"]
