@@ -73,8 +73,8 @@ SG_INLINE uint32_t part_of(const Structure& structure, const Symbols& s) {
 }
 
 // Copies Gaussians in the order of their numbers, which are below `numbers`. Equal ones stay in order.
-template <typename Number>
-void sort_by(const Symbols* from, size_t n, size_t numbers, const Number& number, Symbols* to) {
+template <typename NumberOf>
+void sort_by(const Symbols* from, size_t n, size_t numbers, const NumberOf& number, Symbols* to) {
   std::vector<uint32_t> next(numbers + 1);
   for (size_t i = 0; i < n; ++i) ++next[number(from[i]) + 1];
   for (size_t k = 1; k < numbers; ++k) next[k] += next[k - 1];
@@ -259,7 +259,7 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
   if (!begun || last < kMinClass) refuse<std::runtime_error>("no encoder begins like this");
   size_t done = 0;
   for (int c = first; c >= last; --c) {
-    const uint32_t count = code_whole(d.coder, kColorLane, d.models.count);
+    const uint32_t count = code_whole(d.coder, kColorState, d.models.count);
     if (!d.whole(d.coder)) return false;
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
@@ -286,7 +286,7 @@ void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool p
     refuse<std::runtime_error>("there are bytes behind the last Gaussian");
 }
 
-auto decode_into(const RdParameters& p) { return p.is_short ? decode_into<1> : decode_into<kLanes>; }
+auto decode_into(const RdParameters& p) { return p.is_short ? decode_into<1> : decode_into<kRansStates>; }
 
 void reserve(GaussianArrays& values, size_t n) {
   values.means.reserve(2 * n);
@@ -353,7 +353,7 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
     size_t end = at;
     while (end < all.size() && sorted[end].size_class == c) ++end;
     const auto n = static_cast<uint32_t>(end - at);
-    code_whole(coder, kColorLane, models.count, n);
+    code_whole(coder, kColorState, models.count, n);
     if (n == 0) continue;
     structure.begin(c, n);
     sort_by(&sorted[at], n, structure.blocks(), [&](const Symbols& s) { return block_of(structure, s); }, &all[at]);
@@ -361,7 +361,7 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
     if (is_mapped(p, c, last)) add_class(structure, p, &all[at], static_cast<int>(n));
     at = end;
   }
-  return coder.finish(p.is_short ? 1 : kLanes);
+  return coder.finish(p.is_short ? 1 : kRansStates);
 }
 
 std::vector<uint8_t> rd_encode(const RdParameters& p, const ConstGaussians& gaussians, int n) {

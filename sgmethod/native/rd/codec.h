@@ -18,7 +18,7 @@ struct RdParameters {
   double quantum;   // about the root of the error energy of one step of any parameter; image in [0, 1]
   bool grey;        // no chroma in the stream
   bool upright;     // no shear in the stream
-  bool is_short;    // the payload has one state for both lanes (entropy_coder.h)
+  bool is_short;    // the payload has one state for all symbols (entropy_coder.h)
 };
 
 constexpr uint64_t kMaxGaussians = 1 << 24;

@@ -2,14 +2,13 @@
 // 2013; interleaved as by F. Giesen, 2014). Integers only, so that every machine decodes the same. Decoding a symbol
 // has no division and no branch that depends on the data.
 //
-// A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state
-// of its own, and calling for the one and the other in turns decodes two symbols in that time. Raw bits wait for
-// neither.
+// A symbol waits for the one before it in the same state, for some 30 cycles. So there are two states, and calling for
+// symbols of the one and the other in turns decodes two in that time. Raw bits wait for neither.
 //
-// In a short file (docs/format.md) both lanes share one state: two more would cost more than their time is worth.
+// In a short file (docs/format.md) all symbols share one state: a second would cost more than its time is worth.
 //
-// All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw
-// bits take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
+// All come from one sequence of bytes. A state takes two of them right after the symbol that leaves it low; raw bits
+// take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
 #pragma once
 
 #include <algorithm>
@@ -148,8 +147,8 @@ class Mean {
 };
 
 // Which state a symbol goes into, by what it says (models.h).
-enum Lane { kColorLane, kShapeLane };
-constexpr size_t kLanes = 2;
+enum RansState { kColorState, kShapeState };
+constexpr size_t kRansStates = 2;
 
 // Records what is to be coded; the bytes come at the end.
 class Encoder {
@@ -163,10 +162,10 @@ class Encoder {
   }
 
   template <typename Probabilities>
-  SG_INLINE uint32_t symbol(Lane lane, Probabilities&& model, uint32_t symbol) {
+  SG_INLINE uint32_t symbol(RansState which, Probabilities&& model, uint32_t symbol) {
     const Model::Share share = model.share(symbol);
     steps_.push_back({static_cast<uint16_t>(share.low + static_cast<int>(kProbabilityOne)),
-                      static_cast<uint16_t>(share.size), 0, static_cast<uint8_t>(lane), false});
+                      static_cast<uint16_t>(share.size), 0, static_cast<uint8_t>(which), false});
     model.update(symbol);
     return symbol;
   }
@@ -180,16 +179,16 @@ class Encoder {
     return value;
   }
 
-  // lanes: how many states there are.
-  std::vector<uint8_t> finish(size_t lanes) {
+  // used: number of states.
+  std::vector<uint8_t> finish(size_t used) {
     raw_.push_back(static_cast<uint8_t>(pending_));
     // rANS codes backwards.
-    std::array<uint32_t, kLanes> states;
+    std::array<uint32_t, kRansStates> states;
     states.fill(kStateLow);
     size_t words = 0;
     for (auto step = steps_.rbegin(); step != steps_.rend(); ++step) {
       if (step->share == 0) continue;
-      uint32_t& state = states[step->which % lanes];
+      uint32_t& state = states[step->which % used];
       step->refills = state >= static_cast<uint32_t>(step->share) << (32 - kProbabilityBits);
       if (step->refills) {
         step->word = static_cast<uint16_t>(state);
@@ -199,11 +198,11 @@ class Encoder {
       state = (state / step->share << kProbabilityBits) + state % step->share + step->low;
     }
     std::vector<uint8_t> bytes;
-    bytes.reserve(lanes * kStateBytes + words * kWordBytes + raw_.size() + 1);
+    bytes.reserve(used * kStateBytes + words * kWordBytes + raw_.size() + 1);
     const auto put = [&](uint32_t value, size_t count) {
       for (size_t k = 0; k < count; ++k) bytes.push_back(static_cast<uint8_t>(value >> 8 * k));
     };
-    for (size_t lane = 0; lane < lanes; ++lane) put(states[lane], kStateBytes);
+    for (size_t k = 0; k < used; ++k) put(states[k], kStateBytes);
     auto raw = raw_.begin();
     int left = 0;
     for (const Step& step : steps_) {
@@ -220,7 +219,7 @@ class Encoder {
   struct Step {
     uint16_t low, share;  // of a symbol; share 0: raw bits
     uint16_t word;  // of the state before, if it refills
-    uint8_t which;  // lane, or number of raw bits
+    uint8_t which;  // state, or number of raw bits
     bool refills;
   };
   std::vector<Step> steps_;
@@ -230,7 +229,7 @@ class Encoder {
 };
 
 // Does not look for the end of the data, which kSlack zeros must follow. The caller compares read() with the size
-// before these are used up. kStates: 1 where the lanes share a state, or kLanes.
+// before these are used up. kStates: 1 where the symbols share a state, or kRansStates.
 template <size_t kStates>
 class Decoder {
  public:
@@ -243,9 +242,9 @@ class Decoder {
   }
 
   template <typename Probabilities>
-  SG_INLINE uint32_t symbol(Lane lane, Probabilities&& model, uint32_t = 0) {
-    uint32_t& of_lane = states_[lane % kStates];
-    const uint32_t state = of_lane;
+  SG_INLINE uint32_t symbol(RansState which, Probabilities&& model, uint32_t = 0) {
+    uint32_t& own = states_[which % kStates];
+    const uint32_t state = own;
     const uint32_t symbol = model.find(static_cast<int>(state | kProbabilityOne));
     const Model::Share share = model.share(symbol);
     const int place = static_cast<int>(state & (kProbabilityOne - 1)) - static_cast<int>(kProbabilityOne);
@@ -262,7 +261,7 @@ class Decoder {
     const bool refill = left < kStateLow;
     const uint32_t filled = refill ? left << 16 | word : left;
 #endif
-    of_lane = filled;
+    own = filled;
     next_ += refill * kWordBytes;
     model.update(symbol);
     return symbol;

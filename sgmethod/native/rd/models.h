@@ -12,26 +12,27 @@
 
 namespace sg {
 
-// A number below 2^32. Each of 0 to 3 has a symbol. So has each half of an octave up to 191, and the number's lower
-// bits follow without a model. The last symbol is an escape: the length of a larger number and its bits follow.
+// A number below 2^32, as a hybrid integer (JPEG XL has similar ones). Each of 0 to 3 has a symbol. So has each half of
+// an octave up to 191, and the number's lower bits follow without a model. The last symbol is an escape: the length of
+// a larger number and its bits follow.
 constexpr uint32_t kEscape = 15, kFirstEscaped = 192;
 
-struct Number {
+struct HybridUint {
   uint32_t symbol = 0, value = 0;
   int bits = 0;  // the lowest of the value, which are still to come
 };
 
 // The least number of each symbol but the escape, and how many bits follow.
-struct NumberTable {
+struct HybridUintTable {
   uint8_t least[kSymbols] = {0, 1, 2, 3}, bits[kSymbols] = {};
-  constexpr NumberTable() {
+  constexpr HybridUintTable() {
     for (int s = 4; s < static_cast<int>(kEscape); ++s) {
       bits[s] = static_cast<uint8_t>(s / 2 - 1);
       least[s] = static_cast<uint8_t>((2 | (s & 1)) << bits[s]);
     }
   }
 };
-inline constexpr NumberTable kNumbers;
+inline constexpr HybridUintTable kHybridUints;
 
 inline uint32_t symbol_of(uint32_t value) {
   if (value < 4) return value;
@@ -41,26 +42,26 @@ inline uint32_t symbol_of(uint32_t value) {
 }
 
 template <typename Coder, typename Probabilities>
-SG_INLINE Number code_number(Coder& coder, Lane lane, Probabilities&& model, uint32_t value = 0) {
+SG_INLINE HybridUint code_hybrid_uint(Coder& coder, RansState which, Probabilities&& model, uint32_t value = 0) {
   const int top = value == 0 ? 0 : 31 - __builtin_clz(value);
-  const uint32_t symbol = coder.symbol(lane, model, symbol_of(value));
+  const uint32_t symbol = coder.symbol(which, model, symbol_of(value));
   if (__builtin_expect(symbol == kEscape, 0)) {
     coder.fetch(5);
     const int bits = static_cast<int>(coder.raw(static_cast<uint32_t>(top), 5));
     coder.fetch(bits);
     return {symbol, 1u << bits | coder.raw(value & ((1u << top) - 1), bits), 0};
   }
-  return {symbol, kNumbers.least[symbol], kNumbers.bits[symbol]};
+  return {symbol, kHybridUints.least[symbol], kHybridUints.bits[symbol]};
 }
 // The bits that are still to come of a number, as part of those fetched.
 template <typename Coder>
-SG_INLINE void code_rest(Coder& coder, Number& number, uint32_t value = 0) {
+SG_INLINE void code_rest(Coder& coder, HybridUint& number, uint32_t value = 0) {
   number.value |= coder.raw(value & ((1u << number.bits) - 1), number.bits);
 }
 // A number by itself.
 template <typename Coder>
-uint32_t code_whole(Coder& coder, Lane lane, Model& model, uint32_t value = 0) {
-  Number number = code_number(coder, lane, model, value);
+uint32_t code_whole(Coder& coder, RansState which, Model& model, uint32_t value = 0) {
+  HybridUint number = code_hybrid_uint(coder, which, model, value);
   coder.fetch(number.bits);
   code_rest(coder, number, value);
   return number.value;
@@ -116,7 +117,7 @@ struct Models {
 
   // One turn. The Gaussians of a class come one after another, and each in two halves: part of a block and colour, then
   // shape and place. A turn has the former of one, `next`, and the latter of the Gaussian before it, `now`. Symbols of
-  // the two alternate, and with them the lanes. One fetch() is for at most 56 raw bits. `gap` is the distance to
+  // the two alternate, and with them the states. One fetch() is for at most 56 raw bits. `gap` is the distance to
   // `next`; `begun` is of `now` at first, then of `next`. Returns the parts of `now`.
   template <bool kNext, bool kNow, typename Coder, typename Walk>
   SG_INLINE Parts turn(Coder& coder, const RdParameters& p, const SizeClass& c, Walk& walk, uint64_t gap, Begun& begun,
@@ -127,13 +128,13 @@ struct Models {
     const Context of_now = begun.context;
     const Spot spot = begun.spot;
     Context of_next = next.context;
-    Number distance, y, a, b, v, r;
+    HybridUint distance, y, a, b, v, r;
     Parts parts{};
     if constexpr (kNext && Coder::kCodesPlaces)
-      distance = code_number(coder, kColorLane, this->distance, static_cast<uint32_t>(gap >> kLowBits));
+      distance = code_hybrid_uint(coder, kColorState, this->distance, static_cast<uint32_t>(gap >> kLowBits));
     if (kNow) {
       const size_t colored = (begun.y != 0) << 2 | (begun.a != 0) << 1 | (begun.b != 0);
-      const uint32_t signs = coder.symbol(kShapeLane, color_signs[colored], color_sign_bits(now));
+      const uint32_t signs = coder.symbol(kShapeState, color_signs[colored], color_sign_bits(now));
       now.y = with_sign(begun.y, signs & 4);
       now.a = with_sign(begun.a, signs & 2);
       now.b = with_sign(begun.b, signs & 1);
@@ -151,26 +152,29 @@ struct Models {
       }
     }
     if (kNext)
-      y = code_number(coder, kColorLane, Mean(luma_by_energy[of_next.energy], luma_by_class[group]), magnitude(next.y));
+      y = code_hybrid_uint(coder, kColorState, Mean(luma_by_energy[of_next.energy], luma_by_class[group]),
+                           magnitude(next.y));
     const size_t fold = folded(of_now.direction);
     if (kNow)
-      v = code_number(coder, kShapeLane, Mean(this->v[fold][bucket], v_by_class[group / 2][bucket]), magnitude(now.v));
+      v = code_hybrid_uint(coder, kShapeState, Mean(this->v[fold][bucket], v_by_class[group / 2][bucket]),
+                           magnitude(now.v));
     if (kNext && !p.grey) {
       const size_t luma = level(y);
-      a = code_number(coder, kColorLane, Mean(this->a[luma], a_by_class[luma][group / 4]), magnitude(next.a));
+      a = code_hybrid_uint(coder, kColorState, Mean(this->a[luma], a_by_class[luma][group / 4]), magnitude(next.a));
     }
     if (kNow && !p.upright) {
       const uint32_t s = v.symbol;
       const size_t steps_of_v = std::min((s + 1) / 2, kShapeSteps - 1u), slant = (s > 0) + (s > 3) + (s > 6);
-      r = code_number(coder, kShapeLane, Mean(this->r[bucket][steps_of_v], r_by_direction[fold][bucket][slant]),
-                      magnitude(now.r));
+      r = code_hybrid_uint(coder, kShapeState, Mean(this->r[bucket][steps_of_v], r_by_direction[fold][bucket][slant]),
+                           magnitude(now.r));
     }
     if (kNext && !p.grey)
-      b = code_number(coder, kColorLane, Mean(this->b[level(a)], b_by_luma[level(a)][level(y)]), magnitude(next.b));
+      b = code_hybrid_uint(coder, kColorState, Mean(this->b[level(a)], b_by_luma[level(a)][level(y)]),
+                           magnitude(next.b));
     uint32_t shape_signs = 0;
     if (kNow) {
       const size_t shaped = (v.symbol != 0) << 1 | (r.symbol != 0);
-      shape_signs = coder.symbol(kShapeLane, this->shape_signs[of_now.direction][shaped], shape_sign_bits(now));
+      shape_signs = coder.symbol(kShapeState, this->shape_signs[of_now.direction][shaped], shape_sign_bits(now));
     }
 
     coder.fetch(v.bits + r.bits + (kNow ? steps.u_bits() : 0) + y.bits + a.bits + b.bits);
@@ -207,7 +211,7 @@ struct Models {
   explicit Models(FromTables);
   static const Models& fresh();
   // Of a magnitude, for contexts; from its symbol, so that the next need not wait for raw bits.
-  static SG_INLINE size_t level(const Number& n) { return (n.symbol > 0) + (n.symbol > 2) + (n.symbol > 5); }
+  static SG_INLINE size_t level(const HybridUint& n) { return (n.symbol > 0) + (n.symbol > 2) + (n.symbol > 5); }
   // Directions that a mirror image has too: none, and for each coherence horizontal, diagonal and vertical.
   static SG_INLINE size_t folded(size_t direction) {
     if (direction < 2) return 0;

@@ -31,7 +31,7 @@ struct BitCounter {
   static constexpr bool kCodesPlaces = false, kDecodes = false;
   double bits = 0;
   template <typename Probabilities>
-  uint32_t symbol(Lane, const Probabilities& model, uint32_t symbol) {
+  uint32_t symbol(RansState, const Probabilities& model, uint32_t symbol) {
     const int i = static_cast<int>(symbol);
     bits += kProbabilityBits - std::log2(static_cast<float>(model.edge(i + 1) - model.edge(i)));
     return symbol;
