@@ -13,7 +13,7 @@ function numbersOf(file, name) {
 
 /** A network as src/map.js takes it. */
 function unitsOf(name, inputs) {
-  const [bias, weights, out] = ["Bias", "Weights", "Out"].map((kind) => numbersOf("structure_net", `k${name}${kind}`));
+  const [bias, weights, out] = ["Bias", "Weights", "Out"].map((kind) => numbersOf("density_net", `k${name}${kind}`));
   return out.flatMap((weight, h) => {
     const own = [0, 1, 2, 3].map((i) => (i < inputs ? weights[inputs * h + i] : 0));
     return [...own, weight, ...bias.filter((_, i) => i % out.length === h)];
@@ -48,7 +48,7 @@ const order = [...starts.keys()].sort((one, other) => ofShort.includes(other) - 
 const renumbered = (rows) => rows.map((row) => order.indexOf(row));
 const sorted = order.map((i) => starts[i]);
 const count = new Set(ofShort).size;
-const net = [...numbersOf("structure_net", "kMapBase"), ...unitsOf("Map", 4), ...unitsOf("Own", 3)];
+const net = [...numbersOf("density_net", "kMapBase"), ...unitsOf("Map", 4), ...unitsOf("Own", 3)];
 const short = renumbered(ofShort);
 const tables = {
   PACKED: pack(sorted.slice(0, count), [0, ...short], []),

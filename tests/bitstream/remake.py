@@ -63,7 +63,7 @@ def arrays(name: str) -> dict[str, Any]:
 
 def models() -> dict[str, Any]:
     """The kernels' tables as the text names them: rows of fifteen numbers, and the weights of the map."""
-    starts, weights = arrays("start_tables.h"), arrays("structure_net.h")
+    starts, weights = arrays("start_tables.h"), arrays("density_net.h")
     rows = starts["kStarts"]
     found = {name: [rows[i] for i in starts[f"kStart{ours}"]] for name, ours in STARTS.items()}
     return {**found, **{name: weights[ours] for name, ours in WEIGHTS.items()}}

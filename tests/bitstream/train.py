@@ -5,7 +5,7 @@
 The pictures are the photographs that benchmarks.perceptual.photographs puts into FOLDER/tuning, whole and two crops of
 each at the middle of their sides, and six of skimage.data; none of them is measured anywhere. They are encoded at three
 rates, and as previews of three sizes. The plain decoder of the tests says what every symbol and every block saw.
---write replaces sgmethod/native/rd/start_tables.h and structure_net.h; without it, they go to the folder of work. Then
+--write replaces sgmethod/native/rd/start_tables.h and density_net.h; without it, they go to the folder of work. Then
 build the kernels, and run tests.bitstream.remake and sgmethod/javascript/tables.mjs: files coded with other tables are
 no longer readable. As the fit prices by the tables so far, a second run gives slightly different ones.
 """
@@ -43,7 +43,7 @@ Counts = dict[str, NDArray[np.float64]]  # by table: how often each symbol came 
 STARTS_ARE = (
     "// Where the models of a stream begin: cumulative probabilities below symbols 1 to 15, in 1/256 (docs/format.md)."
 )
-NET_IS = "// The networks of structure.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md)."
+NET_IS = "// The networks of density_map.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md)."
 MADE_BY = "\n// Made by `python -m tests.bitstream.train`, which names the photographs."
 
 
@@ -233,7 +233,7 @@ def headers(counts: Counts, seen: NDArray[np.float32]) -> dict[str, str]:
     common = c_table("uint8_t", "Starts", edges)
     return {
         "start_tables.h": f"{STARTS_ARE}{begin}{common}// Numbers of rows of kStarts.\n{starts}{end}",
-        "structure_net.h": f"{NET_IS}{begin}{sizes}{net}{end}",
+        "density_net.h": f"{NET_IS}{begin}{sizes}{net}{end}",
     }
 
 

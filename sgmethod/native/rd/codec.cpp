@@ -1,7 +1,7 @@
 // The stream of profile rd (docs/format.md, version 2).
 //
 // Classes of size come from the largest down. Before each, what is decoded says in which blocks of the picture its
-// Gaussians are likely (structure.h). Within a class, Gaussians come block by block, and each place is coded as the
+// Gaussians are likely (density_map.h). Within a class, Gaussians come block by block, and each place is coded as the
 // distance from the one before, which is short where they are likely: no bits are spent on the order, which a set does
 // not have. Then come the colour, u within its class, v, r, and what is left of the place.
 #include "rd/codec.h"
@@ -11,8 +11,8 @@
 
 #include "core/errors.h"
 #include "core/isa.h"
+#include "rd/density_map.h"
 #include "rd/models.h"
-#include "rd/structure.h"
 
 namespace sg {
 namespace {
@@ -45,7 +45,7 @@ uint32_t code_class_number(Coder& coder, uint32_t value = 0) {
 }
 
 // Adds an encoded class to the map.
-void add_class(Structure& structure, const RdParameters& p, const Symbols* s, int n) {
+void add_class(DensityMap& map, const RdParameters& p, const Symbols* s, int n) {
   const auto count = static_cast<size_t>(n);
   std::vector<Parts> parts(count);
   std::vector<double> strengths(count);
@@ -55,21 +55,19 @@ void add_class(Structure& structure, const RdParameters& p, const Symbols* s, in
     strengths[i] = strength_of(s[i]);
   }
   dequantise(p, s, parts.data(), n, {means.data(), factors.data(), colors.data()});
-  structure.add(means.data(), factors.data(), strengths.data(), n);
+  map.add(means.data(), factors.data(), strengths.data(), n);
 }
 
-SG_INLINE uint32_t block_of(const Structure& structure, const Symbols& s) {
-  return structure.block_of(s.column, s.row);
-}
+SG_INLINE uint32_t block_of(const DensityMap& map, const Symbols& s) { return map.block_of(s.column, s.row); }
 // The part of the current block that a Gaussian is in.
-SG_INLINE uint32_t part_of(const Structure& structure, const Symbols& s) {
-  const int halvings = structure.halvings();
+SG_INLINE uint32_t part_of(const DensityMap& map, const Symbols& s) {
+  const int halvings = map.halvings();
   const Parts parts = parts_of(s, Steps(s));
   const auto place = [&](uint32_t cell, uint32_t part, int bits) {
     return uint64_t{(cell - 2) & ((1u << halvings) - 1)} << bits | part;
   };
-  return structure.part_of(place(s.column, s.px, parts.x_bits), halvings + parts.x_bits,
-                           place(s.row, s.py, parts.y_bits), halvings + parts.y_bits);
+  return map.part_of(place(s.column, s.px, parts.x_bits), halvings + parts.x_bits, place(s.row, s.py, parts.y_bits),
+                     halvings + parts.y_bits);
 }
 
 // Copies Gaussians in the order of their numbers, which are below `numbers`. Equal ones stay in order.
@@ -82,37 +80,37 @@ void sort_by(const Symbols* from, size_t n, size_t numbers, const NumberOf& numb
 }
 
 // Encodes a class, whose Gaussians come block by block, and sorts those of a block.
-SG_INLINE void encode_class_body(Encoder& coder, Models& models, const RdParameters& p, Structure& structure,
-                                 Symbols* first, Symbols* end) {
+SG_INLINE void encode_class_body(Encoder& coder, Models& models, const RdParameters& p, DensityMap& map, Symbols* first,
+                                 Symbols* end) {
   const SizeClass c = class_of(p, first->size_class);
   std::vector<std::pair<uint32_t, Symbols>> here;  // of a block, by part
   Begun begun;
   for (Symbols* s = first; s < end;) {
-    const uint32_t block = block_of(structure, *s);
-    uint64_t gap = structure.to_block(block);
+    const uint32_t block = block_of(map, *s);
+    uint64_t gap = map.to_block(block);
     Symbols* behind = s + 1;
-    while (behind < end && block_of(structure, *behind) == block) ++behind;
+    while (behind < end && block_of(map, *behind) == block) ++behind;
     if (behind - s > 1) {
       here.clear();
-      for (const Symbols* one = s; one < behind; ++one) here.emplace_back(part_of(structure, *one), *one);
+      for (const Symbols* one = s; one < behind; ++one) here.emplace_back(part_of(map, *one), *one);
       std::stable_sort(here.begin(), here.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
       std::transform(here.begin(), here.end(), s, [](const auto& one) { return one.second; });
     }
     for (; s < behind; ++s) {
-      const uint32_t on = part_of(structure, *s) - structure.part();
-      structure.advance(on);
-      structure.count();
+      const uint32_t on = part_of(map, *s) - map.part();
+      map.advance(on);
+      map.count();
       if ((gap + on) >> kLowBits > UINT32_MAX) refuse<std::invalid_argument>("Gaussians are too far apart");
-      s->context = structure.context(structure.spot());
+      s->context = map.context(map.spot());
       if (s == first) {
-        models.turn<true, false>(coder, p, c, structure, gap + on, begun, *s, *s);
+        models.turn<true, false>(coder, p, c, map, gap + on, begun, *s, *s);
       } else {
-        models.turn<true, true>(coder, p, c, structure, gap + on, begun, *s, s[-1]);
+        models.turn<true, true>(coder, p, c, map, gap + on, begun, *s, s[-1]);
       }
       gap = 0;
     }
   }
-  models.turn<false, true>(coder, p, c, structure, 0, begun, end[-1], end[-1]);
+  models.turn<false, true>(coder, p, c, map, 0, begun, end[-1], end[-1]);
 }
 #if SG_X86
 template <auto body, typename... Arguments>
@@ -120,7 +118,7 @@ template <auto body, typename... Arguments>
   return body(arguments...);
 }
 #endif
-using EncodeClass = void (*)(Encoder&, Models&, const RdParameters&, Structure&, Symbols* first, Symbols* end);
+using EncodeClass = void (*)(Encoder&, Models&, const RdParameters&, DensityMap&, Symbols* first, Symbols* end);
 EncodeClass best_encode_class() {
 #if SG_X86
   if (best_isa() >= kAvx2 && has_bit_operations()) return with_bit_operations<encode_class_body>;
@@ -152,7 +150,7 @@ struct Decoding {
   const std::function<void(int)>& arrived;
   Coder coder;
   Models models{};
-  Structure structure{p.width, p.height};
+  DensityMap map{p.width, p.height};
   // A chunk, and behind it perhaps a Gaussian of which only the first half is decoded.
   Symbols symbols[kChunk + 1] = {};
   Parts parts[kChunk] = {};
@@ -190,14 +188,14 @@ SG_INLINE int decode_chunk_body(Decoding<kStates>& d, Begun& begun, const SizeCl
   int found = 0;
   d.attempt(coder, [&]() SG_INLINE_LAMBDA {
     s->size_class = by.number;
-    if (begin) models.template turn<true, false>(coder, p, by, d.structure, 0, now, *s, *s);
+    if (begin) models.template turn<true, false>(coder, p, by, d.map, 0, now, *s, *s);
     for (const int turns = more ? wanted : wanted - 1; found < turns; ++found, ++s) {
       s[1].size_class = by.number;
-      d.parts[found] = models.template turn<true, true>(coder, p, by, d.structure, 0, now, s[1], s[0]);
+      d.parts[found] = models.template turn<true, true>(coder, p, by, d.map, 0, now, s[1], s[0]);
       if (!d.whole(coder)) break;
     }
     if (!more && found == wanted - 1) {
-      d.parts[found] = models.template turn<false, true>(coder, p, by, d.structure, 0, now, *s, *s);
+      d.parts[found] = models.template turn<false, true>(coder, p, by, d.map, 0, now, *s, *s);
       found += d.whole(coder);
     }
   });
@@ -220,7 +218,7 @@ template <size_t kStates>
 size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t room, bool maps) {
   static const auto decode_chunk = best_decode_chunk<kStates>();
   const SizeClass c = class_of(d.p, size_class);
-  d.structure.begin(size_class, count);
+  d.map.begin(size_class, count);
   d.out.strengths.clear();
   Begun begun;
   GaussianArrays& values = d.out.values;
@@ -243,8 +241,8 @@ size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t r
     d.symbols[0] = d.symbols[kChunk];
   }
   if (maps)
-    d.structure.add(values.means.data() + 2 * first, values.factors.data() + 3 * first, d.out.strengths.data(),
-                    static_cast<int>(found));
+    d.map.add(values.means.data() + 2 * first, values.factors.data() + 3 * first, d.out.strengths.data(),
+              static_cast<int>(found));
   return found;
 }
 
@@ -344,7 +342,7 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
   const auto class_number = [](const Symbols& s) { return static_cast<size_t>(kMaxClass - s.size_class); };
   sort_by(all.data(), all.size(), kClasses, class_number, sorted.data());
   Encoder coder(all.size());
-  Structure structure(p.width, p.height);
+  DensityMap map(p.width, p.height);
   const int first = sorted.front().size_class, last = sorted.back().size_class;
   code_class_number(coder, static_cast<uint32_t>(kMaxClass - first));
   code_class_number(coder, static_cast<uint32_t>(first - last));
@@ -355,10 +353,10 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
     const auto n = static_cast<uint32_t>(end - at);
     code_whole(coder, kColorState, models.count, n);
     if (n == 0) continue;
-    structure.begin(c, n);
-    sort_by(&sorted[at], n, structure.blocks(), [&](const Symbols& s) { return block_of(structure, s); }, &all[at]);
-    encode_class(coder, models, p, structure, &all[at], &all[at] + n);
-    if (is_mapped(p, c, last)) add_class(structure, p, &all[at], static_cast<int>(n));
+    map.begin(c, n);
+    sort_by(&sorted[at], n, map.blocks(), [&](const Symbols& s) { return block_of(map, s); }, &all[at]);
+    encode_class(coder, models, p, map, &all[at], &all[at] + n);
+    if (is_mapped(p, c, last)) add_class(map, p, &all[at], static_cast<int>(n));
     at = end;
   }
   return coder.finish(p.is_short ? 1 : kRansStates);

@@ -101,7 +101,7 @@ struct SizeClass {
 constexpr int kLowBits = 3;  // of a distance, which are sent without a model
 constexpr int kBuckets = 8, kMagnitudes = 4, kFolds = 10, kShapeSteps = 6, kSlantSteps = 4;
 
-// Tells only what is asked of a Structure while its class is coded.
+// Tells only what is asked of a DensityMap while its class is coded.
 struct NoWalk {};
 
 // Most symbols have two models, of different contexts, and the mean of their probabilities: what the surroundings say,

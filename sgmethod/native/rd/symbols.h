@@ -20,7 +20,7 @@
 #include "core/constants.h"
 #include "core/simd.h"
 #include "rd/codec.h"
-#include "rd/structure.h"
+#include "rd/density_map.h"
 
 namespace sg {
 

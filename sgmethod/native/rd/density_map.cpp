@@ -1,11 +1,11 @@
-#include "rd/structure.h"
+#include "rd/density_map.h"
 
 #include <cmath>
 #include <cstring>
 #include <utility>
 
 #include "core/isa.h"
-#include "rd/structure_net.h"
+#include "rd/density_net.h"
 #include "rd/symbols.h"
 
 namespace sg {
@@ -66,7 +66,7 @@ int mean_energy(double energy, uint64_t blocks) {
 
 }  // namespace
 
-void Structure::begin(int size_class, uint32_t count) {
+void DensityMap::begin(int size_class, uint32_t count) {
   const int cell = cell_bits(size_class);
   class_ = size_class;
   count_ = std::max(count, 1u);
@@ -126,7 +126,7 @@ void Structure::begin(int size_class, uint32_t count) {
 }
 
 // Sums of 3x3 blocks, row after row: along x and then down; what lies outside counts nothing.
-class Structure::Sums {
+class DensityMap::Sums {
  public:
   explicit Sums(const Blocks& of) : of_(of), columns_(static_cast<size_t>(of.columns)), along_(3 * columns_) { add(0); }
 
@@ -160,7 +160,7 @@ class Structure::Sums {
 };
 
 // Adds to the base what the map says.
-void Structure::predict() {
+void DensityMap::predict() {
   const Blocks* of_class = &map_;
   for (int bits = bits_ + 1; bits <= block_bits_; ++bits) {
     pool(*of_class, bits, spare_);
@@ -193,7 +193,7 @@ void Structure::predict() {
   }
 }
 
-int Structure::learn(uint32_t beside, uint32_t around) {
+int DensityMap::learn(uint32_t beside, uint32_t around) {
   const uint64_t n1 = 256 * uint64_t{beside} * blocks_ / (6 * uint64_t{count_});
   const uint64_t n2 = 256 * uint64_t{around} * blocks_ / (40 * uint64_t{count_});
   const int f[3] = {log_16(n1 + 77) - 128, log_16(n2 + 77) - 128, density_};
@@ -210,7 +210,7 @@ int Structure::learn(uint32_t beside, uint32_t around) {
 }
 
 // False after the last row.
-bool Structure::next_row() {
+bool DensityMap::next_row() {
   if (++row_ == height_in_blocks_) return false;
   column_ = 0;
   at_ += 2 * kPad;
@@ -231,7 +231,7 @@ bool Structure::next_row() {
   return true;
 }
 
-Structure::Blocks Structure::blocks(int bits) const {
+DensityMap::Blocks DensityMap::blocks(int bits) const {
   Blocks b;
   b.columns = blocks_along(width_, bits);
   b.rows = blocks_along(height_, bits);
@@ -240,7 +240,7 @@ Structure::Blocks Structure::blocks(int bits) const {
 }
 
 // Sums of 2x2 blocks.
-void Structure::pool(const Blocks& from, int bits, Blocks& to) const {
+void DensityMap::pool(const Blocks& from, int bits, Blocks& to) const {
   to = blocks(bits);
   const Quad none{};
   for (int y = 1; y < to.rows; ++y) {
@@ -262,7 +262,7 @@ void Structure::pool(const Blocks& from, int bits, Blocks& to) const {
   }
 }
 
-uint64_t Structure::to_block(uint32_t block) {
+uint64_t DensityMap::to_block(uint32_t block) {
   uint64_t parts = 0;
   while (static_cast<uint32_t>(row_) * static_cast<uint32_t>(width_in_blocks_) + static_cast<uint32_t>(column_) <
          block) {
@@ -273,7 +273,7 @@ uint64_t Structure::to_block(uint32_t block) {
   return parts;
 }
 
-void Structure::add(const float* means, const float* factors, const double* strengths, int n) {
+void DensityMap::add(const float* means, const float* factors, const double* strengths, int n) {
   const float scale = static_cast<float>(std::ldexp(1.0, -bits_));
   gaussians_ += static_cast<uint64_t>(n);
   const Quad last_column = Quad{} + static_cast<float>(map_.columns - 1);

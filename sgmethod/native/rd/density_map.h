@@ -3,7 +3,7 @@
 // the same, from single precision without fused operations and from integers, so every machine agrees.
 //
 // The map has the energy and the doubled direction of the gradient in blocks. From these, and from the class's
-// Gaussians so far in the blocks around, two small networks (structure_net.h) predict how many Gaussians a block has. A
+// Gaussians so far in the blocks around, two small networks (density_net.h) predict how many Gaussians a block has. A
 // block is divided into a power of two of parts, so that a Gaussian is expected in every 64 parts, and places are coded
 // as distances counted in parts: likely blocks are long, unlikely ones short.
 #pragma once
@@ -58,9 +58,9 @@ struct Spot {
   int x_bits = 0, y_bits = 0;
 };
 
-class Structure {
+class DensityMap {
  public:
-  Structure(int width, int height) : width_(width), height_(height) {}
+  DensityMap(int width, int height) : width_(width), height_(height) {}
 
   // Begins a class of `count` Gaussians, at its first part.
   void begin(int size_class, uint32_t count);

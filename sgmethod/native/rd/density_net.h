@@ -1,4 +1,4 @@
-// The networks of structure.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md).
+// The networks of density_map.h: logarithms in sixteenths of an octave, weights in 1/64 (docs/format.md).
 // Made by `python -m tests.bitstream.train`, which names the photographs.
 #pragma once
 
