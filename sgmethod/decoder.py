@@ -201,7 +201,7 @@ def _drawn(scene: Scene) -> NDArray[np.uint8]:
             gaussians.factors,
             *size,
             scene.cutoff,
-            max_pairs=native.most_pairs(len(gaussians), *size),
+            max_pairs=native.max_pairs_of(len(gaussians), *size),
             pyramid=scene.pyramid,
             x=x,
             y=y,

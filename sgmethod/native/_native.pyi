@@ -57,7 +57,7 @@ def stay_alone() -> None:
 def release_memory() -> None:
     """Return cached free memory to the system, before work that needs other sizes."""
 
-def most_pairs(gaussians: int, width: int, height: int) -> int:
+def max_pairs_of(gaussians: int, width: int, height: int) -> int:
     """Most pairs of Gaussian and tile that a picture may need; a file that needs more is hostile."""
 
 def unpack_texture(data: bytes, width: int, height: int) -> tuple[NDArray[np.uint8], int]:
@@ -310,7 +310,7 @@ def rd_lay_out(
 ) -> tuple[Rasterization, FloatArray]:
     """Decode a payload to a Rasterization of the whole picture and the colours; the two overlap in time.
 
-    Raises the errors of rd_decode() and Rasterization, with most_pairs() as max_pairs.
+    Raises the errors of rd_decode() and Rasterization, with max_pairs_of() as max_pairs.
     """
 
 def rd_decode(

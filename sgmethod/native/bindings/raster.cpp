@@ -119,7 +119,7 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
 }  // namespace
 
 void bind_raster(nb::module_& m) {
-  m.def("most_pairs", &sg::most_pairs, "gaussians"_a, "width"_a, "height"_a);
+  m.def("max_pairs_of", &sg::max_pairs_of, "gaussians"_a, "width"_a, "height"_a);
   m.def("unpack_texture", &unpack_texture, "data"_a, "width"_a, "height"_a);
   nb::class_<sg::Texture>(m, "Texture")
       .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);

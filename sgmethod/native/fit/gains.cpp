@@ -102,17 +102,17 @@ SG_INLINE void gains_body(const Residual& residual, const std::vector<Blur>& blu
   for (int first = 0; first < residual.width; first += kColumns)
     for (int row = begin; row < end; ++row) {
       const int count = std::min(kColumns, residual.width - first);
-      float* const most = gain + int64_t{row} * residual.width + first;
+      float* const largest = gain + int64_t{row} * residual.width + first;
       uint8_t* const which = chosen + int64_t{row} * residual.width + first;
-      std::fill_n(most, count, -1.0f);
+      std::fill_n(largest, count, -1.0f);
       std::fill_n(which, count, uint8_t{0});  // where no gain is a number
       for (size_t b = 0; b < blurs.size(); ++b) {
         const float* const squares = part.squares<W>(blurs[b], row, first, count);
         const float scale = blurs[b].scale;
         for (int x = 0; x < count; ++x) {
           const float own = squares[x] * scale;
-          which[x] = own > most[x] ? static_cast<uint8_t>(b) : which[x];
-          most[x] = std::max(most[x], own);
+          which[x] = own > largest[x] ? static_cast<uint8_t>(b) : which[x];
+          largest[x] = std::max(largest[x], own);
         }
       }
     }

@@ -93,10 +93,10 @@ TileTarget target_of(const Rasterization& raster, int tile, const int16_t* targe
 SG_CLONES void subtract(const int16_t* target, const float* values, int columns, float* to) {
   constexpr float kStep = 1.0f / kTargetWhite;
   __builtin_prefetch(target + kAhead);
-  float left[kTileWidth];
+  float row[kTileWidth];
   if (columns == kTileWidth) {
-    for (int i = 0; i < kTileWidth; ++i) left[i] = static_cast<float>(target[i]) * kStep - values[i];
-    std::memcpy(to, left, sizeof left);
+    for (int i = 0; i < kTileWidth; ++i) row[i] = static_cast<float>(target[i]) * kStep - values[i];
+    std::memcpy(to, row, sizeof row);
   } else {
     for (int i = 0; i < columns; ++i) to[i] = static_cast<float>(target[i]) * kStep - values[i];
   }
@@ -149,8 +149,8 @@ void missing_halved(const Rasterization& raster, const float* colors, const int1
   });
 }
 
-void leave(const Rasterization& raster, const float* colors, const int16_t* target, const Strips& left, Planes& reduced,
-           const int16_t* visibility) {
+void draw_residual(const Rasterization& raster, const float* colors, const int16_t* target, const Strips& residual,
+                   Planes& reduced, const int16_t* visibility) {
   Planes coarse(raster.grids(), Planes::Rows::kWhole, 2);
   raster.draw_coarse(colors, 2, coarse);
   const auto each = [&](int tile, Rasterization::Part& part, float* values) {
@@ -158,7 +158,8 @@ void leave(const Rasterization& raster, const float* colors, const int16_t* targ
     raster.draw_tile(tile, coarse, colors, part, values);
     fit_kernels(raster.isa()).difference(values, target_of(raster, tile, target, -1.0f));
     const Rasterization::Area a = raster.area(tile);
-    std::memcpy(left.row(a.x / kTileWidth, a.y), values, static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
+    std::memcpy(residual.row(a.x / kTileWidth, a.y), values,
+                static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
     if (visibility != nullptr) weigh(raster, tile, visibility, values);
   };
   Reduction(raster, each, reduced).run();

@@ -19,10 +19,10 @@ void missing(const Rasterization& raster, const float* colors, const int16_t* ta
 // The same at half the size, by means of four, of an odd side's last sample with itself. A part of the picture must
 // begin with a whole tile.
 void missing_halved(const Rasterization& raster, const float* colors, const int16_t* target, float* image);
-// left = residual; reduced = the residual, times the visibility if given, reduced to the coarse levels of
+// residual = target minus picture; reduced = the same, times the visibility if given, reduced to the coarse levels of
 // raster.grids().
-void leave(const Rasterization& raster, const float* colors, const int16_t* target, const Strips& left, Planes& reduced,
-           const int16_t* visibility = nullptr);
+void draw_residual(const Rasterization& raster, const float* colors, const int16_t* target, const Strips& residual,
+                   Planes& reduced, const int16_t* visibility = nullptr);
 
 // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
 void backward(const Rasterization& raster, const float* colors, const float* image_grad, const MutableGaussians& out);

@@ -127,8 +127,8 @@ class Reduction {
     constexpr int kTasks = 4;  // rows of tiles for each thread at least, so that none waits long for the others
     const Grid& level_1 = planes_.grid(1);
     const int64_t row_floats = 3 * planes_.stride(1);
-    const int most = static_cast<int>(kTogetherFloats / (kRows * row_floats));
-    const int together = std::max(most, kTasks * thread_count());
+    const int cached = static_cast<int>(kTogetherFloats / (kRows * row_floats));
+    const int together = std::max(cached, kTasks * thread_count());
     Scratch memory(static_cast<size_t>((together + 4) * kRows * row_floats));
     LevelRows rows{memory.get(), level_1.y, planes_.stride(1)};
     LevelReduction picture(raster_, planes_, 0, loading(0, rows)), next(raster_, planes_, 1, loading(1, rows));

@@ -51,7 +51,7 @@ int checked_isa(int isa) {
 
 }  // namespace
 
-int64_t most_pairs(int n, int width, int height) {
+int64_t max_pairs_of(int n, int width, int height) {
   const Grid grid{0, 0, width, height};
   return 16 * int64_t{n} + 256 * int64_t{grid.strips()} * grid.blocks();
 }
@@ -70,7 +70,7 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, co
 }
 
 Rasterization::Rasterization(const StreamedGaussians& stream, const Canvas& canvas)
-    : Rasterization(canvas, -1, stream.most) {
+    : Rasterization(canvas, -1, stream.limit) {
   factors_.resize(3 * static_cast<size_t>(n_));
   const std::unique_ptr<float[]> means(new float[2 * static_cast<size_t>(n_)]);
   const int64_t pairs = find_pairs(means.get(), kPairsAtOnce, kPairsAtOnce, [&](const Chunk& body) {
@@ -83,9 +83,9 @@ Rasterization::Rasterization(const StreamedGaussians& stream, const Canvas& canv
   factors_.resize(3 * static_cast<size_t>(n_));
   levels_.resize(n_);
   bins_.resize((n_ + chunk_ - 1) / chunk_);
-  const int64_t most = most_pairs(n_, width(), height());
-  if (pairs > kPairsAtOnce) lay_out(means.get(), most);
-  else if (pairs > most) refuse<std::overflow_error>(kTooManyPairs);
+  const int64_t max_pairs = max_pairs_of(n_, width(), height());
+  if (pairs > kPairsAtOnce) lay_out(means.get(), max_pairs);
+  else if (pairs > max_pairs) refuse<std::overflow_error>(kTooManyPairs);
   sort_pairs();
   set_textures();
 }

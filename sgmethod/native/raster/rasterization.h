@@ -27,7 +27,7 @@ constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory runs o
 
 // Most pairs that n Gaussians over a picture may need. Fitted ones need at most a fifth of this (six pictures from 0.03
 // to 12 bpp, among them noise and a constant). In a hostile file every Gaussian could cover everything.
-int64_t most_pairs(int n, int width, int height);
+int64_t max_pairs_of(int n, int width, int height);
 
 struct Pair {
   int32_t gaussian;
@@ -44,10 +44,10 @@ struct Canvas {
   std::shared_ptr<const Texture> texture = nullptr;  // only with a pyramid
 };
 
-// At most `most` Gaussians, produced one after the other. bring(there) produces them all, and calls there(n) once the
+// At most `limit` Gaussians, produced one after the other. bring(there) produces them all, and calls there(n) once the
 // first n are there. values() writes those of [first, last): means [last - first, 2] and factors [last - first, 3].
 struct StreamedGaussians {
-  int most;
+  int limit;
   std::function<void(const std::function<void(int)>& there)> bring;
   std::function<void(int first, int last, float* means, float* factors)> values;
 };
@@ -59,7 +59,7 @@ class Rasterization {
   // max_pairs pairs of Gaussian and tile, to which memory and time are proportional; std::invalid_argument for an
   // invalid size, cutoff or instruction set.
   Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa, int64_t max_pairs);
-  // The same while the Gaussians are still being produced, with most_pairs() as the limit.
+  // The same while the Gaussians are still being produced, with max_pairs_of() as the limit.
   Rasterization(const StreamedGaussians& stream, const Canvas& canvas);
 
   // image [3, height, width] = sum of colours times weights.

@@ -33,7 +33,7 @@ double strength_of(const Symbols& s) { return static_cast<double>(Steps(s).squar
 
 // The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Each takes
 // three bits at least, the lowest of its distance; fitted ones take 20 and more.
-uint64_t most_in(const RdParameters& p, size_t bytes) {
+uint64_t max_gaussians_in(const RdParameters& p, size_t bytes) {
   const uint64_t pixels = static_cast<uint64_t>(p.width) * static_cast<uint64_t>(p.height);
   return std::min({pixels, kMaxGaussians, uint64_t{3} * bytes + 64});
 }
@@ -249,7 +249,7 @@ size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t r
 // Decodes a payload. False where a prefix ended. Throws std::runtime_error on what no encoder writes.
 template <size_t kStates>
 bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
-  const uint64_t most = most_in(d.p, d.size);
+  const uint64_t at_most = max_gaussians_in(d.p, d.size);
   const bool begun = d.coder.begins();
   const int first = kMaxClass - static_cast<int>(code_class_number(d.coder));
   const int last = first - static_cast<int>(code_class_number(d.coder));
@@ -259,8 +259,8 @@ bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
   for (int c = first; c >= last; --c) {
     const uint32_t count = code_whole(d.coder, kColorState, d.models.count);
     if (!d.whole(d.coder)) return false;
-    if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
-    const size_t room = std::min<uint64_t>(count, most - done);
+    if (!d.prefix && count > at_most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
+    const size_t room = std::min<uint64_t>(count, at_most - done);
     if (done + room > limit) refuse<std::overflow_error>("more Gaussians than the limit");
     if (count == 0) continue;
     const size_t found = read_class(d, c, std::min<uint32_t>(count, kMaxGaussians), room, is_mapped(d.p, c, last));
@@ -335,7 +335,8 @@ RdParameters::RdParameters(int width, int height, double quantum, bool grey, boo
 
 std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
   if (all.empty()) return {};
-  if (all.size() > most_in(p, SIZE_MAX / 16)) refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
+  if (all.size() > max_gaussians_in(p, SIZE_MAX / 16))
+    refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
   static const auto encode_class = best_encode_class();
   constexpr size_t kClasses = kMaxClass - kMinClass + 1;
   std::vector<Symbols> sorted(all.size());
@@ -371,7 +372,7 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const ConstGaussians& gaus
 GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
   Decoded out;
   if (size == 0) return {};
-  reserve(out.values, std::min<uint64_t>(most_in(p, size), size / 2));  // in 16 bits each
+  reserve(out.values, std::min<uint64_t>(max_gaussians_in(p, size), size / 2));  // in 16 bits each
   decode_into(p)(p, data, size, prefix, max_gaussians, out, [](int) {});
   return std::move(out.values);
 }

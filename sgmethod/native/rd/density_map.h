@@ -89,9 +89,9 @@ class DensityMap {
     Context c{0, 0, static_cast<int8_t>(spot.x_bits - halvings_), static_cast<int8_t>(spot.y_bits - halvings_)};
     if (!known_) return c;
     const int down = block_bits_ - bits_;
-    const auto block = [&](int of_class, uint32_t part, int bits, int most) {
+    const auto block = [&](int of_class, uint32_t part, int bits, int blocks) {
       const auto inside = static_cast<int>((uint64_t{part} << down) >> bits);
-      return std::clamp((of_class - kRim) * (1 << down) + inside + kRim, 0, most - 1);
+      return std::clamp((of_class - kRim) * (1 << down) + inside + kRim, 0, blocks - 1);
     };
     const int x = block(column_, spot.x, spot.x_bits, map_.columns), y = block(row_, spot.y, spot.y_bits, map_.rows);
     const Quad sum = around(x, y);

@@ -11,8 +11,8 @@ constexpr size_t kMinBits = 18;    // of a Gaussian; a file may have smaller one
 constexpr size_t kMaxRoom = 1 << 18;  // Gaussians for which memory is taken before they are counted
 
 LaidOut laid_out(GaussianArrays&& g, const Canvas& canvas) {
-  const int64_t most = most_pairs(g.count(), canvas.width, canvas.height);
-  auto raster = std::make_unique<Rasterization>(g.means.data(), g.factors.data(), g.count(), canvas, -1, most);
+  const int64_t max_pairs = max_pairs_of(g.count(), canvas.width, canvas.height);
+  auto raster = std::make_unique<Rasterization>(g.means.data(), g.factors.data(), g.count(), canvas, -1, max_pairs);
   return {std::move(raster), std::move(g.colors)};
 }
 

@@ -62,7 +62,7 @@ SG_INLINE float place(uint32_t cell, uint32_t part, int bits, double side) {
 }  // namespace
 
 bool in_range(const float* l, const float* color) {
-  const auto small = [](float v, double most) { return std::abs(v) <= 1.5 * most; };
+  const auto small = [](float v, double max) { return std::abs(v) <= 1.5 * max; };
   return small(l[1], kMaxSlant * l[2]) && small(l[0], kMaxScale) && small(l[2], kMaxScale) &&
          small(color[0], kMaxAmplitude) && small(color[1], kMaxAmplitude) && small(color[2], kMaxAmplitude);
 }
@@ -116,9 +116,9 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
     const double cells = position / (1 << cell) + kBorderCells;
     const auto c = static_cast<uint32_t>(within(std::floor(cells), 0.0, cells_along(side, cell) - 1.0));
-    const double most = static_cast<double>(1u << refine);
-    const double inside = (cells - c) * most;
-    part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, most - 1));
+    const double parts = static_cast<double>(1u << refine);
+    const double inside = (cells - c) * parts;
+    part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, parts - 1));
     return c;
   };
   s.column = place(mean[0], p.width, parts.x_bits, s.px);

@@ -63,7 +63,7 @@ struct Steps {
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
   // Whether there is a shape with these steps of v and r.
   bool allow(uint32_t v_steps, uint32_t r_steps) const {
-    const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };
+    const auto within = [&](uint32_t steps, double max) { return steps <= static_cast<uint64_t>(max) << exponent; };
     return within(v_steps, kMaxV) && within(r_steps, kMaxR / kRStep);
   }
 };

@@ -14,19 +14,19 @@ SG_CLONES void sum_rows(const SpanSamples& s, const float* color, float square, 
   const float *weights = s.weights, *product = s.product, *e = s.residual, *visibility = s.visibility;
   const float c0 = color[0], c1 = color[1], c2 = color[2];
   for (int row = 0; row < rows; ++row, y += 1.0f) {
-    float left[kTileWidth];
+    float weighted[kTileWidth];
     for (int i = 0; i < kTileWidth; ++i) {
       const float r = c0 * e[i] + c1 * e[i + s.color_stride] + c2 * e[i + 2 * s.color_stride] - square * product[i];
-      left[i] = r * (weights[i] > 0.0f ? weights[i] + floor : 0.0f);
+      weighted[i] = r * (weights[i] > 0.0f ? weights[i] + floor : 0.0f);
     }
     if (visibility != nullptr) {
-      for (int i = 0; i < kTileWidth; ++i) left[i] *= visibility[i];
+      for (int i = 0; i < kTileWidth; ++i) weighted[i] *= visibility[i];
       visibility += kTileWidth;
     }
     for (int i = 0; i < kTileWidth; ++i) {
-      sums[0][i] += left[i];
-      sums[1][i] += left[i] * y;
-      sums[2][i] += left[i] * y * y;
+      sums[0][i] += weighted[i];
+      sums[1][i] += weighted[i] * y;
+      sums[2][i] += weighted[i] * y * y;
     }
     weights += s.stride;
     product += s.stride;

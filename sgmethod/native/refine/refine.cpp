@@ -31,7 +31,7 @@ namespace {
 constexpr double kConverged = 0.02;   // a sweep that changes a smaller share of the Gaussians is the last
 constexpr int kCoarseSweeps = 2;
 constexpr double kSmallExcess = 0.004;  // as a part of the payload
-constexpr int kPatience = 64;         // Gaussians between two looks at the clock
+constexpr int kClockCheckInterval = 64;         // Gaussians between two readings of the clock
 // Samples along a cell's side, half of which is a multiple of kTileWidth. Smaller on coarse levels, which would else be
 // one cell.
 constexpr int kCell = 128, kCoarseCell = 64;
@@ -46,8 +46,8 @@ class Refinement {
         state_{p, settings, exp_minus(kCutoffV2), std::sqrt(2.0f * kCutoffV2), {}, nullptr, gram_, nullptr, {}},
         all_(std::move(all)) {
     const int64_t width = width_, height = height_, strips = (width + kTileWidth - 1) / kTileWidth;
-    values_.reset(new float[strips * height * 3 * kTileWidth]);  // of which each look() sets all
-    state_.left = {values_.get(), width_, height_};
+    values_.reset(new float[strips * height * 3 * kTileWidth]);  // of which each redraw() sets all
+    state_.residual = {values_.get(), width_, height_};
     if (settings.visibility == nullptr) return;
     visibility_.reset(new float[strips * height * kTileWidth]);
     parallel_for(static_cast<int>(strips), [&](int strip) {
@@ -87,7 +87,7 @@ class Refinement {
   }
 
   // Draws the picture, and sets the residual.
-  void look() {
+  void redraw() {
     drawn_ = all_;
     GaussianArrays g;
     levels_ = decode(all_, g);
@@ -95,11 +95,12 @@ class Refinement {
     reduced_.reset();  // frees a third of a picture before the next is allocated
     reduced_ = std::make_unique<Planes>(raster.grids());
     state_.reduced = reduced_.get();
-    leave(raster, g.colors.data(), target_, state_.left, *reduced_, state_.settings.visibility);
+    draw_residual(raster, g.colors.data(), target_, state_.residual, *reduced_, state_.settings.visibility);
   }
 
-  // Updates the residual of a level for changes on levels above it since look(), which is less work than to look again.
-  void follow(int level) {
+  // Updates the residual of a level for changes on levels above it since redraw(), which is less work than to draw
+  // again.
+  void update_residual(int level) {
     std::vector<Symbols> changed, now;
     for (size_t i = 0; i < all_.size(); ++i) {
       if (levels_[i] <= level || std::memcmp(&drawn_[i], &all_[i], sizeof all_[i]) == 0) continue;
@@ -122,7 +123,7 @@ class Refinement {
     const size_t n = symbols.size();
     g = {std::vector<float>(2 * n), std::vector<float>(3 * n), std::vector<float>(3 * n)};
     std::vector<int> levels(n);
-    parallel_each(static_cast<int>(n), kPatience, [&](int64_t i) {
+    parallel_each(static_cast<int>(n), kClockCheckInterval, [&](int64_t i) {
       const Candidate c = state_.decoded(symbols[i]);
       std::copy_n(c.place, 2, &g.means[2 * i]);
       std::copy_n(c.shape, 3, &g.factors[3 * i]);
@@ -139,14 +140,14 @@ class Refinement {
 
   // Visits all Gaussians once, level by level from the top. Returns the number of changed ones.
   size_t visit_everywhere(bool coarse) {
-    look();
+    redraw();
     std::vector<std::vector<size_t>> waiting(static_cast<size_t>(reduced_->top()) + 1);
     for (size_t i = 0; i < all_.size(); ++i) waiting[static_cast<size_t>(levels_[i])].push_back(i);
     size_t changed = 0;
     for (int level = coarse ? reduced_->top() : 0; level >= 0; --level) {
       std::vector<size_t>& here = waiting[static_cast<size_t>(level)];
       if (here.empty()) continue;
-      if (changed != 0) level == 0 ? look() : follow(level);
+      if (changed != 0) level == 0 ? redraw() : update_residual(level);
       changed += visit_cells(level, here);
       changed += visit_all(whole(), here);
     }
@@ -162,7 +163,7 @@ class Refinement {
     const float samples = std::ldexp(1.0f, -level);
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
     std::vector<size_t> cell_of(waiting.size());
-    parallel_each(static_cast<int>(waiting.size()), kPatience, [&](int k) {
+    parallel_each(static_cast<int>(waiting.size()), kClockCheckInterval, [&](int k) {
       const Candidate c = state_.decoded(all_[waiting[k]]);
       const int column = std::clamp(static_cast<int>(c.place[0] * samples / side), 0, columns - 1);
       const int row = std::clamp(static_cast<int>(c.place[1] * samples / side), 0, rows - 1);
@@ -189,13 +190,13 @@ class Refinement {
   // number of changed ones.
   size_t visit_all(const Part& part, std::vector<size_t>& waiting) {
     Visitor visitor(state_, part);
-    size_t changed = 0, left = 0;
-    for (size_t k = 0; k < waiting.size() && (k % kPatience != 0 || Clock::now() < until_); ++k) {
+    size_t changed = 0, still_waiting = 0;
+    for (size_t k = 0; k < waiting.size() && (k % kClockCheckInterval != 0 || Clock::now() < until_); ++k) {
       const Outcome outcome = visitor.visit(all_[waiting[k]]);
-      if (outcome == Outcome::kOutside) waiting[left++] = waiting[k];
+      if (outcome == Outcome::kOutside) waiting[still_waiting++] = waiting[k];
       changed += outcome == Outcome::kChanged;
     }
-    waiting.resize(left);
+    waiting.resize(still_waiting);
     return changed;
   }
 
@@ -218,10 +219,10 @@ class Refinement {
   // The neighbours of dropped ones gain in worth, so the order becomes stale: unless the excess is small, or time is
   // over, this stops after one round, to be called again.
   void drop_least(std::vector<uint8_t>& payload) {
-    look();
+    redraw();
     std::vector<std::pair<double, size_t>> order(all_.size());
     std::vector<double> sizes(all_.size());
-    parallel_chunks(static_cast<int>(all_.size()), kPatience, [&](int first, int last, int) {
+    parallel_chunks(static_cast<int>(all_.size()), kClockCheckInterval, [&](int first, int last, int) {
       Visitor visitor(state_, whole());
       for (int i = first; i < last; ++i) {
         const Candidate c = state_.decoded(all_[i]);
@@ -235,8 +236,8 @@ class Refinement {
     std::sort(order.begin(), order.end());
     std::vector<Symbols> staying = all_;
     size_t next = 0;
-    const auto most = static_cast<double>(state_.settings.max_bytes);
-    const auto excess = [&] { return static_cast<double>(payload.size()) - most; };
+    const auto limit = static_cast<double>(state_.settings.max_bytes);
+    const auto excess = [&] { return static_cast<double>(payload.size()) - limit; };
     do {
       double bits = (is_late() ? 1.0 : 0.6) * 8.0 * excess();  // less, because the sizes are estimates
       for (; next < order.size() && bits > 0; ++next) {
@@ -254,11 +255,11 @@ class Refinement {
   const Gram gram_;
   State state_;
   std::vector<Symbols> all_;
-  std::vector<Symbols> drawn_;  // all_ at the last look()
-  std::unique_ptr<float[]> values_;  // memory of state_.left
+  std::vector<Symbols> drawn_;  // all_ at the last redraw()
+  std::unique_ptr<float[]> values_;  // memory of state_.residual
   std::unique_ptr<float[]> visibility_;  // memory of state_.visibility
   std::unique_ptr<Planes> reduced_;
-  std::vector<int> levels_;  // of all_ at the last look()
+  std::vector<int> levels_;  // of all_ at the last redraw()
   Clock::time_point until_;
 };
 

@@ -11,7 +11,7 @@ namespace sg {
 
 struct RefineSettings {
   double price;      // squared error, summed over the target, that one bit is worth
-  int sweeps;        // most sweeps over all Gaussians
+  int sweeps;        // limit on sweeps over all Gaussians
   double seconds;    // no sweep begins later, and a running one ends soon after
   uint64_t max_bytes;  // of the payload; Gaussians that gain least for their bits are dropped until it fits
   const int16_t* visibility = nullptr;  // [height, width] of the target: weights of errors (core/constants.h)

@@ -56,10 +56,10 @@ struct State {
   const RdParameters& p;
   const RefineSettings& settings;
   float floor, reach;
-  Strips left;  // residual of all Gaussians
+  Strips residual;  // of all Gaussians
   Planes* reduced;  // the residual reduced to coarse levels
   const Gram& gram;
-  const float* visibility;  // of each pixel, in the layout of one colour of `left`; or null
+  const float* visibility;  // of each pixel, in the layout of one colour of `residual`; or null
   Models models;
 
   Candidate decoded(const Symbols& s) const {
@@ -138,7 +138,7 @@ class Visitor {
     }
     const Footprint f = footprint(c.place, c.shape);
     const std::vector<Span>& spans = spans_of(f, c.shape, 0);
-    fit_kernels(best_isa()).add(f, state_.floor, spans.data(), static_cast<int>(spans.size()), color, state_.left);
+    fit_kernels(best_isa()).add(f, state_.floor, spans.data(), static_cast<int>(spans.size()), color, state_.residual);
   }
 
   void project(const Candidate& c, float* products) {
@@ -154,7 +154,7 @@ class Visitor {
     const Footprint f = footprint(c.place, c.shape);
     const std::vector<Span>& spans = spans_of(f, c.shape, 0);
     fit_kernels(best_isa())
-        .project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left, state_.visibility,
+        .project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.residual, state_.visibility,
                  products);
   }
 
@@ -207,11 +207,11 @@ class Visitor {
     SpanSamples s{patch_.weights(row) + column, nullptr, patch_.columns(), nullptr, 0, 0, nullptr};
     if (level == 0) {
       s.product = s.weights;
-      s.residual = state_.left.row(span.strip, y);
+      s.residual = state_.residual.row(span.strip, y);
       s.residual_stride = 3 * kTileWidth;
       s.color_stride = kTileWidth;
       if (state_.visibility != nullptr)
-        s.visibility = state_.visibility + (static_cast<int64_t>(span.strip) * state_.left.height + y) * kTileWidth;
+        s.visibility = state_.visibility + (static_cast<int64_t>(span.strip) * state_.residual.height + y) * kTileWidth;
     } else {
       s.product = patch_.product(row) + column;
       s.residual = state_.reduced->at(level, x, y);

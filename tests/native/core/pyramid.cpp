@@ -56,13 +56,13 @@ struct Residual {
   Residual(int width, int height, const sg::GaussianArrays& g)
       : raster(g.means.data(), g.factors.data(), kAll, {0, 0, width, height, sg::kCutoffV2, true}, -1, sg::kMaxPairs),
         strips(static_cast<size_t>(raster.grids()[0].strips() * height * 3 * sg::kTileWidth)),
-        left{strips.data(), width, height}, reduced(raster.grids()) {
+        residual{strips.data(), width, height}, reduced(raster.grids()) {
     const std::vector<int16_t> target(static_cast<size_t>(3 * width * height), sg::kTargetWhite / 2);
-    sg::leave(raster, g.colors.data(), target.data(), left, reduced);
+    sg::draw_residual(raster, g.colors.data(), target.data(), residual, reduced);
   }
   sg::Rasterization raster;
   std::vector<float> strips;
-  sg::Strips left;
+  sg::Strips residual;
   sg::Planes reduced;
 };
 
@@ -198,13 +198,14 @@ TEST(levels_of_what_is_no_ellipse) {
 TEST(residuals_are_reduced_by_enlarging_transposed) {
   for (const auto& [width, height] : kSizes) {
     Residual residual(width, height, scattered(width, height));
-    Matrix left(height, width);
+    Matrix residuals(height, width);
     for (int y = 0; y < height; ++y)
-      for (int x = 0; x < width; ++x) left.at(y, x) = residual.left.row(x / sg::kTileWidth, y)[x % sg::kTileWidth];
+      for (int x = 0; x < width; ++x)
+        residuals.at(y, x) = residual.residual.row(x / sg::kTileWidth, y)[x % sg::kTileWidth];
     CHECK(residual.reduced.top() >= 4);
     for (int level = 1; level <= residual.reduced.top(); ++level) {
       const Level own(residual.raster.grids(), level);
-      CHECK(difference(residual.reduced, level, own.reduced(left)) < kTolerance);
+      CHECK(difference(residual.reduced, level, own.reduced(residuals)) < kTolerance);
     }
   }
 }

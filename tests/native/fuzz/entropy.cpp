@@ -40,7 +40,7 @@ std::shared_ptr<const sg::Texture> texture_of(const uint8_t* data, size_t size, 
 
 void draw(const sg::RdParameters& p, sg::GaussianArrays g, int flags, const uint8_t* data, size_t size) {
   if (int64_t{p.width} * p.height > kMaxPixels) return;
-  const int64_t max_pairs = sg::most_pairs(g.count(), p.width, p.height);
+  const int64_t max_pairs = sg::max_pairs_of(g.count(), p.width, p.height);
   sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV2, true};
   if (flags & kFarOut) {
     canvas.x = kFarX;
