@@ -41,7 +41,7 @@ BEGIN = 0.05  # of the first step
 A_TRY = 0.06  # to find the best integers for a quantum
 PHASES = {"fit": (BEGIN, 0.38), "tune": (0.38, 1.0), "done": (1.0, 1.0)}
 JOINT_STEPS, JOINT_SHARE = (0.0, 0.25, 0.5, 0.75, 1.0), (0.0, 0.12, 0.31, 0.64, 1.0)
-SURE = 0.1  # of the time; an estimate before that is far off
+MIN_SHARE_FOR_ETA = 0.1  # of the time; an estimate before that is far off
 
 
 def share_of(phase: str, step: int, steps: int, tries: int = 1) -> float:
@@ -61,7 +61,7 @@ def seconds_left(trace: Sequence[Mapping[str, Any]], seconds: float, limit_s: fl
     if not trace:
         return None
     (began, begin), (at, share) = ((point["seconds"], point.get("share", 0.0)) for point in (trace[0], trace[-1]))
-    if not begin + SURE <= share < 1:
+    if not begin + MIN_SHARE_FOR_ETA <= share < 1:
         return None
     end = at + (at - began) / (share - begin) * (1 - share)
     return float(max(min(end, limit_s) - seconds, 0.0))

@@ -12,7 +12,7 @@ from sgmethod.scene import FloatArray, Scene
 OVERLAP = "the file's Gaussians overlap beyond what a picture needs"
 SIGNATURE, VERSION_ZERO = 0xD3, 0xC0  # the first byte; the second is this plus the version
 SIGNATURE_BYTES = 2
-BEGINNINGS = tuple(bytes([SIGNATURE, VERSION_ZERO + version]) for version in range(1, 16))  # of files
+MAGICS = tuple(bytes([SIGNATURE, VERSION_ZERO + version]) for version in range(1, 16))  # of files
 SHORT_CHECKSUM, LONG_CHECKSUM = 1, 4  # bytes, the last of the CRC-32 of all that comes before them
 LaidOut = tuple[native.Rasterization, FloatArray]  # Gaussians as they are drawn, and their colours
 

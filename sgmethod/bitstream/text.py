@@ -12,7 +12,7 @@ from sgmethod.bitstream.container import parse, version_of
 from sgmethod.bitstream.stream import SIGNATURE
 from sgmethod.errors import BitstreamError
 
-BEGINNINGS = (b"w", b"x", b"y", b"z")  # of texts, and of no file: w up to version 3, the others for later ones
+TEXT_PREFIXES = (b"w", b"x", b"y", b"z")  # of texts, and of no file: w up to version 3, the others for later ones
 
 
 def to_text(data: bytes) -> str:
@@ -35,4 +35,4 @@ def from_text(text: str) -> bytes:
 
 def file_of(data: bytes) -> bytes:
     """Convert a file's text, perhaps with a line end, to the file, and return other data. Raises BitstreamError."""
-    return from_text(data.decode("latin-1").strip()) if data.startswith(BEGINNINGS) else data
+    return from_text(data.decode("latin-1").strip()) if data.startswith(TEXT_PREFIXES) else data

@@ -20,7 +20,7 @@ BUDGET_HELP = {
     "gaussians": ("N", "number of Gaussians; with profile rd, at most this many"),
 }
 MAX_SEED = 2**32 - 1
-CLOSE = 0.7  # similarity of words, from which one may have been meant
+SUGGESTION_CUTOFF = 0.7  # similarity of words, from which one may have been meant
 
 # argparse's own usage would not show inputs and outputs as separate names.
 USAGES = {
@@ -146,7 +146,7 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the known word that was probably meant, as a question; empty if none is close."""
     from difflib import get_close_matches
 
-    close = get_close_matches(word.partition("=")[0], known, 1, CLOSE)
+    close = get_close_matches(word.partition("=")[0], known, 1, SUGGESTION_CUTOFF)
     return f"; did you mean {close[0]}?" if close else ""
 
 

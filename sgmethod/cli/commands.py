@@ -80,11 +80,11 @@ def run_compare(arguments: argparse.Namespace) -> int:
 
 def _picture(path: str) -> NDArray[np.uint8]:
     """Read the pixels of an image file or an .sg file."""
-    from sgmethod.bitstream.stream import BEGINNINGS
+    from sgmethod.bitstream.stream import MAGICS
     from sgmethod.errors import ImageError
 
     data = paths.read(path)
-    if data.startswith(BEGINNINGS):
+    if data.startswith(MAGICS):
         pixels = decode(data)
         if pixels.shape[2] == 3:
             return pixels

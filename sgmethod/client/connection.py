@@ -14,15 +14,15 @@ from sgmethod.errors import ServerError
 
 Json = dict[str, Any]
 Say = Callable[[str], None]
-AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
+RETRY_STATUSES = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
 PAUSE_S, MAX_PAUSE_S = 1.0, 30.0
-SILENCE_S = 60.0  # more than the longest wait
+READ_TIMEOUT_S = 60.0  # more than the longest wait
 WHERE_THE_KEY_IS = "set SG_API_KEY for the command line, or api_key of a Client"
-UNUSABLE = (
+BAD_PROXY_ENVIRONMENT = (
     "an environment variable names a proxy or a file that cannot be used: HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, "
     "SSL_CERT_FILE or SSLKEYLOGFILE (SOCKS needs: pip install 'httpx2[socks]')"
 )
-PASSING = (httpx2.TimeoutException, httpx2.NetworkError, httpx2.RemoteProtocolError)
+TRANSIENT_ERRORS = (httpx2.TimeoutException, httpx2.NetworkError, httpx2.RemoteProtocolError)
 
 log = logging.getLogger("sgmethod.client")
 
@@ -35,7 +35,7 @@ class RefusedError(ServerError):
         self.problem, self.again_s = problem, again_s
 
 
-class Patience:
+class Backoff:
     """Pauses between retries, growing, until a deadline: so many seconds after the first failure."""
 
     def __init__(self, seconds: float, say: Say) -> None:
@@ -73,9 +73,9 @@ class Connection:
             raise ServerError(f"{server!r} is not a valid address: {error}") from error
         limits = httpx2.Limits(max_connections=None)  # as many as the caller has threads
         try:
-            self._http = httpx2.Client(base_url=url, headers=headers, timeout=SILENCE_S, limits=limits)
+            self._http = httpx2.Client(base_url=url, headers=headers, timeout=READ_TIMEOUT_S, limits=limits)
         except (OSError, ValueError, ImportError, httpx2.InvalidURL):  # whose texts may repeat a proxy's password
-            raise ServerError(UNUSABLE) from None
+            raise ServerError(BAD_PROXY_ENVIRONMENT) from None
 
     def close(self) -> None:
         """Close the connections."""
@@ -83,12 +83,12 @@ class Connection:
 
     def ask(self, method: str, path: str, **request: Any) -> httpx2.Response:
         """Send a request and return the successful response, after retries if they may help."""
-        patience = Patience(self._patience_s, self._on_retry)
+        backoff = Backoff(self._patience_s, self._on_retry)
         while True:
             try:
                 answer = self._http.request(method, path, **request)
             except httpx2.RequestError as error:
-                patience.pause(self._out_of_reach(error))
+                backoff.pause(self._out_of_reach(error))
                 continue
             self._has_answered = True
             if answer.is_success:
@@ -96,7 +96,7 @@ class Connection:
             refusal = _refusal(answer)
             if refusal.again_s is None:
                 raise refusal
-            patience.pause(refusal, refusal.again_s)
+            backoff.pause(refusal, refusal.again_s)
 
     def ask_json(self, method: str, path: str, **request: Any) -> Json:
         """Send a request and return the JSON of the successful response."""
@@ -115,13 +115,13 @@ class Connection:
             )
         # If nothing has ever answered, a wrong address is more likely than a restarting server.
         never = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout) and not self._has_answered
-        if never or not isinstance(error, PASSING):
+        if never or not isinstance(error, TRANSIENT_ERRORS):
             raise failure from error
         return failure
 
 
 def _refusal(answer: httpx2.Response) -> RefusedError:
-    again_s = _retry_after_s(answer.headers) if answer.status_code in AGAIN else None
+    again_s = _retry_after_s(answer.headers) if answer.status_code in RETRY_STATUSES else None
     hint = f"; {WHERE_THE_KEY_IS}" if answer.status_code == httpx2.codes.UNAUTHORIZED else ""
     with suppress(ValueError, KeyError, TypeError):
         problem = answer.json()

@@ -28,7 +28,7 @@ Matrix = NDArray[np.float64]
 
 BAND = 1 << 18  # pixels converted at a time: a whole picture in floats would take more memory than an encode
 MAX_PROFILE_BYTES = 16 << 20  # inflated; profiles of printing presses have one or two MiB
-UNSEEN = 0.75 / 255  # a conversion that moves no colour further is skipped
+MIN_VISIBLE_CHANGE = 0.75 / 255  # a conversion that moves no colour further is skipped
 
 # H.273, tables 2 and 3: x and y of red, green, blue and white; transfer curves. Those of video are treated as sRGB, as
 # screens show them.
@@ -101,7 +101,7 @@ class Space:
             converted = space._converted([curve(values) for curve, values in zip(curves, probe.T, strict=True)])
         if not np.isfinite(converted).all() or np.ptp(converted, 0).min() < 0.1:
             raise ProfileError("it does not describe colours")
-        return None if np.abs(converted - probe).max() < UNSEEN else space
+        return None if np.abs(converted - probe).max() < MIN_VISIBLE_CHANGE else space
 
     def _converted(self, light: list[Values]) -> Values:
         stacked = np.stack(light, -1)
