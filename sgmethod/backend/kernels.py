@@ -47,7 +47,7 @@ class Kernels:
     ) -> tuple[float, Gaussians]:
         out = Gaussians.empty(len(gaussians))
         mse = _raster(gaussians, frame).squared_error(
-            gaussians.colors, target, *out.arrays, *_seen(visibility), frame.spacing
+            gaussians.colors, target, *out.arrays, *_weights(visibility), frame.spacing
         )
         return mse, _by_whole_pixels(out, frame)
 
@@ -84,9 +84,9 @@ class Kernels:
         visibility: Visibility | None = None,
         spacing: int = 1,
     ) -> None:
-        seen, _, coarse = _seen(visibility)
+        weights, _, coarse = _weights(visibility)
         arrays = *gaussians.arrays, *gradient.arrays, moments.first, moments.second, moments.bias
-        native.frame_adam(_adam(settings, values), rate, *arrays, seen, spacing, coarse)
+        native.frame_adam(_adam(settings, values), rate, *arrays, weights, spacing, coarse)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
         values = gaussians.factors, gaussians.colors, gradient.factors, gradient.colors
@@ -97,7 +97,7 @@ class Kernels:
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         d, f = descent, descent.frame
-        visibility, by_eye, coarse = _seen(d.visibility)
+        visibility, by_eye, coarse = _weights(d.visibility)
         native.rd_steps(
             target=d.target,
             cutoff=f.cutoff,
@@ -129,7 +129,7 @@ class Kernels:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        values, by_eye, _ = _seen(visibility)
+        values, by_eye, _ = _weights(visibility)
         return native.rd_refine(
             coding.parameters,
             *gaussians.arrays,
@@ -165,5 +165,5 @@ def _by_whole_pixels(gradient: Gaussians, frame: Frame) -> Gaussians:
     return gradient
 
 
-def _seen(visibility: Visibility | None) -> tuple[NDArray[np.int16] | None, bool, float]:
+def _weights(visibility: Visibility | None) -> tuple[NDArray[np.int16] | None, bool, float]:
     return (None, True, 0.0) if visibility is None else (visibility.values, visibility.by_eye, visibility.coarse)

@@ -55,7 +55,7 @@ def pack(
     Raises GaussiansError if no file can hold the Gaussians, BudgetError, and ImageError for a picture of another size.
     """
     width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
-    own = seen(checked_gaussians(gaussians), (width, height))
+    own = reaching_pixels(checked_gaussians(gaussians), (width, height))
     if len(own) > min(width * height, MAX_GAUSSIANS):
         raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
     below = _levels(background)
@@ -143,7 +143,7 @@ class _Packing:
         )
 
 
-def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
+def reaching_pixels(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
     """Return the Gaussians that reach a pixel's centre in a picture of this size."""
     reach, (width, height) = math.sqrt(2 * native.CUTOFF_V2), size
     x, y = gaussians.means.T.astype(np.float64)
@@ -151,16 +151,16 @@ def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
     column = np.clip(np.ceil(x - reach * l1 - 0.5), 0, width)
     last = np.clip(np.floor(x + reach * l1 - 0.5), -1, width - 1)
     touches = np.zeros(len(gaussians), np.bool_)
-    left = np.flatnonzero(column <= last)
-    while len(left):  # a column at a time, as most reach a pixel in their first or second
-        dx = column[left] + 0.5 - x[left]
-        middle = y[left] + l2[left] / l1[left] * dx
-        half = l3[left] * np.sqrt(np.maximum(reach**2 - np.square(dx / l1[left]), 0))
-        touches[left] = np.maximum(np.ceil(middle - half - 0.5), 0) <= np.minimum(
+    waiting = np.flatnonzero(column <= last)
+    while len(waiting):  # a column at a time, as most reach a pixel in their first or second
+        dx = column[waiting] + 0.5 - x[waiting]
+        middle = y[waiting] + l2[waiting] / l1[waiting] * dx
+        half = l3[waiting] * np.sqrt(np.maximum(reach**2 - np.square(dx / l1[waiting]), 0))
+        touches[waiting] = np.maximum(np.ceil(middle - half - 0.5), 0) <= np.minimum(
             np.floor(middle + half - 0.5), height - 1
         )
-        column[left] += 1
-        left = left[~touches[left] & (column[left] <= last[left])]
+        column[waiting] += 1
+        waiting = waiting[~touches[waiting] & (column[waiting] <= last[waiting])]
     return gaussians.rows(np.flatnonzero(touches))
 
 

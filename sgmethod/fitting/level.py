@@ -41,16 +41,17 @@ class Histogram:
     def __init__(self, pixels: NDArray[np.uint8]) -> None:
         number = pixels.shape[0] * pixels.shape[1]
         counts = _counts(pixels)
-        most = counts.argmax(1)
+        commonest = counts.argmax(1)
         red, green, blue = (round(float(c)) for c in counts @ np.arange(256) / number)
         self.mean = self.background = red, green, blue
         self.has_majority = bool(
-            counts.max(1).min() > number / 2 and cv2.countNonZero(cv2.inRange(pixels, most, most)) > number / 2
+            counts.max(1).min() > number / 2
+            and cv2.countNonZero(cv2.inRange(pixels, commonest, commonest)) > number / 2
         )
         if self.has_majority:
-            self.has_majority = _distance(pixels, most) <= _distance(pixels, np.array(self.mean))
+            self.has_majority = _distance(pixels, commonest) <= _distance(pixels, np.array(self.mean))
         if self.has_majority:
-            red, green, blue = most.tolist()
+            red, green, blue = commonest.tolist()
             self.background = red, green, blue
         self.spread = int(max(np.ptp(np.flatnonzero(of_channel)) for of_channel in counts))
 
@@ -135,8 +136,8 @@ class Level:
         def halve(plane: int) -> None:
             small = halved(self.target[plane])
             if sharpened:
-                least, most, *_ = cv2.minMaxLoc(self.target[plane])
-                small = cv2.filter2D(small, -1, SHARPEN, borderType=cv2.BORDER_REPLICATE).clip(int(least), int(most))
+                low, high, *_ = cv2.minMaxLoc(self.target[plane])
+                small = cv2.filter2D(small, -1, SHARPEN, borderType=cv2.BORDER_REPLICATE).clip(int(low), int(high))
             target[plane] = small
 
         in_parallel(halve, range(3))

@@ -80,26 +80,26 @@ def _places(residual: Rows, size: tuple[int, int], min_gain: float, suppression_
         residual = _drawn_once(residual, height)
     half_size = -(-height // 2), -(-width // 2)
     margin = math.ceil(REACH * narrow[-1]) + _reach(narrow[-1], 1)
-    half, seen = np.empty((3, *half_size), np.float32), np.zeros(half_size, np.float32)
+    half, finer = np.empty((3, *half_size), np.float32), np.zeros(half_size, np.float32)
 
     levels: list[_GainLevel] = []
     if by_shrink:
         for first, end in parts:
             _halve(residual(first, end), half[:, first // 2 : -(-end // 2)])
         levels = _coarse_levels(list(half), by_shrink)
-    hiding = levels[-1].most(suppression_levels - 1) if levels else None
+    hiding = levels[-1].largest(suppression_levels - 1) if levels else None
     found = []
     for first, end in parts:
         top, bottom = max(first - margin, 0), min(end + margin, height)
         level = _GainLevel(list(residual(top, bottom)), 1, narrow)
-        most = level.gain if hiding is None else _larger(level.gain, hiding, top)
+        largest = level.gain if hiding is None else _larger(level.gain, hiding, top)
         here = slice(first - top, end - top)
-        _max_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
-        found.append(level.places(most, min_gain, here, top))
+        _max_of_four(largest[here], out=finer[first // 2 : -(-end // 2)])
+        found.append(level.places(largest, min_gain, here, top))
     for level in reversed(levels):  # finest first
-        np.maximum(seen, level.most(suppression_levels), out=seen)
-        found.append(level.places(seen, min_gain))
-        seen = _max_of_four(seen)
+        np.maximum(finer, level.largest(suppression_levels), out=finer)
+        found.append(level.places(finer, min_gain))
+        finer = _max_of_four(finer)
     return found
 
 
@@ -118,19 +118,19 @@ class _GainLevel:
         """Compute gains. planes [3]: the residual; blurs: in pixels of the full size; coarser: the next level."""
         self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
         self.depth: int = 0 if coarser is None else coarser.depth + 1  # number of coarser levels
-        self._most: dict[int, FloatArray] = {}
+        self._largest: dict[int, FloatArray] = {}
         sigmas = np.array(blurs, np.float32)
         # The gains, and the index of the blur that each is of.
         self.gain, self.chosen = gains(planes, sigmas / np.float32(shrink), np.float32(GAIN) * sigmas**2)
 
-    def most(self, coarser: int) -> FloatArray:
+    def largest(self, coarser: int) -> FloatArray:
         """Largest gain on this level and the next `coarser` ones."""
         coarser = min(coarser, self.depth)
         if self.coarser is None or coarser == 0:
             return self.gain
-        if coarser not in self._most:
-            self._most[coarser] = _larger(self.gain, self.coarser.most(coarser - 1), 0)
-        return self._most[coarser]
+        if coarser not in self._largest:
+            self._largest[coarser] = _larger(self.gain, self.coarser.largest(coarser - 1), 0)
+        return self._largest[coarser]
 
     def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
         """Places in some rows of the level with a gain above `least` that is the largest within their blur's size.

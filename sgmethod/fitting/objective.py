@@ -15,7 +15,7 @@ from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
 from sgmethod.fitting.level import Histogram, Level
 from sgmethod.fitting.moving_target import ExaggeratedTarget, FitTarget, OvershootingTarget
-from sgmethod.fitting.visibility import SeenShare
+from sgmethod.fitting.visibility import VisibleShare
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians, Pixels
 from sgmethod.settings.rd import Effort, ObjectiveSettings
@@ -40,7 +40,7 @@ class Objective:
     is_alpha: bool = False
     shown: Visibility | None = None
     visibility: Visibility | None = None
-    seen_share: SeenShare | None = None
+    visible_share: VisibleShare | None = None
 
     @classmethod
     def from_pixels(
@@ -48,9 +48,9 @@ class Objective:
     ) -> Objective:
         """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque. texture: as in encode()."""
         shown = None if alpha is None else visibility.of_alpha(alpha)
-        seen = shown if tune == "psnr" else visibility.of_detail(pixels, settings.visibility, shown)
-        share = None if seen is None else SeenShare(seen)
-        return cls(pixels, settings, tune, texture and tune == "visual", False, shown, seen, share)
+        visible = shown if tune == "psnr" else visibility.of_detail(pixels, settings.visibility, shown)
+        share = None if visible is None else VisibleShare(visible)
+        return cls(pixels, settings, tune, texture and tune == "visual", False, shown, visible, share)
 
     @classmethod
     def from_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
@@ -100,7 +100,7 @@ class Objective:
         l1, l3 = gaussians.factors[:, 0], gaussians.factors[:, 2]
         energies = np.float32(np.pi) * l1 * l3 * np.square(gaussians.colors).sum(1)
         return np.asarray(
-            energies if self.seen_share is None else energies * self.seen_share.look_up(gaussians), np.float32
+            energies if self.visible_share is None else energies * self.visible_share.look_up(gaussians), np.float32
         )
 
     def grain(self, residual: Rows) -> Target:

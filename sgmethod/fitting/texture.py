@@ -58,21 +58,21 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
         missing[:, here] *= _noisy(wanted)
 
     in_parallel(measure, range(rows))
-    most = settings.max_levels
-    spreads = in_parallel(lambda one: most * np.tanh(_strengths(np.sqrt(one), settings) / most), missing)
+    limit = settings.max_levels
+    spreads = in_parallel(lambda one: limit * np.tanh(_strengths(np.sqrt(one), settings) / limit), missing)
     codes = _codes(np.stack([spread / shown for spread, shown in zip(spreads, SHOWN, strict=True)]))
     return codes if codes.any() else None
 
 
-def grain(source: Pixels, left: Rows, settings: TextureSettings) -> Target:
+def grain(source: Pixels, residual: Rows, settings: TextureSettings) -> Target:
     """Grain to remove from the target, [3, H, W], for a picture [H, W, 3]; TARGET_WHITE is white.
 
-    left: the current residual of the fit, by rows. Grain is detail of the finest octave. In each cell its strength is a
+    residual: of the current fit, by rows. Grain is detail of the finest octave. In each cell its strength is a
     low quantile of its energies in blocks, and each block is filtered as if that were noise (a Wiener filter): detail
     as strong as its surroundings is removed, detail that stands out is kept.
     """
     height, width = source.shape[:2]
-    share = _hidden(source, left, settings)
+    share = _hidden(source, residual, settings)
     size = tuple(BLOCK * side for side in share.shape[::-1])
     share = _plane(cv2.resize(share * (TARGET_WHITE / 255), size, interpolation=cv2.INTER_LINEAR))
     hidden = np.empty((3, height, width), np.int16)
@@ -90,7 +90,7 @@ def grain(source: Pixels, left: Rows, settings: TextureSettings) -> Target:
     return hidden
 
 
-def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
+def _hidden(source: Pixels, residual: Rows, settings: TextureSettings) -> Plane:
     """Share of each block's detail to remove, 0 to 1."""
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
@@ -102,7 +102,7 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
         end = min(first + TEXTURE_CELL, height)
         luma = _padded(_luma(source[first:end]), columns)
         energy[here], noisy[here] = _energy(_detail(luma)), _noisy(luma)
-        missing = 255 * _luma(np.ascontiguousarray(left(first, end).transpose(1, 2, 0)))
+        missing = 255 * _luma(np.ascontiguousarray(residual(first, end).transpose(1, 2, 0)))
         part = np.minimum(_energy(_detail(_padded(missing, columns))) / (energy[here] + TINY), 1)
         found = np.quantile(_by_cell(noisy[here] * energy[here])[0], settings.quantile, axis=1)
         found *= _rise(np.sqrt(found), settings.grain_levels)

@@ -33,10 +33,10 @@ def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Vi
     reduced = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32)
     small = np.einsum("ijk,k->ij", reduced, np.array(s.luma, np.float32))
     variance = np.maximum(_blurred(small * small, s) - np.square(_blurred(small, s)), 0)
-    seen = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
+    visible = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
     detail = np.sqrt(variance + 1)  # weights of the mean: there are more Gaussians where there is more detail
-    seen *= np.sum(detail, dtype=np.float64) / np.sum(seen * detail, dtype=np.float64)
-    levels = np.round(np.clip(seen, s.least, s.most) * VISIBLE).astype(np.int16)
+    visible *= np.sum(detail, dtype=np.float64) / np.sum(visible * detail, dtype=np.float64)
+    levels = np.round(np.clip(visible, s.least, s.most) * VISIBLE).astype(np.int16)
     levels = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.int16)
     if alpha is not None:
         levels = (levels.astype(np.int32) * alpha.values // VISIBLE).astype(np.int16)
@@ -64,7 +64,7 @@ def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np
     return seen_difference(decoded, source, visibility.values, visibility.by_eye, visibility.coarse) / VISIBLE
 
 
-class SeenShare:
+class VisibleShare:
     """Table to look up the visible share of Gaussians' energies."""
 
     def __init__(self, visibility: Visibility) -> None:
@@ -78,12 +78,12 @@ class SeenShare:
         means, factors, colors = gaussians.arrays
         size = 2 * np.sqrt(factors[:, 0] * factors[:, 2])
         level_of = np.clip(np.log2(np.maximum(size, 1)), 0, len(self._levels) - 1).astype(np.intp)
-        seen = np.zeros(len(means), np.float32)
+        share = np.zeros(len(means), np.float32)
         for level, values in enumerate(self._levels):
             here = level_of == level
             x, y = (means[here] / 2**level).astype(np.intp).T
             height, width = values.shape
-            seen[here] = values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+            share[here] = values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
         squares = np.maximum(np.square(colors).sum(1), 1e-20)
         weighted = np.einsum("na,ab,nb->n", colors, self._color, colors)
-        return np.asarray(seen / VISIBLE * weighted / squares, np.float32)
+        return np.asarray(share / VISIBLE * weighted / squares, np.float32)

@@ -105,10 +105,10 @@ class Plan:
         shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.problem.objective.with_coarse(self.finest)
         if shrink == 0 or level.visibility is None or level.visibility.coarse == 0:
             return state.target.now
-        missing, seen = level.missing(state.gaussians, half=True), level.visibility.halved().values > 0
+        missing, visible = level.missing(state.gaussians, half=True), level.visibility.halved().values > 0
         return led(
             state.target.now,
-            lambda first, end: missing(first, end) * seen[first // 2 : -(-end // 2)],
+            lambda first, end: missing(first, end) * visible[first // 2 : -(-end // 2)],
             level.visibility.coarse,
             shrink,
         )

@@ -14,7 +14,7 @@ import sgmethod
 from sgmethod import BudgetError, Gaussians, GaussiansError, ImageError, SgError
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame
-from sgmethod.exchange.packing import seen
+from sgmethod.exchange.packing import reaching_pixels
 from sgmethod.exchange.ply_and_npz import C0, WRITTEN
 from sgmethod.metrics import psnr
 from sgmethod.native import native
@@ -62,7 +62,7 @@ def test_out_of_a_file_and_back(name: str) -> None:
         assert sgmethod.pack(found, *file.size, quantum=file.info.quantum, background=background) == data
     again = sgmethod.open(data).gaussians()
     assert len(found) == file.info.gaussians
-    found = seen(found, file.size)
+    found = reaching_pixels(found, file.size)
     assert len(again) == len(found)
     clipped = found.factors[:, ::2].min(1, initial=1) <= np.float32(0.3)
     assert as_set(found.rows(~clipped)) <= as_set(again)
@@ -80,7 +80,7 @@ def test_a_gaussian_between_pixel_centres_is_left_out(width: float) -> None:
     assert data == alone
 
 
-def test_seen_is_what_the_decoder_draws() -> None:
+def test_what_reaches_a_pixel_is_what_the_decoder_draws() -> None:
     lot = np.random.default_rng(3)
     n = 400
     some = Gaussians(
@@ -93,9 +93,9 @@ def test_seen_is_what_the_decoder_draws() -> None:
         bool(Kernels().residual(some.rows(np.array([k])), Frame(16, 16), np.zeros((3, 16, 16), np.int16)).any())
         for k in range(n)
     ]
-    assert len(seen(some, (16, 16))) == sum(drawn)
+    assert len(reaching_pixels(some, (16, 16))) == sum(drawn)
     assert 50 < sum(drawn) < n - 50
-    assert as_set(seen(some, (16, 16))) == as_set(some.rows(np.flatnonzero(drawn)))
+    assert as_set(reaching_pixels(some, (16, 16))) == as_set(some.rows(np.flatnonzero(drawn)))
 
 
 def test_gaussians_of_version_1_are_the_nearest_of_this_shape() -> None:

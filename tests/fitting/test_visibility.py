@@ -11,7 +11,7 @@ from skimage import data
 
 from sgmethod import decode, encode
 from sgmethod.backend.protocol import Visibility
-from sgmethod.fitting.visibility import SeenShare, error, of_detail, to_amplitudes
+from sgmethod.fitting.visibility import VisibleShare, error, of_detail, to_amplitudes
 from sgmethod.native import native
 from sgmethod.numerics import quiet
 from sgmethod.scene import FloatArray
@@ -119,7 +119,7 @@ def test_what_is_no_number_has_a_share_all_the_same() -> None:
     """A start that was spoiled has such Gaussians, and the share decides which are dropped."""
     means = [[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]]
     factors = [[width, 0.0, 3.0] for width in (3.0, 3.0, 3.0, math.nan, math.inf)]
-    found = quiet(SeenShare(visibility(40, 30)).look_up)(single(means, factors, np.ones((5, 3))))
+    found = quiet(VisibleShare(visibility(40, 30)).look_up)(single(means, factors, np.ones((5, 3))))
     assert np.isfinite(found).all()
     assert (found > 0).tolist() == [True, True, True, False, True]
 
