@@ -18,9 +18,9 @@ from typing import Any, TextIO
 from sgmethod.cli import paths
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.pace import Pace
 from sgmethod.cli.paths import STREAM
 from sgmethod.cli.terminal import Ticker, redraw
+from sgmethod.cli.throughput import Throughput
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.processes import usual_jobs
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
@@ -114,8 +114,8 @@ class _Report:
         self.done = 0
         self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
         self._shown = not arguments.quiet and os.isatty(2)
-        says_pace = self._shown or not (arguments.quiet or self._json)
-        self._measure, self._pace = Pace(pictures) if says_pace else None, ""
+        says_throughput = self._shown or not (arguments.quiet or self._json)
+        self._throughput, self._throughput_text = Throughput(pictures) if says_throughput else None, ""
         self._left, self._jobs = Counter(pictures), jobs_of(arguments, pictures)
         self.shows_progress = self._shown and self._jobs == 1  # of a single picture, made in this process
         self._began: dict[str, float] = {}
@@ -145,8 +145,8 @@ class _Report:
         if not self._left[outcome.input]:
             del self._left[outcome.input]
         self._share = 0.0
-        if self._measure:
-            self._pace = f", {self._measure.after(outcome, tally)}"
+        if self._throughput:
+            self._throughput_text = f", {self._throughput.after(outcome, tally)}"
         if self._shown:
             redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)
@@ -156,7 +156,7 @@ class _Report:
             names = {"input": outcome.input, "output": outcome.target}
             print(json.dumps({**names, **outcome.figures}, allow_nan=False), flush=True)
         elif not self._arguments.quiet:
-            count = "" if self._shown else f" ({done} of {self._whole}{self._pace})"
+            count = "" if self._shown else f" ({done} of {self._whole}{self._throughput_text})"
             print(f"{one_line(f'{outcome.input} -> {outcome.target}')}: {outcome.summary}{count}", flush=True)
         self._redraw()
 
@@ -171,7 +171,7 @@ class _Report:
             running = [(name, now_s - self._began.setdefault(name, now_s)) for name in islice(self._left, self._jobs)]
             share = f" {self._share:.0%}" if self._share else ""
             names = ", ".join(f"{one_line(Path(name).name)}{share} {seconds:.0f} s" for name, seconds in running)
-            redraw(sys.stderr, f"{self.done} of {self._whole}{self._pace}: {names}")
+            redraw(sys.stderr, f"{self.done} of {self._whole}{self._throughput_text}: {names}")
 
 
 def tasks_of(conversions: list[Conversion]) -> list[Task[Conversion]]:

@@ -1,4 +1,4 @@
-"""The pace of several pictures, and the time left."""
+"""The throughput of several pictures, and the time left."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.pace import Pace, pace_of, pixels_of
+from sgmethod.cli.throughput import Throughput, pixels_of, throughput_text
 from sgmethod.many.run import Tally
 from tests.cli.conftest import PHOTO, Run
 
@@ -37,18 +37,18 @@ def pictures(in_folder: None) -> None:  # noqa: ARG001
 )
 def test_the_rest_is_estimated_by_pixels_and_starts(order: list[str], left: list[str]) -> None:
     """Not before as much is done as an average picture: a picture of one pixel is no measure of large ones."""
-    pace = Pace(order)
+    throughput = Throughput(order)
     for name, words in zip(order, left, strict=True):
-        assert pace.after(Conversion(name, name), Tally(encoded=10, seconds=10)) == f"1 pictures/s{words}"
+        assert throughput.after(Conversion(name, name), Tally(encoded=10, seconds=10)) == f"1 pictures/s{words}"
 
 
 def test_what_fails_is_no_measure_of_the_rest() -> None:
     """Nor is a picture without a header worth one pixel: it counts as an average one."""
-    pace = Pace(["broken.jpg", "large.png", "large.png"])
-    assert pace.after(Conversion("a", "broken.jpg", error="no"), Tally(failed=1, seconds=1)) == "1 pictures/s"
-    text = pace.after(Conversion("b", "large.png"), Tally(encoded=1, failed=1, seconds=10))
+    throughput = Throughput(["broken.jpg", "large.png", "large.png"])
+    assert throughput.after(Conversion("a", "broken.jpg", error="no"), Tally(failed=1, seconds=1)) == "1 pictures/s"
+    text = throughput.after(Conversion("b", "large.png"), Tally(encoded=1, failed=1, seconds=10))
     assert text == "5 s a picture, 10 s left"
-    unknown = Pace(["large.png", "broken.jpg", "broken.jpg"])
+    unknown = Throughput(["large.png", "broken.jpg", "broken.jpg"])
     text = unknown.after(Conversion("b", "large.png"), Tally(encoded=1, seconds=10))
     assert text == "10 s a picture, 20 s left"
 
@@ -124,4 +124,4 @@ def test_pipes_into_a_folder(run: Run, command: str) -> None:
     ("per_second", "words"), [(0.0895, "11.2 s a picture"), (0.999, "1 s a picture"), (2.5, "2.5 pictures/s")]
 )
 def test_a_slow_pace_is_in_seconds(per_second: float, words: str) -> None:
-    assert pace_of(per_second) == words
+    assert throughput_text(per_second) == words

@@ -21,8 +21,8 @@ START_PIXELS = 100_000  # no encode is free: one of so many pixels takes twice a
 HEADER_BYTES = 1 << 16
 
 
-class Pace:
-    """The pace of a run over these pictures; the rest of it is estimated by their pixels."""
+class Throughput:
+    """The throughput of a run over these pictures; the rest of it is estimated by their pixels."""
 
     def __init__(self, pictures: Sequence[str]) -> None:
         found = {picture: pixels_of(picture) for picture in set(pictures)}
@@ -35,7 +35,7 @@ class Pace:
         self._done = 0.0
 
     def after(self, outcome: Conversion, tally: Tally) -> str:
-        """Count an outcome and format the pace, with the time left once as much is done as an average picture.
+        """Count an outcome and format it, with the time left once as much is done as an average picture.
 
         A failure is no measure of the others.
         """
@@ -46,7 +46,7 @@ class Pace:
             self._done += weight
         is_measure = self._done and self._done * self._count >= self._all
         left_s = tally.seconds * (self._all / self._done - 1) if is_measure else None
-        return pace_of(tally.per_second) + remaining(left_s)
+        return throughput_text(tally.per_second) + remaining(left_s)
 
 
 def pixels_of(picture: str) -> int | None:
@@ -81,8 +81,8 @@ def _size(kind: str, file: BinaryIO) -> tuple[int, int]:
         return image.size
 
 
-def pace_of(per_second: float) -> str:
-    """Format a pace as seconds a picture or, if they take less than one, as pictures a second."""
+def throughput_text(per_second: float) -> str:
+    """Format a throughput as seconds a picture or, if they take less than one, as pictures a second."""
     if 0 < per_second < 1:
         return f"{1 / per_second:.3g} s a picture"
     return f"{per_second:{'.3g' if per_second < 100 else ',.0f'}} pictures/s"
