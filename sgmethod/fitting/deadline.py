@@ -46,7 +46,7 @@ class Deadline:
     began_s: float
     end_s: float
     settings: DeadlineSettings
-    drawings_s: float = 0.0  # of the search over the file's integers, before any of its tries
+    drawings_s: float = 0.0  # of the search over the file's integers, before any of its files
     _coding_s: list[float] = field(default_factory=list)  # duration of the last trial coding
 
     @classmethod
@@ -91,7 +91,7 @@ class Deadline:
         """Whether there is time for so many codings, as far as is known."""
         return self.left_s() > codings * sum(self._coding_s)
 
-    def tries(self, limit: int) -> Iterator[int]:
+    def attempts(self, limit: int) -> Iterator[int]:
         """Yield 0, 1, ... while there is time for another try as long as the longest so far; 0 in any case."""
         max_s = 0.0
         for number in range(limit):

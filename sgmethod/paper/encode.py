@@ -91,7 +91,7 @@ def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
     pixels = request.size[0] * request.size[1]
     n, steps = max(pixels // 300, 1), 0
     tried: dict[int, tuple[float, StreamV1]] = {}
-    for attempt in request.deadline.tries(len(PSNR_UNTIL)):
+    for attempt in request.deadline.attempts(len(PSNR_UNTIL)):
         part = replace(request, deadline=request.deadline.at(PSNR_UNTIL[attempt]))
         stream, taken = run(part, n, None)
         steps += taken

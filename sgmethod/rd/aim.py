@@ -16,7 +16,7 @@ from sgmethod.errors import BudgetError
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.metrics.visual import SMALLEST_SIDE
-from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, Tries, ssimulacra2_db
+from sgmethod.rd.rate_control import Attempts, Coded, Fitted, Measured, RateControl, ssimulacra2_db
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import AlphaSettings, PruneSettings, RdSettings, RefineSettings, Times
 
@@ -57,7 +57,7 @@ class Aim(RateControl, ABC):
             return quantum
         return float(quantum * min(max(ratio, 1 / self.steering_limit), self.steering_limit))
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Tries) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:

@@ -49,7 +49,7 @@ def encode(
     preview = session.recorder.preview
     recorder = replace(session.recorder, preview=preview and _with_alpha(preview, layer))
     colour_rate, found = rate.beside_alpha(layer, error), list[tuple[float, StreamV2]]()
-    for _ in session.deadline.tries(settings.alpha.tries):
+    for _ in session.deadline.attempts(settings.alpha.tries):
         attempt = replace(session, deadline=session.deadline.at(1.0), recorder=recorder)
         stream, taken = pipeline.encode(colours, settings, colour_rate, attempt, backend)
         steps += taken
@@ -71,7 +71,7 @@ def _alpha(
     deadline, recorder = session.deadline.at(settings.alpha.time), Recorder(session.recorder.clock)
     plane = Problem(Objective.from_alpha(source[..., 3], settings.objective), is_short, with_shear=True)
     once = replace(settings, effort=replace(settings.effort, rounds=(0,)))
-    for _ in deadline.tries(settings.alpha.tries):
+    for _ in deadline.attempts(settings.alpha.tries):
         attempt = replace(session, deadline=deadline.at(1.0), recorder=recorder)
         layer, taken = pipeline.encode(plane, once, alpha_rate, attempt, backend)
         steps += taken

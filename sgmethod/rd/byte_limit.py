@@ -17,7 +17,7 @@ from sgmethod.bitstream.v2 import (
 )
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.objective import Objective
-from sgmethod.rd.rate_control import Coded, Fitted, RateControl, Tries, excess
+from sgmethod.rd.rate_control import Attempts, Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import AlphaSettings, DensifySettings, RdSettings, Times
 
 PRECISION = 1e-3  # of a quantum, as a part
@@ -41,7 +41,7 @@ class ByteLimit(RateControl):
 
     def allowed_gaussians(self, times: Times, at: float, s: DensifySettings) -> int:
         """Several times the expected number: some take few bits."""
-        return min(super().allowed_gaussians(times, at, s), int(s.most * self.expected_gaussians()))
+        return min(super().allowed_gaussians(times, at, s), int(s.limit * self.expected_gaussians()))
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class ByteBudget(ByteLimit):
         ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Tries) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
         """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
 
         Bisection, at the place where the line through both ends meets the limit. The end that stays counts half each
@@ -114,7 +114,7 @@ class ByteBudget(ByteLimit):
             return math.log(max(payload(math.exp(log_quantum)), 1) / max(limit, 1))
 
         low, high = math.log(0.9 * quantum), math.log(1.02 * quantum)
-        above, octaves = beyond(high), tries(OCTAVES)
+        above, octaves = beyond(high), attempts(OCTAVES)
         for _ in octaves:
             if above <= 0 or high >= math.log(MAX_QUANTUM):
                 break
@@ -128,7 +128,7 @@ class ByteBudget(ByteLimit):
                 break
             low, high, above = low - math.log(2), low, below
             below = beyond(low)
-        for _ in tries(QUANTUM_TRIES):
+        for _ in attempts(QUANTUM_TRIES):
             if high - low < PRECISION:
                 break
             middle = low + (high - low) * min(max(below / max(below - above, 1e-9), 0.02), 0.98)

@@ -211,7 +211,7 @@ def fit_to_steps(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     spare = min(round(settings.deadline.spare_steps * steps), settings.effort.steps) if steps < math.inf else 0
     lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
     choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
-    few = replace(choices[-1].densify, most=settings.deadline.max_when_short)
+    few = replace(choices[-1].densify, limit=settings.deadline.max_when_short)
     found = next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
     return replace(found, effort=replace(found.effort, steps=max(found.effort.steps, spare)))
 

@@ -61,7 +61,7 @@ def excess(times: Times, at: float) -> float:
     return 1 + times.excess * surplus(times, at)
 
 
-Tries = Callable[[int], Iterable[int]]  # from the most tries to as many as there is time for, at least one
+Attempts = Callable[[int], Iterable[int]]  # from a limit to as many as there is time for, at least one
 
 
 class Measured(Protocol):
@@ -158,7 +158,7 @@ class RateControl:
         """Whether to write a short file, which rounds its background."""
         return False
 
-    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, tries: Tries) -> float:
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
         """Return the quantum to try first, given the fit's and a function from a quantum to bytes of payload."""
         return self.quantum
 

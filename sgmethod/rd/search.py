@@ -44,7 +44,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     refined = partial(_refined, plan, target, texture)
 
     code = partial(refined, state.gaussians, max_bytes=limit)
-    first = rate.first_quantum(state.quantum, payload, limit, deadline.tries)
+    first = rate.first_quantum(state.quantum, payload, limit, deadline.attempts)
     tried = _tried(plan, first, limit, code, report)
     if deadline.left_s() > 0 and rate.is_cut_short(payload(state.quantum), limit):
         tried.append(code(state.quantum))
@@ -55,7 +55,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         best, rounds = exact, 0
     rng = np.random.default_rng(plan.session.seed)
     tries = max(rounds - 1, 0) if best.size else 0
-    for number in deadline.tries(tries):
+    for number in deadline.attempts(tries):
         report(number, tries)
         held = rng.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
@@ -69,7 +69,7 @@ def _tried(
     """Code a fit with one quantum after the other, as rate control chooses them, until nothing is to be gained."""
     rate, tried = plan.rate, list[Coded]()
     quantum: float | None = first
-    for _ in plan.session.deadline.tries(plan.settings.rate.aim_tries):
+    for _ in plan.session.deadline.attempts(plan.settings.rate.aim_tries):
         if quantum is None:
             break
         tried.append(code(quantum))
@@ -137,14 +137,14 @@ def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
     def coarser(by: float) -> Coded:
         return _refined(plan, target, None, exact.stream.gaussians(), exact.stream.quantum * by, exact.size)
 
-    slow = deadline.tries(3 * s.exact_pixels // problem.pixels.size)
-    quick = deadline.tries(s.exact_tries)
+    slow = deadline.attempts(3 * s.exact_pixels // problem.pixels.size)
+    quick = deadline.attempts(s.exact_tries)
     ways = [(partial(fewer, share), slow) for share in s.exact_shares]
     ways += [(partial(coarser, by), quick) for by in s.exact_coarser]
     while last is not exact:
         last = exact
-        for way, tries in ways:
-            for _ in tries:
+        for way, attempts in ways:
+            for _ in attempts:
                 found = way()
                 if found.error > 0 or found.size >= exact.size:
                     break

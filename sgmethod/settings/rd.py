@@ -150,7 +150,7 @@ class DensifySettings:
 
     growth: float = 1.0  # most new Gaussians at one time, as a part of the existing ones
     fewest: int = 4  # allowed regardless of `growth`
-    most: float = 5.0  # most Gaussians under a budget of bytes, in multiples of the expected number
+    limit: float = 5.0  # of Gaussians under a budget of bytes, in multiples of the expected number
     bits_of_new: float = 20.0  # a new Gaussian must reduce the error by what this many bits are worth
     color_solve_steps: int = 4  # conjugate-gradient steps
     saturated: float = 0.001  # new Gaussians, as a part of all; finding fewer ends the search at that price
@@ -309,7 +309,7 @@ class DeadlineSettings:
     # Least time left for a level to be the finest, in gradients on it, and more if its target moves and loses grain.
     finest_gradients: tuple[float, float] = (25.0, 70.0)
     min_round: float = 0.3  # of a round's steps, for which it is begun
-    max_when_short: float = 1.3  # DensifySettings.most if time is too short for the lowest effort
+    max_when_short: float = 1.3  # DensifySettings.limit if time is too short for the lowest effort
     short: float = 4.0  # in multiples of the time for the pyramid; with less left, growth searches few pixels
     min_part: float = 1 / 3  # least time for the first run, as a part of the time for preparing, even beyond a limit
 

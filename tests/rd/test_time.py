@@ -94,7 +94,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     (short_of_time, state), (unhurried, _) = (plan_for(seconds) for seconds in (0.0, math.inf))
     assert unhurried.settings == RD
     assert short_of_time.settings.effort == EFFORTS[1]
-    assert short_of_time.settings.densify.most == RD.deadline.max_when_short
+    assert short_of_time.settings.densify.limit == RD.deadline.max_when_short
     assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
     stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
     assert short_of_time.level_for(state, stage, 1000).frame == short_of_time.finest.frame
