@@ -25,8 +25,8 @@ def finite_number(value: object) -> int | float | None:
     return number if -math.inf < number < math.inf else None  # torch.compile does not support math.isfinite
 
 
-def checked_integer(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
-    """Return a whole number from least to most as a Python int. Raises `error` for anything else."""
-    if not isinstance(value, Integral) or not least <= int(value) <= most:
-        raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
+def checked_integer(value: object, name: str, minimum: int, maximum: int, error: type[SgError] = SgError) -> int:
+    """Return a whole number from minimum to maximum as a Python int. Raises `error` for anything else."""
+    if not isinstance(value, Integral) or not minimum <= int(value) <= maximum:
+        raise error(f"{name} must be a whole number from {minimum} to {maximum}, got {value!r}")
     return int(value)

@@ -54,8 +54,8 @@ def encode_many(
     """
     if executor is not None and not isinstance(executor, Executor):
         raise SgError(f"an executor must be a concurrent.futures.Executor, not {type(executor).__name__}")
-    usual, most = (1, MAX_JOBS) if executor is None else (GIVEN, MAX_GIVEN)
-    number = checked_integer(usual if jobs is None else jobs, "the number of jobs", 1, most)
+    usual, limit = (1, MAX_JOBS) if executor is None else (GIVEN, MAX_GIVEN)
+    number = checked_integer(usual if jobs is None else jobs, "the number of jobs", 1, limit)
 
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
         if executor is not None:
@@ -67,7 +67,7 @@ def encode_many(
 
 
 def _finish_by(
-    executor: Executor, options: dict[str, Any], folder: Path, tasks: Iterator[Task[Row]], most: int
+    executor: Executor, options: dict[str, Any], folder: Path, tasks: Iterator[Task[Row]], limit: int
 ) -> Finished[Row]:
     def begin(task: Task[Row]) -> Future[Made | SgError]:
         picture = task.picture  # the executor's processes may have another current folder
@@ -75,7 +75,7 @@ def _finish_by(
         # Its error is returned, not raised: a picture's failure must not look like the executor's.
         return executor.submit(made_or_error, partial(_encode, options), there)
 
-    return finish_elsewhere(begin, folder, tasks, most)
+    return finish_elsewhere(begin, folder, tasks, limit)
 
 
 def _with_one_budget(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -64,9 +64,9 @@ def _tasks(items: Iterable[Item], folder: Path, before: Mapping[str, str]) -> It
 
 
 def finish_elsewhere(
-    begin: Callable[[Task[Row]], Future[Made | SgError]], folder: Path, tasks: Iterable[Task[Row]], most: int
+    begin: Callable[[Task[Row]], Future[Made | SgError]], folder: Path, tasks: Iterable[Task[Row]], limit: int
 ) -> Finished[Row]:
-    """Write files into a folder as they are made elsewhere, at most `most` at a time.
+    """Write files into a folder as they are made elsewhere, at most `limit` at a time.
 
     They are written here: what outlives the run must not replace the files of the next one. A picture's own failure is
     the result of its future. What a future raises, or `begin`, is no picture's: it ends the run, as an SgError if it is
@@ -77,7 +77,7 @@ def finish_elsewhere(
         with _executor_errors():
             return begin(task)
 
-    for task, future in as_they_finish(begin_task, tasks, most):
+    for task, future in as_they_finish(begin_task, tasks, limit):
         with _executor_errors():
             made = future.result()
         yield caught(partial(written, partial(_given, made), folder), task)

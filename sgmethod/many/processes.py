@@ -69,9 +69,9 @@ def in_processes(
 
 
 def as_they_finish(
-    begin: Callable[[Item], Future[Result]], items: Iterable[Item], most: int
+    begin: Callable[[Item], Future[Result]], items: Iterable[Item], limit: int
 ) -> Iterator[tuple[Item, Future[Result]]]:
-    """Yield each item and its future as they finish, beginning further ones so that `most` are under way.
+    """Yield each item and its future as they finish, beginning further ones so that `limit` are under way.
 
     If the loop ends early, those that have not begun are cancelled.
     """
@@ -80,7 +80,7 @@ def as_they_finish(
     finished: SimpleQueue[Future[Result]] = SimpleQueue()  # wait() would go through all of them for each that is done
     try:
         while True:
-            for item in islice(waiting, most - len(running)):
+            for item in islice(waiting, limit - len(running)):
                 future = begin(item)
                 running[future] = item
                 future.add_done_callback(finished.put)

@@ -148,7 +148,7 @@ def _memory_errors() -> Iterator[None]:
         raise MemoryError("not enough memory for this encode") from error
 
 
-def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:
+def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, limit: int) -> int:
     """Number of Gaussians to try next, from the two attempts nearest to the target."""
     nearest = sorted(tried, key=lambda m: abs(tried[m][0] - target_db))[:2]
     n, db, slope = nearest[0], tried[nearest[0]][0], PSNR_PER_DOUBLING_DB
@@ -156,4 +156,4 @@ def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most
         slope = min(max((db - tried[nearest[1]][0]) / math.log2(n / nearest[1]), 0.5), 6.0)
     aim = target_db + 0.05  # a little above, because missing the target is worse than exceeding it
     doublings = min(max((aim - db) / slope, -4.0), 4.0)
-    return min(max(round(n * 2**doublings), 1), most)
+    return min(max(round(n * 2**doublings), 1), limit)

@@ -195,7 +195,7 @@ def pictures_of(images: Tensor) -> list[Pixels]:
     if images.dtype != torch.uint8:
         if not images.is_floating_point():
             raise ImageError(f"images must be uint8 or floating-point values in [0, 1], not {images.dtype}")
-        least, most = (float(value) for value in images.detach().aminmax()) if images.numel() else (0.0, 1.0)
-        check_range(least, most)
+        low, high = (float(value) for value in images.detach().aminmax()) if images.numel() else (0.0, 1.0)
+        check_range(low, high)
         images = (255 * images.detach().float()).round().to(torch.uint8)
     return list(images.permute(0, 2, 3, 1).contiguous().cpu().numpy())

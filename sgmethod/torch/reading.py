@@ -114,7 +114,7 @@ class SgDataset(Dataset[dict[str, Any]]):
             raise SgError("SgDataset needs a list of files, not one file; what is fitted has Gaussians, and no pixels")
         self._files: Sequence[File | Sample] = samples_of(files) if isinstance(files, str | os.PathLike) else files
         self._size = None if size is None else checked_size(size)
-        self._most = 0 if max_gaussians is None else checked_integer(max_gaussians, "max_gaussians", 1, MAX_GAUSSIANS)
+        self._limit = 0 if max_gaussians is None else checked_integer(max_gaussians, "max_gaussians", 1, MAX_GAUSSIANS)
 
     def __len__(self) -> int:
         return len(self._files)
@@ -123,19 +123,21 @@ class SgDataset(Dataset[dict[str, Any]]):
         file = self._files[index]
         if isinstance(file, Sample):
             arrays = {name: torch.from_numpy(values) for name, values in file.arrays().items()}
-            return {**_padded(arrays, self._most), **file.label()}
+            return {**_padded(arrays, self._limit), **file.label()}
         opened = SgFile(file)
         if self._size is not None:
             return {"pixels": _covering(opened, self._size)}
         values = zip(("means", "factors", "colors", "background"), gaussians(opened), strict=True)
-        return _padded({**dict(values), "size": torch.tensor(opened.size)}, self._most)
+        return _padded({**dict(values), "size": torch.tensor(opened.size)}, self._limit)
 
 
-def _padded(found: dict[str, Tensor], most: int) -> dict[str, Tensor]:
+def _padded(found: dict[str, Tensor], limit: int) -> dict[str, Tensor]:
     """Return the first Gaussians of a picture, padded with zeros."""
-    mask = torch.arange(most) < len(found["means"])
-    padded = {name: found[name][:most] for name in ("means", "factors", "colors")}
-    padded = {name: torch.cat([some, some.new_zeros(most - len(some), some.shape[1])]) for name, some in padded.items()}
+    mask = torch.arange(limit) < len(found["means"])
+    padded = {name: found[name][:limit] for name in ("means", "factors", "colors")}
+    padded = {
+        name: torch.cat([some, some.new_zeros(limit - len(some), some.shape[1])]) for name, some in padded.items()
+    }
     return {**found, **padded, "mask": mask}
 
 

@@ -41,7 +41,7 @@ def exact_schedule(steps: int) -> RdSettings:
         excess_until=EXACT.trim_until,
         few_until=EXACT.few_until,
     )
-    fewest, most = EXACT.final_rate
-    optimiser = replace(RD.fit.optimiser, final_rate=min(max(EXACT.few_steps / steps, fewest), most))
+    low, high = EXACT.final_rate
+    optimiser = replace(RD.fit.optimiser, final_rate=min(max(EXACT.few_steps / steps, low), high))
     effort = replace(RD.effort, steps=steps, times=times, rounds=(0,))
     return replace(RD, effort=effort, fit=replace(RD.fit, optimiser=optimiser))
