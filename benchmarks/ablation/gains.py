@@ -49,7 +49,7 @@ from sgmethod.paper import fit as paper
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.shared import StartSettings
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 from tests.definitions.backend import SOBEL
 
 PIXELS = 768 * 512
@@ -134,7 +134,7 @@ def placed(row: Row, pixels: Pixels, seed: int) -> Gaussians:
     start = replace(start, ratio_start=round(part * start.ratio_start), threshold_factor=k)
     image = pixels.astype(np.float32) / np.float32(255)
     rng = np.random.default_rng(seed)
-    found = place(image, round(part * row.gaussians), start, rng)
+    found = place_by_structure(image, round(part * row.gaussians), start, rng)
     return shaped(found, rng) if row.theirs else found
 
 

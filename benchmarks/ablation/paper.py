@@ -33,7 +33,7 @@ from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER, PaperSettings
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 
 RANDOM = replace(PAPER.start, structure_guided=False)
 # What GaussianImage codes: random start, no regularisation, 6 bits of a factor, 16 of a position. Our optimiser.
@@ -148,5 +148,7 @@ def _fitted(
     """The picture as the fit sees it, and the Gaussians fitted to it."""
     pixels, clock = pixels_of(path, middle), Clock()
     level = level_of(pixels)
-    start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(seed))
+    start = place_by_structure(
+        pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(seed)
+    )
     return level, fit(level, start, settings, Recorder(clock), Deadline.from_limit(clock))[0]

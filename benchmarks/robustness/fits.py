@@ -26,7 +26,7 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 from sgmethod.settings.shared import OptimiserSettings
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 
 BPP = 1.0
 LIMITS_S = (1e-9, 0.01, 0.1)
@@ -82,7 +82,7 @@ def starts(profile: str) -> dict[str, Patch]:
 
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
         def placed(*arguments: Any) -> Gaussians:
-            gaussians = place(*arguments).copy()
+            gaussians = place_by_structure(*arguments).copy()
             spoil(gaussians)
             return gaussians
 

@@ -25,7 +25,7 @@ from sgmethod.native import native
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 
 SIZE = (768, 512)
 
@@ -39,7 +39,7 @@ def load(path: Path) -> Pixels:
 def fitted(pixels: Pixels, n: int, steps: int) -> Gaussians:
     """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest."""
     settings, clock = replace(PAPER, fit_steps=steps), Clock()
-    start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
+    start = place_by_structure(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
     return fit(level_of(pixels), start, settings, Recorder(clock), Deadline.from_limit(clock))[0]
 
 

@@ -24,7 +24,7 @@ from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Pixels
 from sgmethod.settings.paper import PaperSettings
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
 PSNR_UNTIL = (0.22, 0.46, 0.72, 1.0)  # of the time: when attempts end, each a little longer, so that the next has time
@@ -109,7 +109,7 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
     image = request.pixels.astype(np.float32)
     image /= 255
     level = level_of(request.pixels)
-    start = place(image, n, s.start, np.random.default_rng(request.seed))
+    start = place_by_structure(image, n, s.start, np.random.default_rng(request.seed))
     fitted, fit_steps = fit(level, start, s, recorder, request.deadline.after(FIT_SHARE))
     tuner = Tuner(fitted, level, s, max_bytes, request.seed)
     schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate)

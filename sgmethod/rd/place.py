@@ -6,7 +6,7 @@ import numpy as np
 
 from sgmethod.rd.plan import Plan
 from sgmethod.scene import Gaussians
-from sgmethod.start.placement import place as place_by_structure
+from sgmethod.start.placement import place_by_structure
 
 
 def place(plan: Plan) -> Gaussians:

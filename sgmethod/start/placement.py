@@ -73,7 +73,7 @@ def _with_rest(counts: NDArray[np.int64], n: int, order: NDArray[np.int64]) -> N
     return found
 
 
-def place(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Generator) -> Gaussians:
+def place_by_structure(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Generator) -> Gaussians:
     """Place n initial Gaussians on an image [H, W, 3] in [0, 1].
 
     Unless the settings say otherwise, they are round, each with its share of the picture's area as a disc, and have the

@@ -110,7 +110,7 @@ def _columns(top, bottom, x, y, q1, q2, q3, reach, border, width):
 
 
 @triton.jit(do_not_specialize=["total", "each", "tiles", "capacity"])
-def place(means, factors, colors, table, levels, records, counts, ends, keys,
+def assign(means, factors, colors, table, levels, records, counts, ends, keys,
           total, each, tiles, capacity, reach, scale, pyramid: tl.constexpr, lists: tl.constexpr,
           block: tl.constexpr):  # fmt: skip
     """Find each Gaussian's level, record and number of tiles; or, if `lists`, write its pairs of tile and Gaussian.
@@ -378,13 +378,13 @@ def _of_bits(l1, l2, l3, c1, c2, c3, quantum, weight):
 
 
 @triton.jit
-def _move(first, second, gradient, here, rate, most, beta1, beta2, bias1, bias2):
+def _move(first, second, gradient, here, rate, limit, beta1, beta2, bias1, bias2):
     """Update the moments of one value, and return how far it moves."""
     m1 = beta1 * tl.load(first, mask=here, other=0.0) + (1 - beta1) * gradient
     m2 = beta2 * tl.load(second, mask=here, other=0.0) + (1 - beta2) * gradient * gradient
     tl.store(first, m1, mask=here)
     tl.store(second, m2, mask=here)
-    return -tl.minimum(rate / (tl.sqrt(m2 / (1 - bias2)) + 1e-15), most) * m1 / (1 - bias1)
+    return -tl.minimum(rate / (tl.sqrt(m2 / (1 - bias2)) + 1e-15), limit) * m1 / (1 - bias1)
 
 
 @triton.jit(do_not_specialize=["total", "each"])

@@ -32,8 +32,8 @@ BLOCK = 128  # Gaussians of a program where each is a lane
 
 
 @dataclass(frozen=True)
-class _Level:
-    """A level of the pyramid. start, tile: its first sample and tile in a picture; sizes are with borders."""
+class _Grid:
+    """The samples and tiles of a level. start, tile: its first sample and tile in a picture; sizes are with borders."""
 
     start: int
     tile: int
@@ -72,7 +72,7 @@ class Tiles:
         self._level, self._counts = (self._new(self._total, dtype=torch.int32) for _ in range(2))
         self._records = self._new(self._total, RECORD)
         self._ends, self._keys = self._counts, self._new(0, dtype=torch.int64)
-        self._place(lists=False)
+        self._assign(lists=False)
 
     def draw(self) -> Tensor:
         """Draw the pictures [B, 3, height, width]."""
@@ -147,14 +147,14 @@ class Tiles:
         """List the pairs of tile and Gaussian in order; return where each tile's begin, and the last one's end."""
         self._ends = self._counts.cumsum(0)
         self._keys = torch.full((self._total * PAIRS,), torch.iinfo(torch.int64).max, device=self._device)
-        self._place(lists=True)
+        self._assign(lists=True)
         self._keys = self._keys.sort().values
         return torch.searchsorted(self._keys, torch.arange(self._batch * self._tiles + 1, device=self._device) << 32)
 
-    def _place(self, lists: bool) -> None:
+    def _assign(self, lists: bool) -> None:
         tensors = *self._values, self._table, self._level, self._records, self._counts, self._ends, self._keys
         numbers = self._total, self._each, self._tiles, len(self._keys), self._reach, self._scale
-        self._launch(tile_kernels.place, self._blocks(), *tensors, *numbers, self._frame.pyramid, lists, BLOCK)
+        self._launch(tile_kernels.assign, self._blocks(), *tensors, *numbers, self._frame.pyramid, lists, BLOCK)
 
     def _sums(self, planes: Tensor) -> Tensor:
         """Sum over each Gaussian's samples, given planes with the gradient by the pictures."""
@@ -192,13 +192,13 @@ class Tiles:
 
 
 @lru_cache(maxsize=64)
-def _layout(width: int, height: int, pyramid: bool, device: torch.device) -> tuple[tuple[_Level, ...], Tensor]:
+def _layout(width: int, height: int, pyramid: bool, device: torch.device) -> tuple[tuple[_Grid, ...], Tensor]:
     """Levels of a picture; and for the kernels first sample, size without border, first tile and tiles in a row."""
-    levels: list[_Level] = []
+    levels: list[_Grid] = []
     start = tile = 0
     for k in range(MAX_LEVEL + 1 if pyramid else 1):
         border = min(k, 1)
-        level = _Level(start, tile, -(-width // 2**k) + 2 * border, -(-height // 2**k) + 2 * border, border)
+        level = _Grid(start, tile, -(-width // 2**k) + 2 * border, -(-height // 2**k) + 2 * border, border)
         levels.append(level)
         start, tile = -(-(start + level.area) // ALIGNED) * ALIGNED, tile + level.tiles
     rows = [[at.start, at.width - 2 * at.border, at.height - 2 * at.border, at.tile, at.across] for at in levels]

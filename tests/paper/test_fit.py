@@ -25,7 +25,7 @@ from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER, PaperSettings
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 from sgmethod.trace import TracePoint
 from tests.backend.cases import single
 from tests.definitions import drawing
@@ -160,7 +160,7 @@ def psnr_of(gaussians: Gaussians, image: FloatArray) -> float:
 
 
 def started(image: FloatArray, n: int, settings: PaperSettings = PAPER) -> Gaussians:
-    return place(image, n, settings.start, np.random.default_rng(0))
+    return place_by_structure(image, n, settings.start, np.random.default_rng(0))
 
 
 def test_a_fit_improves_the_picture_and_leaves_a_trace() -> None:

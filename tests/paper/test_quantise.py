@@ -21,7 +21,7 @@ from sgmethod.paper.fit import level_of
 from sgmethod.paper.lattice import codes, quantise
 from sgmethod.paper.tuning import Tuner
 from sgmethod.settings.paper import PAPER
-from sgmethod.start.placement import place
+from sgmethod.start.placement import place_by_structure
 from tests.support.pictures import photo
 
 DIFFERENCE = 1e-6  # of the central differences, in float64
@@ -212,7 +212,7 @@ def test_a_file_is_as_good_as_the_best_step() -> None:
     """The last steps, at a rate that is far too high, are much worse."""
     pixels = photo()[:48, :64]
     settings = replace(PAPER, adaptive_bitwidth=False, lambda_g=0.0)
-    start = place(pixels.astype(np.float32) / 255, 60, settings.start, np.random.default_rng(0))
+    start = place_by_structure(pixels.astype(np.float32) / 255, 60, settings.start, np.random.default_rng(0))
     tuner = Tuner(start, level_of(pixels), settings, None, 0)
     errors = [tuner.step(rate)[0] for rate in [1.0] * 40 + [40.0] * 5]
     drawn = draw(tuner.stream("paper").scene())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sgmethod.scene import Gaussians
 from sgmethod.settings.shared import STRUCTURE
 from sgmethod.start import structure
-from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
+from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place_by_structure
 from sgmethod.start.structure import Structure
 from tests.support.pictures import ODD, grey, photo
 
@@ -35,7 +35,7 @@ STARTS = {
 
 
 def start(image: FloatArray, n: int, name: str = "paper") -> Gaussians:
-    return place(image, n, STARTS[name], np.random.default_rng(0))
+    return place_by_structure(image, n, STARTS[name], np.random.default_rng(0))
 
 
 def analyse(image: FloatArray, regions: int = 16) -> Structure:
@@ -196,7 +196,7 @@ def test_the_start_is_denser_in_the_more_complex_half() -> None:
 def test_at_the_threshold_the_papers_start_is_even() -> None:
     """The ratio is 1:1:1 there, and Gaussians are uniform in each category."""
     settings = replace(STRUCTURE, ratio_start=10, threshold_factor=0.0)
-    means = place(PHOTO, 3000, settings, np.random.default_rng(0)).means
+    means = place_by_structure(PHOTO, 3000, settings, np.random.default_rng(0)).means
     counts = np.histogram2d(*means.T, bins=(8, 6), range=[[0, PHOTO.shape[1]], [0, PHOTO.shape[0]]])[0]
     assert counts.std() / counts.mean() < 1.5 / np.sqrt(counts.mean())  # as of random numbers, 1 in place of 1.5
 
