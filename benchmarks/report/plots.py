@@ -35,7 +35,7 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
         from cycler import cycler
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise SystemExit("plots need matplotlib: pip install -e '.[plot]'") from error
+        raise SystemExit("plots need matplotlib: pip install -e '.[benchmark]'") from error
     settings = {"svg.hashsalt": path.name, "font.size": 9, "lines.markersize": 4, "lines.linewidth": 1.2}
     settings |= {"axes.grid": True, "axes.axisbelow": True, "grid.color": "0.9"}
     settings |= {"axes.prop_cycle": cycler(color=COLOURS)}

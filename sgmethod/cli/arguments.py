@@ -86,14 +86,6 @@ examples:
   sgmethod compare photo.jpg photo.sg
   sgmethod compare a.png b.png --json""",
 )
-PLOT = (
-    "Plot the trace of an encode: error against time.",
-    """The extension of OUT sets the format: .svg, .png or .pdf. Needs matplotlib: pip install 'sgmethod[plot]'.
-
-examples:
-  sgmethod encode photo.jpg --trace fit.json
-  sgmethod plot fit.json fit.svg""",
-)
 
 
 def one_line(message: str) -> str:
@@ -165,7 +157,6 @@ def parser(argv: Sequence[str]) -> _Parser:
         "decode": (DECODE, _add_decode_arguments),
         "info": (INFO, _add_info_arguments),
         "compare": (COMPARE, _add_compare_arguments),
-        "plot": (PLOT, _add_plot_arguments),
     }.items():
         command = commands.add_parser(
             name, help=texts[0], description=texts[0], epilog=texts[1], usage=USAGES.get(name)
@@ -292,12 +283,6 @@ def _add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("first", type=_path, metavar="A", help="the original")
     parser.add_argument("second", type=_path, metavar="B", help="what to measure")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
-
-
-def _add_plot_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", type=_path, metavar="TRACE.json", help="the trace, - for stdin")
-    parser.add_argument("output", type=_path, metavar="OUT", help="the plot, - for stdout, as SVG")
-    _add_common_arguments(parser)
 
 
 def _add_output_arguments(parser: argparse.ArgumentParser, several: str) -> None:

@@ -1,4 +1,4 @@
-"""The command line: sgmethod encode, preview, decode, info, compare and plot.
+"""The command line: sgmethod encode, preview, decode, info and compare.
 
 Exit status: 0 for success; 1 when some of several files failed; 2 when the command failed, with one line on stderr that
 says why; 130 after Ctrl-C; 141 when the reader of stdout has gone. A file is written completely or not at all, and
@@ -20,7 +20,7 @@ from sgmethod.errors import SgError
 
 INTERRUPTED, NO_READER = 130, 141  # 128 + SIGINT, 128 + SIGPIPE (not defined on every system)
 # Modules of commands; of info and compare, commands.py. Only one is imported: imports take most of a command's time.
-MODULES = {"encode": "encoding", "preview": "previewing", "decode": "decoding", "plot": "plotting"}
+MODULES = {"encode": "encoding", "preview": "previewing", "decode": "decoding"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
