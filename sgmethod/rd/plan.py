@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import COARSE_SIDE, Descent, Moments, Target, Visibility
+from sgmethod.fitting.bands import Rows
 from sgmethod.fitting.deadline import Deadline, Pace
 from sgmethod.fitting.level import Level, Pyramid
 from sgmethod.fitting.moving_target import FitTarget, led
@@ -105,13 +106,10 @@ class Plan:
         shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.problem.objective.with_coarse(self.finest)
         if shrink == 0 or level.visibility is None or level.visibility.coarse == 0:
             return state.target.now
-        missing, visible = level.missing(state.gaussians, half=True), level.visibility.halved().values > 0
-        return led(
-            state.target.now,
-            lambda first, end: missing(first, end) * visible[first // 2 : -(-end // 2)],
-            level.visibility.coarse,
-            shrink,
-        )
+        error = level.missing(state.gaussians, half=True)
+        if self.problem.objective.shown is not None:
+            error = _where(level.visibility.halved().values > 0, error)
+        return led(state.target.now, error, level.visibility.coarse, shrink)
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
         """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""
@@ -142,6 +140,11 @@ class Plan:
             times = replace(times, many_from=1.0)
         makes_file = run in rounds or run > rounds[-1]
         return times if makes_file else replace(times, settling_from=1.0)
+
+
+def _where(shown: NDArray[np.bool_], error: Rows) -> Rows:
+    """Leave out the error of samples that alpha hides. shown: [H, W] at half the size, as the error's planes."""
+    return lambda first, end: error(first, end) * shown[first // 2 : -(-end // 2)]
 
 
 def first_run(settings: RdSettings, rate: RateControl) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -204,3 +205,15 @@ def test_only_what_is_clamped_may_overshoot() -> None:
         assert (moving.now[0, :, 10:20] == original[0, :, 10:20]).all()
         assert target[:, 20:].min() > 1
         assert target[:, 20:].max() < 1.41
+
+
+@pytest.mark.parametrize("is_opaque", [False, True])
+def test_hidden_errors_do_not_move_the_target_of_refining(is_opaque: bool) -> None:
+    """Coarse errors of what can be seen do."""
+    shown = np.repeat(np.where(is_opaque | (np.arange(96) < 48), 255, 0)[None], 72, axis=0).astype(np.uint8)
+    given = asked(PHOTO, Budget("gaussians", 40), "fidelity", settings=SHORT)
+    objective = given.problem.objective if is_opaque else given.problem.objective.under(PHOTO, shown)
+    plan, state = replace(given, problem=replace(given.problem, objective=objective)).begun()
+    moved = (plan.refining_target(state) != state.target.now).mean(axis=(0, 1))  # by column
+    assert moved[:48].min() > 0.5
+    assert moved[56:].min() > 0.5 if is_opaque else not moved[56:].any()  # squares of 4, and as much of their enlarging
