@@ -159,7 +159,7 @@ class Descent:
 
 
 class Backend(Protocol):
-    """The ten functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
+    """The eight functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
 
     def residual(
         self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
@@ -179,6 +179,28 @@ class Backend(Protocol):
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
         """Inner product [N, 3] of each Gaussian with the picture of all, weighted by visibility.values only."""
+
+    def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
+        """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
+
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between."""
+
+    def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
+        """Gaussians as a decoder will see them, with colour 0 if they round to nothing."""
+
+    def refine(
+        self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
+    ) -> bytes:
+        """Search for a payload that minimises squared error plus price times bits.
+
+        The rounded integers change one Gaussian at a time where that lowers the sum. Then the Gaussians that gain least
+        for their bits are dropped until the payload fits.
+        """
+
+
+class StepwiseBackend(Backend, Protocol):
+    """A backend whose steps are made of two functions more, so that a test can look at each."""
 
     def step(
         self,
@@ -207,27 +229,9 @@ class Backend(Protocol):
         coordinates, where m is the colour's length in steps.
         """
 
-    def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
-        """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
-
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
-        """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between."""
-
-    def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
-        """Gaussians as a decoder will see them, with colour 0 if they round to nothing."""
-
-    def refine(
-        self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
-    ) -> bytes:
-        """Search for a payload that minimises squared error plus price times bits.
-
-        The rounded integers change one Gaussian at a time where that lowers the sum. Then the Gaussians that gain least
-        for their bits are dropped until the payload fits.
-        """
-
 
 def step_by_step(
-    backend: Backend, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]
+    backend: StepwiseBackend, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]
 ) -> None:
     """Take steps by the other functions of a backend, which may be its method `steps`."""
     d = descent

@@ -27,7 +27,6 @@ from sgmethod.backend.protocol import (
 )
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians, Pixels
-from sgmethod.settings.shared import OptimiserSettings
 
 TILE = 4  # pixels; around an island lie one to two tiles of background
 
@@ -194,24 +193,6 @@ class OnSheet:
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
         return self.backend.gram(self._on_sheet(gaussians), frame, visibility)
-
-    def step(
-        self,
-        gaussians: Gaussians,
-        gradient: Gaussians,
-        moments: Moments,
-        settings: OptimiserSettings,
-        rate: float,
-        values: int,
-        visibility: Visibility | None = None,
-        spacing: int = 1,
-    ) -> None:
-        moving = self._on_sheet(gaussians)
-        self.backend.step(moving, gradient, moments, settings, rate, values, visibility, spacing)
-        gaussians.means[:] = moved(moving.means, self.islands.to_picture)
-
-    def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
-        self.backend.add_rate_gradient(gaussians, gradient, quantum, weight)
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         self.backend.keep_in_range(gaussians, width, height)

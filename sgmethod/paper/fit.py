@@ -16,17 +16,19 @@ from sgmethod.paper.schedule import Schedule
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
 
+KERNELS = Kernels()
+
 
 def level_of(pixels: np.ndarray) -> Level:
     """Build the level that Gaussians of a version 1 file are fitted to, from pixels uint8 [H, W, 3]."""
-    return Level(Kernels(), Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
+    return Level(KERNELS, Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
 
 
 def loss_of(level: Level, lambda_g: float) -> Loss:
     """Build the loss MSE + lambda_g L_g, a function of Gaussians."""
     if lambda_g == 0:
         return level.gradients
-    return Kernels().regularised(level.frame, level.image(), lambda_g)
+    return KERNELS.regularised(level.frame, level.image(), lambda_g)
 
 
 def usable(start: Gaussians, level: Level) -> Gaussians:
@@ -55,7 +57,7 @@ def fit(
 
     def step(rate: float) -> tuple[float, int, int]:
         mse, gradient = loss(gaussians)
-        level.backend.step(gaussians, gradient, moments, s.optimiser, rate, 1)
+        KERNELS.step(gaussians, gradient, moments, s.optimiser, rate, 1)
         return mse, len(start), 0
 
     schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate)

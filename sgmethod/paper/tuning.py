@@ -22,7 +22,7 @@ from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.adam import Adam
 from sgmethod.paper.codebook import ResidualCodebook
-from sgmethod.paper.fit import loss_of
+from sgmethod.paper.fit import KERNELS, loss_of
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
 
@@ -175,7 +175,7 @@ class Tuner:
         s = self.settings
         by_colors = grads[2] + 2 * s.lambda_r / coded_colors.numel() * (self.p.colors - coded_colors)  # L_r
         gradient = Parameters(grads[0], grads[1], by_colors).numpy()
-        self.level.backend.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
+        KERNELS.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
         # L_b, or with a budget in its place the price at which the mean bitwidth stays the same.
         price = others[4].mean() if s.bits_by_budget and self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
