@@ -134,10 +134,10 @@ class Bench:
 
     def steps(self, batch: int) -> Row:
         """Milliseconds of a step, and the error that some of them leave from a random start."""
-        from sgmethod.torch.together import Together
+        from sgmethod.torch.batched import BatchedTensors
 
         side, n, count = self.sizes.side, self.sizes.each, 2 * self.sizes.repeats
-        backend, frame, price = Together(self.device, 1, Event()), Frame(side, side), 1e-4 / (3 * side * side)
+        backend, frame, price = BatchedTensors(self.device, 1, Event()), Frame(side, side), 1e-4 / (3 * side * side)
         means, factors, colors = (values.cpu().numpy() for values in self._gaussians(side, side, n, batch))
         fits = []
         for k, picture in enumerate(self._pictures(batch)):

@@ -52,7 +52,7 @@ class ResidualCodebook:
         """Return the colours [N, 3] of indices [N, 2]."""
         return self.entries[0][index[:, 0]] + self.entries[1][index[:, 1]]
 
-    def follow(self, colors: Tensor, index: Tensor) -> None:
+    def update(self, colors: Tensor, index: Tensor) -> None:
         """Move each entry by 1 - decay of the way to the mean of what the other stage leaves to it."""
         for stage in range(len(self.entries)):
             others = self.lookup(index) - self.entries[stage][index[:, stage]]

@@ -145,7 +145,7 @@ class Tuner:
             for leaf in leaves:
                 leaf.requires_grad_(False)
             self._move((grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
-            self.book.follow(self.p.colors, index)
+            self.book.update(self.p.colors, index)
         return mse, self.n, self.file_bytes()
 
     def _state(self) -> list[Tensor]:

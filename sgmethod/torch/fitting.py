@@ -144,11 +144,11 @@ def _backends(
 ) -> tuple[int, list[AbstractContextManager[Backend]]]:
     """How many pictures are fitted at a time, and the backend of each, to be left when its fit ends."""
     if has_tiles(device):
-        from sgmethod.torch.together import Together
+        from sgmethod.torch.batched import BatchedTensors
 
         places = max(1, min(MAX_TOGETHER, SAMPLES_TOGETHER // max(map(np.size, pictures), default=1)))
         starts = range(0, len(pictures), places)
-        batches = [Together(device, len(pictures[start : start + places]), abandoned) for start in starts]
+        batches = [BatchedTensors(device, len(pictures[start : start + places]), abandoned) for start in starts]
         return places, [batches[index // places] for index in range(len(pictures))]
     if device.type == "cpu":
         places = native.thread_count() if len(pictures) >= native.thread_count() else 1

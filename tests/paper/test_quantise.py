@@ -185,7 +185,7 @@ def test_entries_follow_the_mean_with_the_decay() -> None:
     book = codebook(colors)
     before = book.entries.clone()
     index = torch.stack([torch.arange(300) % 7, torch.arange(300) % 5], 1)  # entry 7 and entries 5, 6, 7 stand idle
-    book.follow(colors, index)
+    book.update(colors, index)
     # The second stage follows what the first has left, which has moved.
     left = colors - before[1][index[:, 1]], colors - book.entries[0][index[:, 0]]
     for stage, used in ((0, 7), (1, 5)):
@@ -203,7 +203,7 @@ def test_long_tuning_does_not_diverge() -> None:
     for _ in range(300):
         index = book.assign(colors)
         errors.append((colors - book.lookup(index)).square().mean().item())
-        book.follow(colors, index)
+        book.update(colors, index)
     assert max(errors) < 1.01 * errors[0]
     assert errors[-1] < errors[0]
 

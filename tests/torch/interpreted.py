@@ -20,10 +20,10 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import NEWTON_ADAM
 from sgmethod.settings.shared import ADAM, OptimiserSettings
 from sgmethod.torch import tiles
+from sgmethod.torch.batched import BatchedTensors
 from sgmethod.torch.exact import ExactFit
 from sgmethod.torch.fitting import fit_pictures
 from sgmethod.torch.tiles import Tiles
-from sgmethod.torch.together import Together
 from tests.backend.cases import FRAMES, SIZE, image, over, scattered, target, worst
 from tests.native import test_pyramid as pyramid, test_render as plain
 from tests.torch.test_tensors import assert_as_reference
@@ -85,7 +85,7 @@ def test_plain(name: str) -> None:
 
 @pytest.mark.parametrize("name", FRAMES)
 def test_backend(name: str) -> None:
-    assert_as_reference(Together(CPU, 1, Event()), FRAMES[name])
+    assert_as_reference(BatchedTensors(CPU, 1, Event()), FRAMES[name])
 
 
 def test_a_batch_is_its_pictures() -> None:
@@ -127,7 +127,7 @@ def test_steps(settings: OptimiserSettings, spacing: int) -> None:
     ]
     wanted = [(one.copy(), moments.copy(), descent) for one, moments, descent in fits]
     for _ in range(2):
-        Together(CPU, 1, Event()).steps_of(fits, (0.5, 0.4))
+        BatchedTensors(CPU, 1, Event()).steps_of(fits, (0.5, 0.4))
         for (found, moments, _), beside in zip(fits, wanted, strict=True):
             Kernels().steps(*beside, (0.5, 0.4))
             for own, true in zip((*found.arrays, moments.first), (*beside[0].arrays, beside[1].first), strict=True):
@@ -138,13 +138,15 @@ def test_steps(settings: OptimiserSettings, spacing: int) -> None:
 def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their steps are taken together, and they end near those of the kernels; an error of one ends all."""
     batches: list[int] = []
-    steps_of = Together.steps_of
+    steps_of = BatchedTensors.steps_of
 
-    def counted(own: Together, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]) -> None:
+    def counted(
+        own: BatchedTensors, fits: Sequence[tuple[Gaussians, Moments, Descent]], rates: Sequence[float]
+    ) -> None:
         batches.append(len(fits))
         steps_of(own, fits, rates)
 
-    monkeypatch.setattr(Together, "steps_of", counted)
+    monkeypatch.setattr(BatchedTensors, "steps_of", counted)
     pictures = [np.asarray(255 * (0.5 + 0.5 * image(k)).clip(0, 1), np.uint8).transpose(1, 2, 0) for k in range(3)]
     task = ExactFit(12, steps=5)
     found = fit_pictures(pictures, task, CPU)
@@ -157,6 +159,6 @@ def test_fits_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(Together, "steps_of", fail)
+    monkeypatch.setattr(BatchedTensors, "steps_of", fail)
     with pytest.raises(MemoryError):
         fit_pictures(pictures, task, CPU)

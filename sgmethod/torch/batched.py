@@ -37,7 +37,7 @@ class _PendingSteps:
         return d.frame, d.width, d.height, d.settings, self.rates
 
 
-class Together(Tensors):
+class BatchedTensors(Tensors):
     """A backend by Triton's kernels, for a number of threads, each of which leaves it after its fit.
 
     Steps are taken once every thread that has not left asks for some. To leave is to exit it as a context manager.
@@ -49,7 +49,7 @@ class Together(Tensors):
         self._asked: list[_PendingSteps] = []
         self._condition = Condition()
 
-    def __enter__(self) -> Together:
+    def __enter__(self) -> BatchedTensors:
         return self
 
     def __exit__(self, *_: object) -> None:
