@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -35,10 +36,7 @@ def strongest(plan: Plan, state: State, bits: float, limit: int) -> State:
     if len(keep) == len(energies):
         return state
     kept = state.rows(keep)
-
-    def psnr() -> float:
-        return plan.psnr(plan.rounded(kept.gaussians, kept.quantum))
-
+    psnr = partial(plan.psnr, kept.gaussians, kept.quantum)
     return kept if plan.rate.allows(psnr, plan.settings.prune) else state
 
 
@@ -67,7 +65,9 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     size = state.size * len(gaussians) // max(n, 1)
     moments = state.moments.with_more(len(new))
     grown = replace(state, gaussians=gaussians, moments=moments, size=size, saturated_price=saturated)
-    return grown.rows(_by_place(gaussians, plan.problem.size[0]))
+    x, y = gaussians.means.T
+    bands = np.floor(y / TILE_HEIGHT) * 2 * plan.problem.size[0] + x  # Gaussians of a tile then lie together in memory
+    return grown.rows(np.argsort(bands, kind="stable"))
 
 
 def _found(plan: Plan, state: State, level: Level, limit: int, min_gain: float) -> Gaussians:
@@ -83,9 +83,3 @@ def _found(plan: Plan, state: State, level: Level, limit: int, min_gain: float) 
     return level.solve_colors(
         level.shapes(means, factors), plan.settings.densify.color_solve_steps, others=state.gaussians
     )
-
-
-def _by_place(gaussians: Gaussians, width: int) -> np.ndarray:
-    """Order along bands as high as a tile: Gaussians of one tile then lie together in memory."""
-    means = gaussians.means
-    return np.argsort(np.floor(means[:, 1] / TILE_HEIGHT) * 2 * width + means[:, 0], kind="stable")

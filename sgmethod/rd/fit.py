@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from sgmethod.fitting.deadline import cosine
 from sgmethod.rd.plan import Plan, Stage, State
@@ -17,8 +18,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     weight = s.settling_weight if stage.at >= stage.times.settling_from else s.rate_weight
     price = weight * state.bit_price
 
-    def decoded_error() -> float:
-        return plan.error(plan.rounded(gaussians, state.quantum))
+    error = partial(plan.error, gaussians, state.quantum)
 
     def while_target_rests() -> int:
         return state.target.every - steps % state.target.every
@@ -26,15 +26,15 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     for progress in stage.pace.together(stage.until, while_target_rests):
         level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
-            error = plan.finest.missing(gaussians, half=state.target.half)
+            missing = plan.finest.missing(gaussians, half=state.target.half)
             into = None if state.target.now is given else state.target.now  # each is as large as the picture
-            state = replace(state, target=state.target.moved(error, into))
+            state = replace(state, target=state.target.moved(missing, into))
             level = replace(level, target=state.target.now)
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         plan.finest.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
         steps += len(rates)
         all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
-        plan.session.recorder.report("joint", steps, all_steps, decoded_error, size, state.size, tries)
+        plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 

@@ -116,17 +116,16 @@ class Plan:
         price, optimiser = price / self.problem.pixels.size, self.settings.fit.optimiser
         return Descent(level.frame, level.target, level.visibility, quantum, price, *self.problem.size, optimiser)
 
-    def rounded(self, gaussians: Gaussians, quantum: float) -> Gaussians:
-        """Return Gaussians as they would decode."""
-        return self.finest.backend.rounded(gaussians, self.problem.coding(quantum))
+    def error(self, gaussians: Gaussians, quantum: float | None = None) -> float:
+        """Mean squared error on the finest level; given a quantum, of Gaussians as they would decode."""
+        backend, level = self.finest.backend, self.finest
+        if quantum is not None:
+            gaussians = backend.rounded(gaussians, self.problem.coding(quantum))
+        return backend.error(gaussians, level.frame, level.target, self.shown)
 
-    def error(self, gaussians: Gaussians) -> float:
-        """Mean squared error on the finest level."""
-        return self.finest.backend.error(gaussians, self.finest.frame, self.finest.target, self.shown)
-
-    def psnr(self, gaussians: Gaussians) -> float:
-        """PSNR on the finest level, in dB."""
-        return -10 * math.log10(max(self.error(gaussians), 1e-12))
+    def psnr(self, gaussians: Gaussians, quantum: float | None = None) -> float:
+        """PSNR on the finest level, in dB, as error() measures it."""
+        return -10 * math.log10(max(self.error(gaussians, quantum), 1e-12))
 
     def allowed_gaussians(self, times: Times, at: float) -> int:
         """Limit on the number of Gaussians."""

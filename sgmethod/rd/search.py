@@ -35,7 +35,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     def payload(quantum: float) -> int:
         return len(coded(StreamV2.coded_quantum(quantum, problem.is_short)).payload)
 
-    fit_error = cache(lambda: plan.error(plan.rounded(state.gaussians, state.quantum)))  # the fit stays as it is
+    fit_error = cache(partial(plan.error, state.gaussians, state.quantum))  # the fit stays as it is
     report = partial(_report, plan, state, rounds, fit_error)
     report(0, rate.usual_tries)
     texture = _texture(plan, lambda: coded(state.quantum))

@@ -27,7 +27,7 @@ class FitSnapshot:
     @cached_property
     def psnr(self) -> float:
         """PSNR in dB."""
-        return self.plan.psnr(self.plan.rounded(self.state.gaussians, self.state.quantum))
+        return self.plan.psnr(self.state.gaussians, self.state.quantum)
 
     @cached_property
     def ssimulacra2_db(self) -> float:

@@ -58,7 +58,7 @@ def test_the_trace_shows_what_would_be_decoded() -> None:
     wanted = float(np.square((decoded - CROP.astype(np.float64)) / 255).mean())
     shown = 10 ** (-recorder.points[-1].psnr / 10)
     assert shown == pytest.approx(wanted, rel=0.01)  # but for 8 bits and what is clamped
-    assert recorder.points[-1].psnr == pytest.approx(plan.psnr(plan.rounded(state.gaussians, state.quantum)), abs=1e-3)
+    assert recorder.points[-1].psnr == pytest.approx(plan.psnr(state.gaussians, state.quantum), abs=1e-3)
     assert shown > 1.03 * plan.finest.gradients(state.gaussians)[0]
 
 
