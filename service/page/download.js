@@ -33,8 +33,8 @@ export function offerWidths(size) {
 /** Save a picture, drawn here if it is opaque and the browser can write the format, else by the service. */
 export async function savePicture(item, kind, width, draw) {
   const [whole] = item.size;
-  const [least, most] = widths(item.size);
-  if (!(width >= least && width <= most)) throw new Error(`the width must be between ${least} and ${most} pixels.`);
+  const [min, max] = widths(item.size);
+  if (!(width >= min && width <= max)) throw new Error(`the width must be between ${min} and ${max} pixels.`);
   const type = IN_BROWSER[kind];
   let blob = null;
   if (item.file && type && !item.file.alpha) {

@@ -14,9 +14,9 @@ function shape(tag, attributes, text = "") {
   return made;
 }
 
-/** A round step that divides a range into about `most` parts. */
-function stepOf(range, most) {
-  const rough = range / most || 1;
+/** A round step that divides a range into about so many parts. */
+function stepOf(range, parts) {
+  const rough = range / parts || 1;
   const power = 10 ** Math.floor(Math.log10(rough));
   return [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough);
 }
@@ -36,10 +36,10 @@ export function drawTrace(trace, end = null) {
   if (points.length < 2) return;
   const all = [...points.map((point) => point.psnr), ...(end === null ? [] : [end])];
   const last = Math.max(trace.at(-1).seconds, 0.1);
-  const [least, most] = [Math.min(...all), Math.max(...all)];
-  const step = stepOf(most - least, 4);
-  const low = step * Math.floor(least / step);
-  const high = Math.max(step * Math.ceil(most / step), low + step); // the curve stays between the outer ticks
+  const [min, max] = [Math.min(...all), Math.max(...all)];
+  const step = stepOf(max - min, 4);
+  const low = step * Math.floor(min / step);
+  const high = Math.max(step * Math.ceil(max / step), low + step); // the curve stays between the outer ticks
   const x = (s) => LEFT + ((WIDTH - LEFT - RIGHT) * s) / last;
   const y = (psnr) => TOP + ((HEIGHT - TOP - BOTTOM) * (high - psnr)) / (high - low);
   const parts = [];
@@ -64,11 +64,11 @@ export function drawTrace(trace, end = null) {
 
 /** Explain why the curve falls, if it does. */
 function wordsOf(points) {
-  const most = Math.max(...points.map(({ bytes }) => bytes));
+  const largest = Math.max(...points.map(({ bytes }) => bytes));
   const last = points.at(-1).bytes;
-  if (most < 1.2 * last) return "Higher is closer to the original.";
+  if (largest < 1.2 * last) return "Higher is closer to the original.";
   return (
-    `Higher is closer to the original. The fit starts with more Gaussians than it keeps, at first ${size(most)} of them, ` +
+    `Higher is closer to the original. The fit starts with more Gaussians than it keeps, at first ${size(largest)} of them, ` +
     "and then drops those that help least, again in each round. That is where the curve falls."
   );
 }

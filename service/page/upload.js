@@ -59,15 +59,15 @@ export function budget(item) {
 export function sayRate(item) {
   const byQuality = $("aim").value === "quality";
   $("rate-name").textContent = byQuality ? "How good" : "File size";
-  const most = bytes(item);
-  if (!isMoved()) $("slider").value = byQuality ? 50 : placeOf(most);
+  const limit = bytes(item);
+  if (!isMoved()) $("slider").value = byQuality ? 50 : placeOf(limit);
   if (byQuality) {
     $("rate").textContent = `${quality()} of 100`;
     $("rate-words").textContent = `SSIMULACRA 2, ${QUALITIES.find(([least]) => quality() >= least)[1]}, in as few bytes as that takes.`;
   } else {
-    $("rate").textContent = `at most ${size(most)}`;
-    const less = item?.originalBytes ? `${smaller(item.originalBytes, most)}, ` : "";
-    $("rate-words").textContent = `Estimated: ${less}${expected(most)}.`;
+    $("rate").textContent = `at most ${size(limit)}`;
+    const less = item?.originalBytes ? `${smaller(item.originalBytes, limit)}, ` : "";
+    $("rate-words").textContent = `Estimated: ${less}${expected(limit)}.`;
   }
   $("slider").setAttribute("aria-label", $("rate-name").textContent);
   $("slider").setAttribute("aria-valuetext", $("rate").textContent);

@@ -33,7 +33,7 @@ export function drawEllipses(context, file, count, { zoom, x, y, left, right, he
   }
 }
 
-/** The bits of a file, spread over its Gaussians' ellipses: { columns, rows, cells, most }, in bits per pixel. */
+/** The bits of a file, spread over its Gaussians' ellipses: { columns, rows, cells, max }, in bits per pixel. */
 export function heatOf(file) {
   const [columns, rows] = [Math.ceil(file.width / CELL), Math.ceil(file.height / CELL)];
   const cells = new Float32Array(columns * rows);
@@ -55,14 +55,14 @@ export function heatOf(file) {
     }
   }
   const sorted = cells.slice().sort();
-  return { columns, rows, cells, most: sorted[Math.floor(0.995 * (sorted.length - 1))] || 1e-6 };
+  return { columns, rows, cells, max: sorted[Math.floor(0.995 * (sorted.length - 1))] || 1e-6 };
 }
 
 /** The heat map as a small picture: from dark violet, through orange, to pale yellow. */
-export function heatPicture({ columns, rows, cells, most }) {
+export function heatPicture({ columns, rows, cells, max }) {
   const image = new ImageData(columns, rows);
   for (let i = 0; i < cells.length; i++) {
-    const t = Math.min(cells[i] / most, 1) ** 0.7;
+    const t = Math.min(cells[i] / max, 1) ** 0.7;
     image.data.set([255 * Math.min(1, 0.12 + 1.5 * t), 235 * t ** 1.5, 90 * (1 - t) + 120 * t ** 4, 225], 4 * i);
   }
   const canvas = new OffscreenCanvas(columns, rows);

@@ -97,7 +97,7 @@ export class Tools {
     $("legend").textContent = {
       none: "",
       ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones remove it.",
-      heat: `Bits per pixel: dark is none, pale yellow ${file?.heat?.most.toFixed(1)} bits per pixel or more.`,
+      heat: `Bits per pixel: dark is none, pale yellow ${file?.heat?.max.toFixed(1)} bits per pixel or more.`,
     }[file ? overlay : "none"];
     $("legend").hidden = !$("legend").textContent;
     viewer.redraw();
