@@ -66,6 +66,7 @@ ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 """
 DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_bytes, error = NULL, finished_at = epoch()"
 PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?, losses = losses + ?, lease_until = epoch() + ?"
+RELEASE = "state = 'queued', started_at = NULL, lease_until = epoch() + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
 CLAIMED = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is too long because the clock was set back.

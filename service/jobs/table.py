@@ -288,10 +288,13 @@ class JobTable(ABC):
         """Whether the images of finished jobs are kept, and so count as stored."""
         return self._settings.source_retention_s > 0
 
-    def release(self, claim: Job) -> bool:
-        """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's."""
+    def release(self, claim: Job, put_off_s: float | None = None) -> bool:
+        """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's.
+
+        put_off_s: seconds for which no worker claims it.
+        """
         with self._transaction() as db:
-            return self._change(db, claim, "state = 'queued', started_at = NULL, lease_until = NULL") is not None
+            return self._change(db, claim, sql.RELEASE, put_off_s) is not None
 
     @staticmethod
     def _change(db: Database, claim: Job, assignments: str, *values: Any) -> Job | None:

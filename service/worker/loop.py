@@ -29,6 +29,7 @@ log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
 REGISTER_S = 2.0
+RETRY_AFTER_S = 5.0  # for a job whose image cannot be read, so that others go first
 THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and unregistering may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 BEGINS_SOON_S = 5.0  # after which this worker no longer reports that it is alive
@@ -47,6 +48,7 @@ class Worker:
         self._stop = stop
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._owed_since: float | None = None  # since when the sandbox has begun no task, though it was given some
+        self._storage_is_checked = True
 
     def run(self) -> None:
         """Claim and work until stopping is requested; sweep meanwhile."""
@@ -99,6 +101,9 @@ class Worker:
             if not self._table.keeps_sources:
                 with contextlib.suppress(OSError):  # the sweep removes it
                     self._storage.delete(source_key(job.id))
+        if not self._storage_is_checked:  # each claim is an attempt of its job, which would end like the last one
+            self._storage.check()
+            self._storage_is_checked = True
         claim = self._table.claim(self._name)
         if claim is None:
             self._owed_since = None
@@ -113,7 +118,8 @@ class Worker:
             log.info("job %s: handed back", claim.id)
             self._table.release(claim)
         except OSError:  # such as a storage out of reach: this must not count against the job
-            self._table.release(claim)
+            self._storage_is_checked = False
+            self._table.release(claim, RETRY_AFTER_S)
             raise
         attempt.remove_leftovers()
         return True

@@ -25,6 +25,7 @@ from tests.support.job_table import (
     OpenTable,
     change,
     claimed,
+    grow_older,
     job_of,
     new,
     open_table,
@@ -176,6 +177,10 @@ def test_a_released_job_keeps_its_place_and_counts_no_crash(table: JobTable) -> 
     assert (again.id, again.attempt) == (first, 2)
     assert job_of(table, first).crashes == 0
     assert claimed(table).id == second
+    assert table.release(again, put_off_s=LONG_S)
+    assert table.claim("w") is None
+    grow_older(table, LONG_S)
+    assert claimed(table).id == first
 
 
 def _claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:

@@ -174,12 +174,33 @@ def test_a_storage_that_is_slow_holds_up_no_encode(
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
     table: Unsteady, storage: Storage, worker: Worker, claim: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A job was claimed each second meanwhile: after hours, it had thousands of attempts."""
     assert table.release(claim)
-    monkeypatch.setattr(storage, "open", failing(storage.open, OSError(5, "the object store failed")))
-    with pytest.raises(OSError, match="the object store failed"):
+    monkeypatch.setattr(loop, "BEGINS_S", 0.0)
+    away = OSError(5, "the object store failed")
+    monkeypatch.setattr(storage, "open", failing(storage.open, away))
+    monkeypatch.setattr(storage, "check", failing(storage.check, away, away))
+    for _ in range(3):
+        with pytest.raises(OSError, match="the object store failed"):
+            worker.run_one()
+        job = job_of(table, claim.id)
+        assert (job.state, job.crashes, job.attempt) == ("queued", 0, claim.attempt + 1)
+    change(table, "UPDATE jobs SET lease_until = epoch()")
+    with pytest.raises(SandboxUnavailableError):  # the storage is back, and the next attempt gets further
         worker.run_one()
-    job = job_of(table, claim.id)
-    assert (job.state, job.crashes) == ("queued", 0)
+
+
+def test_an_image_that_cannot_be_read_holds_up_no_other(
+    table: Unsteady, storage: Storage, worker: Worker, claim: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one in a bad sector, of a storage that works: its worker claimed it each second, and no other job."""
+    assert table.release(claim)
+    monkeypatch.setattr(storage, "open", failing(storage.open, OSError(5, "Input/output error")))
+    with pytest.raises(OSError, match="Input/output error"):
+        worker.run_one()
+    assert job_of(table, claim.id).losses == 0
+    other = submitted(table)
+    assert claimed(table).id == other
 
 
 def test_a_heartbeat_sends_each_point_once(
@@ -313,7 +334,6 @@ def test_a_storage_that_is_away_has_lost_no_image(table: Unsteady, worker: Worke
     with pytest.raises(FileNotFoundError):
         worker.run_one()
     assert (job_of(table, claim.id).state, job_of(table, claim.id).losses) == ("queued", 0)
-    assert claimed(table).id == claim.id  # at once
 
 
 def test_an_encoder_that_speaks_nonsense(table: Unsteady, storage: Storage, stop: StopSignal, claim: Job) -> None:
