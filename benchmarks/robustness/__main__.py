@@ -2,6 +2,7 @@
 
 python -m benchmarks.robustness stiff [--help]       pictures that are hard to code, each rule and where it breaks
 python -m benchmarks.robustness extremes [--help]    extreme Gaussians, bad starts, impossible budgets
+python -m benchmarks.robustness order [--help]       photographs: more time or more bytes, and a worse file
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.arguments import run_part
-from benchmarks.robustness import extremes, stiff
+from benchmarks.robustness import extremes, order, stiff
 
 if __name__ == "__main__":
-    sys.exit(run_part({"stiff": stiff.main, "extremes": extremes.main}, __doc__))
+    sys.exit(run_part({"stiff": stiff.main, "extremes": extremes.main, "order": order.main}, __doc__))

@@ -52,6 +52,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "verdict",
         ["kept"],
     ),
+    "robustness order": ("--images {small} --megapixels 0.002 --bpp 2 --efforts 1,2", "effort", [1, 2]),
     "gpu": ("--quick --images {small}", "what", ["errors", "decode", "decode bytes", "steps"]),
     "service attacks": ("--seconds 2 --only slow", "tracebacks", [0]),
 }
