@@ -78,7 +78,7 @@ FULL = {
     "growth": "speed growth --images {photographs}/large --most 99 --pictures dahlia,peony,red_lake "
     "--megapixels 0.75,3,12 --bytes 500,2000,10000,50000 --repeats 1",
     "scenes": f"scenes {KODAK}",
-    "sparse": "scenes --sparse",
+    "sparse": "scenes --large {photographs}/large",
     "gains/optimiser": f"ablation gains {KODAK} --tables optimiser --most 6",
     "gains/crops": f"ablation gains {KODAK} --tables crops --most 6",
     "gains/seeds": f"ablation gains {KODAK} --tables optimiser --numbers 70000 --settings random,dynamic "

@@ -1,21 +1,22 @@
 """What a scene does not need: Gaussians, bytes and seconds by content at one PSNR, and what each saving saves.
 
     SG_THREADS=1 python -m benchmarks.scenes --images KODAK [--psnr 34] [--repeats 3]
-    SG_THREADS=1 python -m benchmarks.scenes --sparse
+    SG_THREADS=1 python -m benchmarks.scenes --large PHOTOGRAPHS [--megapixels 4,12] [--bytes 1000,50000]
 
-Scenes have 256x256 pixels: half are parts of Kodak's photographs, half are drawn here. --sparse encodes pictures of
-2000x2000 pixels that are nearly empty, with a budget, because one colour exceeds any PSNR. Seconds are processor time,
-on which other work on the machine has little effect.
+Scenes have 256x256 pixels: half are parts of Kodak's photographs, half are drawn here. --large encodes large pictures
+that are nearly empty or smooth, beside a photograph full of texture, with a budget, because one colour exceeds any
+PSNR; its folder has photographs of 12 megapixels. Seconds are processor time, on which other work on the machine has
+little effect.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
+import math
 import time
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from statistics import median
 from unittest.mock import PropertyMock, patch
@@ -23,8 +24,11 @@ from unittest.mock import PropertyMock, patch
 import cv2
 import numpy as np
 
-from benchmarks.machine import RUNS, Record, peak_bytes
+from benchmarks.arguments import integers, numbers
+from benchmarks.machine import RUNS, Record, forget_peak, peak_bytes
 from benchmarks.pictures import Pixels
+from benchmarks.speed.growth import reduced
+from benchmarks.speed.sizes import alone
 from sgmethod import Encoded, encode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.problem import Problem
@@ -32,13 +36,14 @@ from sgmethod.rd.rate_control import EXACT_DB
 from sgmethod.settings.rd import RD, RdSettings
 
 SIDE = 256
-LARGE_SIDE, LARGE_BYTES = 2000, 1000
 PHOTOGRAPHED = {  # a picture of Kodak's, and the scene's first row and column
     "sky": ("kodim19", 0, 0),
     "face": ("kodim04", 180, 190),
     "foliage": ("kodim13", 100, 0),
     "facade": ("kodim08", 200, 300),
 }
+TEXTURED, SMOOTH = "textured photograph", "smooth photograph"
+LARGE = {SMOOTH: "peony.jpg", TEXTURED: "two_samoyeds.jpg"}
 TEXT = ("Structure-guided", "allocation of 2D", "Gaussians: more of", "them where there is", "more to be seen")
 
 # Each saving, and the settings that refuse it.
@@ -55,34 +60,47 @@ BY_PROPERTY = {"no Gaussians for a single colour": "is_one_colour", "no chroma f
 SAVINGS = (*BY_SETTINGS, *BY_PROPERTY)
 
 
+def gradient(side: int) -> Pixels:
+    """Colours that change evenly from corner to corner."""
+    x, y = np.meshgrid(*2 * [np.linspace(0, 1, side)])
+    return np.rint(np.stack([20 + 200 * x, 40 + 160 * y, 220 - 120 * x * y], axis=2)).astype(np.uint8)
+
+
 def drawn() -> dict[str, Pixels]:
     """The scenes that are no photographs."""
-    across = np.linspace(0, 1, SIDE)
-    x, y = np.meshgrid(across, across)
-    gradient = np.stack([20 + 200 * x, 40 + 160 * y, 220 - 120 * x * y], axis=2)
     text = np.full((SIDE, SIDE, 3), 255, np.uint8)
     for k, line in enumerate(TEXT):
         cv2.putText(text, line, (8, 44 + 46 * k), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 1, cv2.LINE_AA)
     noise = np.random.default_rng(0).normal(128, 30, (SIDE, SIDE, 3))
     return {
         "one colour": np.full((SIDE, SIDE, 3), (90, 140, 200), np.uint8),
-        "gradient": np.rint(gradient).astype(np.uint8),
+        "gradient": gradient(SIDE),
         "text": text,
         "noise": np.clip(np.rint(noise), 0, 255).astype(np.uint8),
     }
 
 
-def sparse() -> dict[str, Pixels]:
+def sparse(side: int) -> dict[str, Pixels]:
     """Large scenes that are nearly empty."""
-    grey, white = (np.full((LARGE_SIDE, LARGE_SIDE, 3), level, np.uint8) for level in (128, 255))
+    grey, white = (np.full((side, side, 3), level, np.uint8) for level in (128, 255))
     dot, line, word, stars = grey, grey.copy(), white, grey // 16
-    dot[700, 900] = 255
-    cv2.line(line, (100, 300), (1800, 1500), (255, 255, 255), 3, cv2.LINE_AA)
-    cv2.putText(word, "word", (800, 1000), cv2.FONT_HERSHEY_SIMPLEX, 3, (0, 0, 0), 5, cv2.LINE_AA)
+    at = side / 2000
+    dot[int(700 * at), int(900 * at)] = 255
+    ends = [(int(x * at), int(y * at)) for x, y in ((100, 300), (1800, 1500), (800, 1000))]
+    cv2.line(line, ends[0], ends[1], (255, 255, 255), 3, cv2.LINE_AA)
+    cv2.putText(word, "word", ends[2], cv2.FONT_HERSHEY_SIMPLEX, 3, (0, 0, 0), 5, cv2.LINE_AA)
     rng = np.random.default_rng(0)
-    for x, y in rng.integers(0, 16 * LARGE_SIDE, (200, 2)).tolist():
+    for x, y in rng.integers(0, 16 * side, (200, 2)).tolist():
         cv2.circle(stars, (x, y), 20, (255, 255, 255), cv2.FILLED, cv2.LINE_AA, shift=4)
     return {"one dot": dot, "one line": line, "one word": word, "stars": stars}
+
+
+def large(scene: str, megapixels: float, photographs: Path) -> Pixels:
+    """A large scene of about that size."""
+    if scene in LARGE:
+        return reduced(read_image_8_bit((photographs / LARGE[scene]).read_bytes()), megapixels)
+    side = round(math.sqrt(1e6 * megapixels))
+    return gradient(side) if scene == "gradient" else sparse(side)[scene]
 
 
 def scenes(images: Path) -> dict[str, Pixels]:
@@ -108,33 +126,42 @@ def encoded(pixels: Pixels, psnr: float, saving: str) -> tuple[Encoded, float]:
         return file, time.process_time() - began
 
 
-def of_sparse(scene: str) -> dict[str, float]:
+def of_large(scene: str, megapixels: float, max_bytes: int, photographs: Path) -> dict[str, float]:
     """Figures of a large scene, measured in this process."""
-    pixels = sparse()[scene]
+    pixels = large(scene, megapixels, photographs)
     encode(drawn()["gradient"], bytes=100)  # the first of a process loads what others find there
+    forget_peak()
     before, began = peak_bytes(), time.process_time()
-    s = encode(pixels, bytes=LARGE_BYTES).stats
+    s = encode(pixels, bytes=max_bytes).stats
     return {
         **{"gaussians": s.gaussians, "bytes": s.bytes, "psnr": min(s.psnr, EXACT_DB)},
         **{"cpu_s": time.process_time() - began, "mib": (peak_bytes() - before) / 2**20},
     }
 
 
+def measure_large(options: argparse.Namespace) -> None:
+    """Measure each large scene, size and budget in a process of its own, whose memory is its own."""
+    record = Record(options.out or RUNS / "sparse.json", "benchmarks.scenes", {})
+    for key in product(options.megapixels, options.bytes, (*sparse(64), "gradient", *LARGE)):
+        megapixels, max_bytes, scene = key
+        named = {"scene": scene, "megapixels": megapixels, "max_bytes": max_bytes}
+        if not record.has(**named):
+            record.add({**named, **alone(of_large, scene, megapixels, max_bytes, options.large)})
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--images", type=Path, help="folder with Kodak's photographs")
-    which.add_argument("--sparse", action="store_true")
+    which.add_argument("--large", type=Path, help="folder with large photographs")
+    parser.add_argument("--megapixels", type=numbers, default="4,12", help="of --large")
+    parser.add_argument("--bytes", type=integers, default="1000,50000", help="of --large, at most")
     parser.add_argument("--psnr", type=float, default=34.0)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    if options.sparse:
-        record = Record(options.out or RUNS / "sparse.json", "benchmarks.scenes", {"bytes": LARGE_BYTES})
-        for scene in sparse():
-            if not record.has(scene=scene):
-                with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:  # its memory is its own
-                    record.add({"scene": scene, **alone.submit(of_sparse, scene).result()})
+    if options.large:
+        measure_large(options)
         return
     record = Record(options.out or RUNS / "scenes.json", "benchmarks.scenes", {"psnr": options.psnr})
     for scene, pixels in scenes(options.images).items():
