@@ -7,7 +7,7 @@ Means at one rate for all look better against them than they are: the two are ne
 kodak-cool-chic-5.0.tsv: Cool-Chic 5.0, results/v5.0 (BSD-3-Clause), each picture and point. The sounder comparison: a
 difference in rate for each picture, then the mean over pictures.
 
-seen.json: a learned codec whose decoder is trained for the eye, LPIPS (AlexNet) and DISTS as measured here.
+seen.json: learned codecs whose decoders are trained for the eye, LPIPS (AlexNet) and DISTS as measured here.
 
 paper.json: the tables of "Structure-Guided Allocation of 2D Gaussians for Image Representation and Compression".
 """
@@ -41,7 +41,8 @@ def cool_chic() -> dict[str, list[tuple[float, float]]]:
 
 
 @cache
-def seen() -> dict[str, Any]:
-    """A codec trained for the eye: source, what it says of itself, and points with bpp, psnr (dB), lpips, dists."""
-    content: dict[str, Any] = json.loads((HERE / "seen.json").read_text())
+def seen() -> dict[str, dict[str, Any]]:
+    """Codecs trained for the eye, by name: source, what each says of itself, and points with bpp, psnr (dB) if it is
+    known, lpips, dists. encode_ms, decode_ms: of one that gives its times on a CPU."""
+    content: dict[str, dict[str, Any]] = json.loads((HERE / "seen.json").read_text())
     return content

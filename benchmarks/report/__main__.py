@@ -53,6 +53,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "previews-at-512-bytes": previews.at_one_size,
     "seen": seen.means_table,
     "seen-local": partial(seen.means_table, local.FIGURES),
+    "seen-quoted": seen.quoted_table,
+    "seen-encoder": seen.same_encoder,
     "stability": stability.rules_table,
     "scenes": scenes.needs_table,
     "sparse": scenes.sparse_table,

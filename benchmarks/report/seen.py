@@ -11,8 +11,8 @@ from benchmarks import published
 from benchmarks.perceptual import local
 from benchmarks.rd.report import TITLES
 from benchmarks.report.plots import style
-from benchmarks.report.results import Row, rows
-from benchmarks.tables import number, standard_error, table
+from benchmarks.report.results import Row, load, rows
+from benchmarks.tables import MISSING, number, standard_error, table
 
 SETS = {"kodak": "Kodak", "photographs": "other photographs"}
 KINDS = {"visual": "tuned for the eye", "avif": "AVIF, `tune=iq`"}
@@ -27,6 +27,7 @@ FORMS = {"bytes": ",.0f", "psnr": ".2f", "ssimulacra2": ".1f", "wasserstein": ".
 FORMS |= {"lpips": ".3f", "dists": ".3f"} | dict.fromkeys(local.FIGURES, ".2f")
 TABLE = ("bytes", "psnr", "ssimulacra2", "lpips", "dists", "wasserstein", "spread_luma_fine", "kurtosis_luma_fine")
 BPP = 0.25
+QUOTED = ("lpips", "dists", "psnr")
 BETTER_IF_LOWER = ("lpips", "dists", "wasserstein")
 
 
@@ -59,6 +60,44 @@ def means_table(wanted: Sequence[str] = TABLE) -> str:
     return table(" | ".join(["pictures", "file", *(TITLES[figure] for figure in wanted)]), lines)
 
 
+def quoted_table() -> str:
+    """Our files of Kodak beside codecs whose decoders are networks, as published: at the rate nearest to ours."""
+    ours = means(rows("perceptual/kodak"), BPP)["visual"]
+    _, timed = _of_both_pages()
+    took = {name: statistics.fmean(row[name] for row in timed) for name in ("encode_s", "decode_ms")}
+    times = [f"{1e3 * took['encode_s']:,.0f} ms", f"{took['decode_ms']:.1f} ms"]
+    found = [["ours, tuned for the eye", f"{BPP:g}", *(number(ours[name], FORMS[name]) for name in QUOTED), *times]]
+    for name, codec in published.seen().items():
+        point = nearest(codec)
+        times = [f"{codec[one]} ms" if one in codec else MISSING for one in ("encode_ms", "decode_ms")]
+        figures = [number(point.get(figure), FORMS[figure]) for figure in QUOTED]
+        found.append([f"{name} (quoted)", f"{point['bpp']:.3g}", *figures, *times])
+    titles = ["codec", "bpp", *(TITLES[name] for name in QUOTED), "encode, on a CPU", "decode, on a CPU"]
+    return table(" | ".join(titles), found)
+
+
+def nearest(codec: Row) -> Row:
+    """The published point whose rate is nearest to ours."""
+    point: Row = min(codec["points"], key=lambda point: abs(point["bpp"] - BPP))
+    return point
+
+
+def same_encoder() -> str:
+    """A sentence: how many of Kodak's files are those of the page of rates, which others measured again."""
+    both = [{r["image"]: (r["bytes"], round(r["psnr"], 3)) for r in found} for found in _of_both_pages()]
+    same = sum(both[0].get(image) == file for image, file in both[1].items())
+    dates = {name: load(name)["date"] for name in ("perceptual/kodak", "rd/kodak")}
+    which = "this page" if dates["perceptual/kodak"] < dates["rd/kodak"] else "[rate](rate.md)"
+    older = "" if same == len(both[1]) else f"; {which} was measured with an earlier commit of the encoder"
+    return f"{same} of Kodak's {len(both[1])} files tuned for the eye are those of [rate](rate.md){older}."
+
+
+def _of_both_pages() -> tuple[list[Row], list[Row]]:
+    """The rows of our files tuned for the eye, of this page and of the page of rates."""
+    mine = [row for row in rows("perceptual/kodak") if (row["kind"], row["max_bpp"]) == ("visual", BPP)]
+    return mine, [row for row in rows("rd/kodak") if (row["codec"], row["max_bpp"]) == ("rd visual", BPP)]
+
+
 def figures() -> dict[str, float]:
     """The figures of sentences, by mark."""
     found: dict[str, float] = {}
@@ -74,8 +113,7 @@ def figures() -> dict[str, float]:
         for figure in BETTER_IF_LOWER:
             found[f"seen.{name}-better-{figure}"] = sum(one < 0 for one in apart(mine, figure))
         found[f"seen.{name}-texture"] = 100 * ours["texture"]
-    crdr = min(published.seen()["points"], key=lambda point: abs(point["bpp"] - BPP))
-    return found | {f"seen.crdr-{figure}": crdr[figure] for figure in ("bpp", "psnr", "lpips", "dists")}
+    return found
 
 
 def draw(axes: Any, figure: str) -> None:
