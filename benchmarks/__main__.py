@@ -38,7 +38,10 @@ EIGHT = "--images {photographs}/unseen --most 8 --megapixels 0.4"
 # Of the photographs in LARGE, those that chose no constant.
 LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
 EIGHT_LARGE = f"--images {{photographs}}/large --most 99 --pictures {LARGE} --megapixels 4"
-BUT_AVIF = "--methods 'rd,rd visual,paper,jpeg,webp,jpegxl,avif visual'"
+TWELVE = "--images {photographs}/large --most 99 --pictures broken_pcb,dahlia,peony,two_samoyeds --megapixels 12"
+BUT_AVIF = "--methods 'rd,rd visual,rd fidelity,paper,jpeg,webp,jpegxl,avif visual'"
+AND_AVIF = "--methods 'avif,rd until,rd fidelity until'"
+NEAREST = "--few --limits 4 --methods 'rd,rd visual,rd fidelity,avif,avif visual,rd until,rd fidelity until'"
 NO_BASELINES = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command, or several that write to it.
 SMALL = {
@@ -69,8 +72,11 @@ FULL = {
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
     "perceptual/photographs": "perceptual --images {photographs}/measured --weights {weights} --bpp 0.25",
     "convergence/0.4-megapixels": f"convergence {EIGHT} --few {BUT_AVIF} --seconds 10 --paper-limits 3 "
-    f"+ convergence {EIGHT} --methods avif --seconds 10",
+    f"+ convergence {EIGHT} {AND_AVIF} --seconds 10",
     "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5",
+    "convergence/12-megapixels": f"convergence {TWELVE} {NEAREST}",
+    "convergence/0.4-megapixels-1-core": f"convergence {EIGHT} {NEAREST} --cores 1",
+    "convergence/4-megapixels-1-core": f"convergence {EIGHT_LARGE} {NEAREST} --cores 1",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",

@@ -1,0 +1,28 @@
+"""The time until a quality at a size."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.convergence import until, until_table
+from benchmarks.pictures import photograph
+
+
+def test_the_lowest_effort_that_has_the_quality_within_the_bytes() -> None:
+    pixels = np.ascontiguousarray(photograph(48))
+    first = until(pixels, {"bytes": 300, "psnr": 1.0}, "psnr", "psnr")
+    assert (first["effort"], first["reached"]) == (1, True)
+    more = until(pixels, {"bytes": 300, "psnr": first["psnr"] + 0.05}, "psnr", "psnr")
+    assert (more["reached"], more["bytes"] <= 300) == (True, True)
+    assert more["effort"] > 1
+    never = until(pixels, {"bytes": 300, "psnr": 99.0}, "psnr", "psnr")
+    assert (never["effort"], never["reached"]) == (9, False)
+
+
+def test_means_are_over_the_pictures_that_reach_it() -> None:
+    key = {"megapixels": 0.4, "picture": "fog"}
+    avif = {**key, "method": "avif", "setting": "4", "encode_s": 0.5, "seconds": 3.0}
+    ours = {**key, "method": "rd until", "seconds": 1.25, "reached": True}
+    missed = {**ours, "picture": "moss", "seconds": 9.0, "reached": False}
+    last = until_table([avif, {**avif, "setting": "6", "seconds": 1.0}, ours, missed]).splitlines()[-1]
+    assert last == "| 0.4 | psnr | 1 of 2 | 1.25 | 0.50 | 3.00 |"
