@@ -7,6 +7,7 @@ import base64
 import numpy as np
 
 import sgmethod
+from sgmethod.bitstream import v2
 from sgmethod.bitstream.text import to_text
 from tests.support.data import golden
 from tests.support.node import answer_of, assert_as_python
@@ -58,6 +59,14 @@ const bytes = Uint8Array.from(Buffer.from(given.file, "base64"));
 const pictures = given.views.map((view) => decode(bytes, view));
 console.log(JSON.stringify([pictures.map(({ width, height }) => [width, height]), info(bytes)]));
 """
+
+
+HEADERS = "const it = await import(`${src}/header.js`); console.log(JSON.stringify([it.HEADER, it.ALPHA_HEADER]));"
+
+
+def test_headers_have_the_fields_of_python() -> None:
+    ours = [[[one.bits, one.short_bits, one.grows] for one in header] for header in (v2.HEADER, v2.ALPHA_HEADER)]
+    assert answer_of(HEADERS) == ours
 
 
 def test_the_whole_decoder() -> None:
