@@ -301,7 +301,6 @@ def test_the_trace_runs_through_all_phases(profile: str) -> None:
 
 @pytest.fixture
 def clocks(monkeypatch: pytest.MonkeyPatch) -> list[SlowClock]:
-    """The clocks of encodes."""
     made: list[SlowClock] = []
 
     def make(stop: Stop | None = None) -> SlowClock:

@@ -26,7 +26,6 @@ pytestmark = pytest.mark.thorough  # each imports and encodes in a process of it
 
 
 def run(folder: Path, name: str, *arguments: object) -> str:
-    """What an example prints."""
     ended = processes.run(sys.executable, ROOT / "examples" / name, *arguments, folder=folder)
     assert (ended.status, ended.stderr) == (0, "")
     return ended.stdout

@@ -31,7 +31,6 @@ def single(*values: object) -> Gaussians:
 
 
 def over(frame: Frame, seed: int) -> Gaussians:
-    """Gaussians over a frame."""
     return scattered(25, seed, (frame.width * frame.spacing, frame.height * frame.spacing))
 
 

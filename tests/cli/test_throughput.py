@@ -87,8 +87,6 @@ def test_no_picture_is_read_whole_for_its_size(monkeypatch: pytest.MonkeyPatch, 
 
 
 class Counted(io.FileIO):
-    """A file that counts what is read of it."""
-
     taken = 0
 
     def read(self, size: int | None = -1) -> bytes:

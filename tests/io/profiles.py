@@ -39,7 +39,6 @@ SRGB_CURVE = parametric(3, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
 
 
 def profile(space: bytes, tags: dict[bytes, Tag], pcs: bytes = b"XYZ ", kind: bytes = b"mntr") -> bytes:
-    """A whole profile."""
     named = b"desc\0\0\0\0" + struct.pack(">I", 5) + b"test\0" + bytes(79)
     tags = {b"desc": named, b"wtpt": b"XYZ \0\0\0\0" + fixed(*WHITE), b"cprt": b"text\0\0\0\0none\0", **tags}
     entries, body, at = b"", b"", 132 + 12 * len(tags)
@@ -60,7 +59,6 @@ def rgb(colorants: tuple[tuple[float, ...], ...], curve: Tag = SRGB_CURVE, **mor
 
 
 def grey(curve: Tag) -> bytes:
-    """Grey of one curve."""
     return profile(b"GRAY", {b"kTRC": curve})
 
 

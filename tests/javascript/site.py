@@ -40,7 +40,6 @@ class Site:
 
 @contextmanager
 def served(folder: Path, policy: str = "") -> Iterator[Site]:
-    """Serve a folder, under a policy for its contents."""
     site = Site(folder)
     site.may.set()
 

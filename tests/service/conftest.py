@@ -27,7 +27,6 @@ from tests.support.service import FAKE_CODEC, SMALL_QUEUE, RunCommand, Service, 
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[PostgresServer]:
-    """A PostgreSQL server for all tests that need one."""
     server = PostgresServer(find_binaries() or missing(postgres_server.REQUIRED, postgres_server.HINT))
     yield server
     server.close()
@@ -35,7 +34,6 @@ def postgres() -> Iterator[PostgresServer]:
 
 @pytest.fixture(scope="session")
 def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
-    """An S3 server for all tests that need one."""
     server = S3Server(tmp_path_factory.mktemp("s3"))
     yield server
     server.stop()
@@ -104,7 +102,6 @@ def open_job_table(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
 
 @pytest.fixture
 def table(open_job_table: OpenTable) -> JobTable:
-    """An empty job table."""
     return open_job_table(LONG_S)
 
 

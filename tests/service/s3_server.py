@@ -56,6 +56,5 @@ class S3Server:
         self._process.send_signal(signal.SIGSTOP)
 
     def stop(self) -> None:
-        """End it."""
         self._process.kill()
         self._process.wait()

@@ -38,12 +38,10 @@ def png_that_claims(width: int, height: int, rows: bytes = b"") -> bytes:
 
 
 def png_of_many_chunks(chunks: int) -> bytes:
-    """A small PNG with many empty chunks."""
     return SMALL[:33] + png_chunk(b"abCd") * chunks + SMALL[33:]
 
 
 def jpeg_of_many_markers(markers: int) -> bytes:
-    """A small JPEG with many application markers."""
     jpeg = saved(Image.fromarray(pixels_of(SMALL)), "JPEG")
     return jpeg[:2] + (b"\xff\xe5\x00\x10" + bytes(14)) * markers + jpeg[2:]
 

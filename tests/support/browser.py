@@ -103,7 +103,6 @@ class Page(ABC):
         return str(self.on(selector, lambda element: element.text))
 
     def is_seen(self, selector: str) -> bool:
-        """Whether an element is displayed."""
         return bool(self.on(selector, lambda element: element.is_displayed()))
 
     def complaints(self) -> list[str]:
@@ -135,7 +134,6 @@ class Page(ABC):
         return str(self.run("return location.hash.slice(1)"))
 
     def cancel(self) -> None:
-        """Cancel the job that is shown."""
         self.click("#cancel")
         self.says("Cancelled", "#work")
 
@@ -152,7 +150,6 @@ class Page(ABC):
         """)
 
     def value_of(self, field: str) -> str:
-        """What a field says."""
         return str(self.run(f"return document.getElementById('{field}').value"))
 
     def zoom_in(self) -> None:

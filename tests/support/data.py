@@ -49,7 +49,6 @@ def damaged(data: bytes, place: float, value: bytes, growth: int) -> bytes:
 
 
 def checksum_at(data: bytes) -> int:
-    """Where the checksum begins."""
     return len(data) - _checksum_bytes(data)
 
 

@@ -36,7 +36,6 @@ def settings(lease_s: float = LONG_S, **options: Any) -> Settings:
 
 
 def new(key: str | None = None, fingerprint: str = "f", image: SourceImage = IMAGE, **more: Any) -> NewJob:
-    """A job to submit."""
     return NewJob(new_job_id(), REQUEST, image, fingerprint, key, **more)
 
 
@@ -60,7 +59,6 @@ def job_of(table: JobTable, job_id: str, owner: str | None = None) -> Job:
 
 
 def state(table: JobTable, job_id: str) -> str:
-    """A job's state."""
     return job_of(table, job_id).state
 
 

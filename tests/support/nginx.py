@@ -91,6 +91,5 @@ class Nginx:
             return False
 
     def stop(self) -> None:
-        """Stop it."""
         self._process.terminate()
         self._process.wait(TIMEOUT_S)

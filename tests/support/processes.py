@@ -113,7 +113,6 @@ def processes() -> dict[int, Process]:
 
 
 def encoder_of(job_id: str) -> int | None:
-    """The process that encodes a job, if there is one."""
     for number, process in processes().items():
         if process.name == job_id[:NAME_LENGTH]:
             return number

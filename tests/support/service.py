@@ -162,7 +162,6 @@ class Service(ServiceProcess):
         return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
 
     def job(self, job_id: str) -> dict[str, Any]:
-        """The status of a job."""
         answer = self.client.get(f"/jobs/{job_id}")
         assert answer.status_code == 200, answer.text
         job: dict[str, Any] = answer.json()
@@ -275,7 +274,6 @@ def keys_of(*owners: str) -> str:
 
 
 def bearer(key: str) -> dict[str, str]:
-    """The header that shows a key."""
     return {"Authorization": f"Bearer {key}"}
 
 

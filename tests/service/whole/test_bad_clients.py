@@ -44,7 +44,6 @@ def patient(behind: tuple[Service, Nginx], start_proxy: Any) -> tuple[Service, N
 
 
 def somebody_else(proxy: Nginx) -> httpx2.Client:
-    """Somebody else, at another address."""
     transport = httpx2.HTTPTransport(local_address="127.0.0.2", verify=ssl.create_default_context())
     return httpx2.Client(base_url=proxy.url, transport=transport, timeout=TIMEOUT_S)
 

@@ -16,7 +16,6 @@ from tests.support.service import Service, assert_problem
 
 @pytest.fixture(scope="module")
 def done(service: Service) -> dict[str, Any]:
-    """A finished job."""
     answer = service.post(SMALL, bpp=2, time_limit_s=2)
     assert answer.status_code == 202
     accepted = answer.json()
