@@ -110,10 +110,7 @@ def test_pipes_into_a_folder(run: Run, command: str) -> None:
     names = [*(f"/dev/fd/{reader}" for reader, _ in ends), "named.png"]
     ran = run(command, *names, "--output-dir", "out", "--bytes", "100", "--jobs", "2")
     assert (ran.status, ran.err) == (0, "")
-    assert {path.name for path in Path("out").glob("*.sg")} == {
-        *(f"{reader}.sg" for reader, _ in ends),
-        "named.sg",
-    }
+    assert {path.name for path in Path("out").glob("*.sg")} == {*(f"{reader}.sg" for reader, _ in ends), "named.sg"}
     for reader, _ in ends:
         os.close(reader)
 

@@ -278,13 +278,7 @@ def test_an_element_as_html() -> None:
         parser.feed(html)
     outer = ("sg-img", {"preview": "woOAaA"})
     plain = {"src": "a.jpg", "alt": "", "width": "30", "height": "20", "loading": "lazy", "decoding": "async"}
-    shown = {
-        "src": "a?b&c=<'>",
-        "alt": 'A "red" door',
-        "width": "60",
-        "height": "40",
-        "decoding": "async",
-    }
+    shown = {"src": "a?b&c=<'>", "alt": 'A "red" door', "width": "60", "height": "40", "decoding": "async"}
     shown["style"] = "background-image:url(data:image/webp;base64,AAAA)"
     assert tags[:4] == [outer, ("img", plain), outer, ("img", shown)]
     bare = plain | {"src": "b.jpg"}

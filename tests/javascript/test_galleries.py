@@ -18,18 +18,8 @@ from tests.support.data import code_in, golden
 from tests.support.processes import wait_until
 
 SIZES = [
-    (60, 40),
-    (40, 60),
-    (60, 40),
-    (50, 50),
-    (80, 30),
-    (30, 45),
-    (64, 48),
-    (48, 64),
-    (60, 40),
-    (40, 60),
-    (90, 60),
-    (60, 45),
+    *((60, 40), (40, 60), (60, 40), (50, 50), (80, 30), (30, 45)),
+    *((64, 48), (48, 64), (60, 40), (40, 60), (90, 60), (60, 45)),
 ]
 TEXT = to_text(golden(2)["v2-color"])
 # Of section, and of what is in it; a number is the aspect ratio to which the page crops.

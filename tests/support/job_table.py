@@ -7,15 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.jobs.job import (
-    EncodeRequest,
-    EncodeResult,
-    Job,
-    JobError,
-    NewJob,
-    SourceImage,
-    new_job_id,
-)
+from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, NewJob, SourceImage, new_job_id
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable

@@ -195,11 +195,7 @@ def test_tasks_see_nothing_of_each_other() -> None:
     look = b"import sys; answer.send(frames.Preview(file=repr(hasattr(sys, 'left_behind')).encode()))"
     sleeps = b"import sys, time; sys.left_behind = 1; answer.send(frames.Preview(file=b'sleeps')); time.sleep(1000)"
     sleeper = task()
-    with (
-        sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _),
-        file_of(sleeps) as file,
-        tasks.start(sleeper, file) as running,
-    ):
+    with sandbox(TAKEN_OVER, FAKE_CODEC) as (tasks, _), file_of(sleeps) as file, tasks.start(sleeper, file) as running:
         wait_until(lambda: running.read(0.1))  # a task that has only begun has not closed its file yet
         (report,) = (m for m in messages_of(tasks, task(), look) if isinstance(m, Preview))
         assert report.file == b"False"

@@ -22,15 +22,7 @@ from tests.service.s3_server import S3Server
 from tests.support.data import PICTURE, ROOT
 from tests.support.pictures import noisy_png, saved
 from tests.support.postgres_server import PostgresServer
-from tests.support.processes import (
-    TIMEOUT_S,
-    encoder_of,
-    end_early,
-    processes,
-    running_encoder,
-    wait_until,
-    worker_of,
-)
+from tests.support.processes import TIMEOUT_S, encoder_of, end_early, processes, running_encoder, wait_until, worker_of
 from tests.support.service import FAKE_CODEC, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
