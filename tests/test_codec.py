@@ -64,9 +64,6 @@ def assert_true_figures(encoded: Encoded, pixels: FloatArray) -> None:
     assert stats.profile == info(encoded.data).profile
 
 
-# --- budgets
-
-
 @pytest.mark.parametrize("profile", SLOWLY)
 @pytest.mark.parametrize(
     ("picture", "budget"),
@@ -170,9 +167,6 @@ def test_what_an_encode_is_tuned_for() -> None:
         assert encode(SMALL, Budget("bpp", 4), tune=tune).stats.tune == tune
 
 
-# --- pictures
-
-
 @pytest.mark.parametrize("profile", PROFILES_TESTED)
 @pytest.mark.parametrize("name", ODD)
 def test_odd_pictures(name: str, profile: str) -> None:
@@ -260,9 +254,6 @@ def test_ms_ssim_is_that_of_the_file_where_it_is_defined() -> None:
 def test_arrays_that_are_no_image(wrong: NDArray[np.float32]) -> None:
     with pytest.raises(ImageError):
         encode(wrong, Budget("bytes", 400), "paper")
-
-
-# --- trace, time, seed, abandoning
 
 
 @pytest.mark.parametrize("profile", PROFILES_TESTED)

@@ -195,9 +195,6 @@ def test_a_warning_points_at_the_callers_line() -> None:
     assert [(warning.filename, warning.lineno) for warning in caught] == expected
 
 
-# --- Pillow
-
-
 def test_pillow_opens_and_saves() -> None:
     """In a process that has imported the package alone."""
     command = (
@@ -252,9 +249,6 @@ def test_pillow_raises_its_own_errors() -> None:
             Image.open(io.BytesIO(data))
 
 
-# --- Examples
-
-
 WITH_EXAMPLES = ["codec", "decoder", "pillow.plugin", "exchange.packing", "previews.preview", "previews.reducing"]
 
 
@@ -266,9 +260,6 @@ def test_examples_in_docstrings(module: str) -> None:
         ran = doctest.testmod(__import__(f"sgmethod.{module}", fromlist=["x"]), extraglobs=names)
     assert ran.attempted > 0
     assert (ran.failed, caught) == (0, [])
-
-
-# --- threads
 
 
 @pytest.mark.usefixtures("set_threads")

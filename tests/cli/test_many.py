@@ -159,9 +159,6 @@ def test_short_options_and_names_between_options(run: Run) -> None:
         assert Path(f"a.{suffix}").read_bytes() == Path(f"b.{suffix}").read_bytes()
 
 
-# --- what may not be silent
-
-
 def warnings_of(err: str) -> list[str]:
     return re.findall(r"^sgmethod: warning: photo\.jpg: (.*)$", err, re.MULTILINE)
 
@@ -186,9 +183,6 @@ def test_a_file_that_came_out_badly(run: Run, line: str, warned: list[str]) -> N
     assert warnings_of(ran.err) == figures["warnings"]
     assert bool(warnings_of(run("encode", "photo.jpg", "--output-dir", "out", *line.split()).err)) == bool(warned)
     assert run("encode", "photo.jpg", "out.sg", "--quiet", *line.split()) == (0, "", "")
-
-
-# --- names of pipes, permissions
 
 
 def test_names_of_pipes() -> None:
@@ -225,9 +219,6 @@ def test_pipes_by_name_for_encode_and_its_trace() -> None:
     with os.fdopen(reader) as pipe:
         assert json.load(pipe)["stats"]["gaussians"] <= 9
     assert process.wait() == 0
-
-
-# --- threads and seconds
 
 
 @pytest.mark.parametrize("text", ["0", "257", "two", "1.5", " 2", "9" * 5000])

@@ -47,9 +47,6 @@ def close(found: Gaussians, wanted: Gaussians) -> bool:
     return all(np.abs(a - b).max() < 1e-5 * np.abs(b).max() for a, b in pairs)  # worst seen 2e-7
 
 
-# --- files
-
-
 @pytest.mark.parametrize("name", ["color", "grey", "upright", "needles", "levels", "empty"])
 def test_out_of_a_file_and_back(name: str) -> None:
     """The same Gaussians, but for those that no pixel sees, and any that are as narrow as can be: their size was
@@ -202,9 +199,6 @@ def one(mean: object = (30.5, 20.5), factor: object = (2, 0, 2), color: object =
 def test_what_no_file_can_hold(call: Callable[[], object], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         call()
-
-
-# --- PLY and npz
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:

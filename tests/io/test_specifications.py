@@ -46,9 +46,6 @@ def padded(profile: bytes, length: int) -> bytes:
     return struct.pack(">I", len(profile) + length) + profile[4:] + bytes(length)
 
 
-# --- PNG
-
-
 def red_png(*before: bytes, after: tuple[bytes, ...] = ()) -> bytes:
     return png((b"\0" + bytes(RED) * W) * H, (W, H), before, after)
 
@@ -98,9 +95,6 @@ def test_16_bits_are_read_beside_long_text() -> None:
     assert np.array_equal(read(png(rows, (W, H), [text], depth=16)), RGB)
 
 
-# --- BMP
-
-
 def embedded(profile: bytes) -> bytes:
     where = struct.pack("<IIII", 4, 124 + PLAIN.size, len(profile), 0)
     return bmp(PLAIN, space=b"MBED", more=bytes(48) + where, behind=profile)
@@ -112,9 +106,6 @@ def test_the_profile_in_a_bmp_is_used() -> None:
     assert np.array_equal(read(bmp(PLAIN, header=108, space=bytes(4))), PLAIN)  # gammas, which browsers pass over
     with pytest.warns(ImageWarning, match="profile is ignored"):
         assert np.array_equal(read_image_8_bit(embedded(b"none")), PLAIN)
-
-
-# --- GIF
 
 
 @pytest.mark.parametrize(
@@ -146,9 +137,6 @@ def test_nothing_is_seen_where_the_first_frame_of_a_gif_is_not(
         else:
             assert np.array_equal(pixels[..., 3], expected[..., 3])
             assert np.array_equal(pixels[expected[..., 3] > 0], expected[expected[..., 3] > 0])
-
-
-# --- TIFF
 
 
 @pytest.mark.parametrize(("order", "big"), [("<", False), (">", False), ("<", True)])
@@ -230,9 +218,6 @@ def test_a_chain_of_pages_that_does_not_end() -> None:
     data = bytearray(tiff([(RGB, {}), (GREY, {254: 1})], big=True))
     data[-8:] = b"\xff" * 8
     assert read_header(bytes(data)).still
-
-
-# --- AVIF and HEIC
 
 
 APERTURES = {

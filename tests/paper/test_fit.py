@@ -66,9 +66,6 @@ def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
     return torch.stack(columns, -1).reshape(-1, len(means)).numpy()
 
 
-# --- colours by least squares
-
-
 def test_solved_colours_reach_the_least_squares_residual(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sgmethod.fitting.level.DAMPING", 0.0)
     image, shapes = small_case()
@@ -91,9 +88,6 @@ def test_damping_is_that_of_a_ridge_weighed_by_energy(monkeypatch: pytest.Monkey
         found = level(image).solve_colors(shapes, steps=60).colors
         ridge = np.linalg.solve(matrix.T @ matrix + damping * np.diag(energy), matrix.T @ target)
         assert np.abs(found - ridge).max() < 1e-4  # worst seen 2e-6
-
-
-# --- schedule, clock, trace
 
 
 def falling(rates: list[float] | None = None) -> Step:
@@ -149,9 +143,6 @@ def test_no_error_at_all_is_a_finite_number_of_decibels() -> None:
     kept = recorder()
     kept.report("fit", 1, 2, 0.0, 1)
     assert 100 < kept.points[0].psnr < math.inf
-
-
-# --- whole fits
 
 
 def psnr_of(gaussians: Gaussians, image: FloatArray) -> float:

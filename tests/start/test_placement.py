@@ -42,9 +42,6 @@ def analyse(image: FloatArray, regions: int = 16) -> Structure:
     return structure.analyse(image, regions, STRUCTURE)
 
 
-# --- structure
-
-
 def test_a_ramp_of_slope_one_has_gradient_one() -> None:
     ramp = grey(np.arange(20.0)[None, :] + np.zeros((10, 1))) / 19
     gradient = analyse(ramp).gradient
@@ -73,9 +70,6 @@ def test_the_structure_tensor_lies_across_an_edge() -> None:
         xx, xy, yy = analyse(edge(angle)).tensor[32, 32]
         across = 0.5 * np.arctan2(2 * xy, xx - yy)
         assert abs(np.sin(across - angle - np.pi / 2)) < 0.05  # worst seen 0.02: an edge is made of pixels
-
-
-# --- the dynamic ratio
 
 
 def test_few_gaussians_go_where_detail_is_and_very_many_everywhere() -> None:
@@ -110,8 +104,6 @@ def test_a_small_picture_has_a_ratio_too(pixels: int) -> None:
     assert dynamic_ratio(STRUCTURE.ratio_start + 1, pixels, STRUCTURE) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
 
 
-# --- allocation
-
 RATIOS = [(6 / 9, 2 / 9, 1 / 9), (1 / 3, 1 / 3, 1 / 3), (0.5, 0.3, 0.2)]
 
 
@@ -144,9 +136,6 @@ def test_categories_are_thirds_of_the_picture_and_regions_share_by_area() -> Non
     assert allocate(complexity, area, 90, RATIOS[1]).tolist() == area.tolist()
     area = np.array([45, 9, 9, 27])
     assert allocate(complexity, area, 90, RATIOS[0]).tolist() == [10 + 10, 18, 18, 24 + 10]  # two are on a border
-
-
-# --- placement
 
 
 def orientation(found: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
