@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -64,10 +65,7 @@ def test_advice_under_a_limit_of_pillow(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_no_advice_without_the_encoders(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none(*_: object) -> bytes:
-        raise ImageError("this Pillow cannot write WebP")
-
-    monkeypatch.setattr(module, "picture_file", none)
+    monkeypatch.setattr(module, "picture_file", Mock(side_effect=ImageError("this Pillow cannot write WebP")))
     assert better_file(page(), 10**6, 30.0) is None
 
 

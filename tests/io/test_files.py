@@ -8,6 +8,7 @@ import stat
 import zlib
 from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -101,12 +102,9 @@ def test_a_pipe_is_written_by_its_name() -> None:
 
 
 def test_a_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full_disk(_: int) -> None:
-        raise OSError("no space left")
-
     target = tmp_path / "out.png"
     target.write_bytes(b"before")
-    monkeypatch.setattr(os, "fsync", full_disk)
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError("no space left")))
     with pytest.raises(OSError, match="no space"):
         write_atomically(target, b"after")
     assert target.read_bytes() == b"before"
@@ -151,12 +149,8 @@ def test_a_folder_that_cannot_be_listed(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_owner_and_mode_that_a_file_system_cannot_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A container's kernel calls owners that it does not know invalid."""
-
-    def invalid(*_: object, **__: object) -> None:
-        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
-
     (tmp_path / "out.sg").write_bytes(b"before")
-    monkeypatch.setattr(os, "chown", invalid)
-    monkeypatch.setattr(os, "chmod", invalid)
+    for name in ("chown", "chmod"):
+        monkeypatch.setattr(os, name, Mock(side_effect=OSError(errno.EINVAL, os.strerror(errno.EINVAL))))
     write_atomically(tmp_path / "out.sg", b"after")
     assert (tmp_path / "out.sg").read_bytes() == b"after"

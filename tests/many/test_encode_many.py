@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -31,6 +30,7 @@ from sgmethod.profiles import PROFILES
 from tests.many.killing import Killer
 from tests.rd.short import short
 from tests.support.pictures import photo
+from tests.support.processes import wait_until
 
 PHOTO = Image.fromarray(photo()).resize((64, 48))
 
@@ -206,19 +206,13 @@ def test_nothing_waits_for_a_busy_server_after_an_error() -> None:
         free.wait(60)
         return RemoteEncoded(b"late", {}, [], [])
 
-    def fails(*_: object) -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        encode_on_server(Mock(encode=encode), paths(), "out", jobs=2, on_row=fails)
+        encode_on_server(Mock(encode=encode), paths(), "out", jobs=2, on_row=Mock(side_effect=KeyboardInterrupt))
     assert sorted(path.stat().st_size for path in Path("out").glob("*.sg")) == [0]
     free.set()
     for thread in threads:
         thread.join(60)
     assert sorted(path.stat().st_size for path in Path("out").glob("*.sg")) == [0]
-
-
-# --- an executor
 
 
 def test_an_executor_makes_the_same_files() -> None:
@@ -293,16 +287,11 @@ def test_an_executor_is_given_few_pictures_ahead_and_those_are_cancelled() -> No
                 given[0].set_result(function(*arguments))
             return given[-1]
 
-    def fails(*_: object) -> None:
-        raise KeyboardInterrupt
-
+    names = (f"{number}.png" for number in range(3))
     with pytest.raises(KeyboardInterrupt):
-        encode_many((f"{number % 3}.png" for number in range(3)), "out", executor=Waits(), jobs=2, on_row=fails)
+        encode_many(names, "out", executor=Waits(), jobs=2, on_row=Mock(side_effect=KeyboardInterrupt))
     assert [one.cancelled() for one in given] == [False, True]
     assert taken == [Path("0.png").absolute(), Path("1.png").absolute()]
-
-
-# --- the manifest
 
 
 @pytest.mark.parametrize(("cut", "nuls"), [(1, 0), (-1, 0), (0, 4096), (100, 9)])
@@ -335,8 +324,6 @@ def test_a_full_disk() -> None:
             manifest.add(Row("a.sg", None))
 
 
-# --- a run that is killed
-
 RUN = """
 import sys
 from sgmethod import encode_many
@@ -351,9 +338,8 @@ def test_a_killed_run_goes_on() -> None:
         PHOTO.rotate(number).save(f"{number}.png")
     Path("run.py").write_text(RUN)
     process = subprocess.Popen([sys.executable, "run.py", *map(str, paths())], start_new_session=True)
-    manifest, until = Path("out/manifest.jsonl"), time.monotonic() + 60
-    while (not manifest.exists() or manifest.read_bytes().count(b"\n") < 3) and time.monotonic() < until:
-        time.sleep(0.005)
+    manifest = Path("out/manifest.jsonl")
+    wait_until(lambda: manifest.exists() and manifest.read_bytes().count(b"\n") >= 3)
     os.killpg(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     before = manifest.read_bytes().count(b"\n")
