@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import sqlite3
 import subprocess
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from service.errors import JobTableError
 from service.jobs import migrations
 from service.jobs.job import EncodeResult
 from service.jobs.outcomes import ENCODING, histogram, total_of
+from tests.service.jobs.test_table import submit_once
 from tests.support.data import DATA
 from tests.support.job_table import (
     LONG_S,
@@ -132,12 +132,7 @@ def test_check_upgrades(run_command: RunCommand, old_url: str, tmp_path: Path) -
     assert "bringing" not in again.stderr
 
 
-def _submit(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
-    with closing(open_table(database_url, folder, LONG_S)) as table:
-        ids.put(table.submit(new("another key"))[0].id)
-
-
 @pytest.mark.thorough
 def test_processes_upgrade_at_once(old_url: str, tmp_path: Path) -> None:
-    ids = what_all_say(_submit, 4, old_url, tmp_path)
+    ids = what_all_say(submit_once, 4, old_url, tmp_path)
     assert (len(ids), len(set(ids))) == (4, 1)

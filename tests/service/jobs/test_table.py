@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -183,22 +184,20 @@ def test_a_released_job_keeps_its_place_and_counts_no_crash(table: JobTable) -> 
     assert claimed(table).id == first
 
 
-def _claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
-    table = open_table(database_url, folder, LONG_S)
-    while claim := table.claim("w"):
-        assert table.heartbeat(claim, [{"step": 1}], 0)
-        assert table.finish(claim, RESULT)
-        ids.put(claim.id)
-    table.close()
+def claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
+    with closing(open_table(database_url, folder, LONG_S)) as table:
+        while claim := table.claim("w"):
+            assert table.heartbeat(claim, [{"step": 1}], 0)
+            assert table.finish(claim, RESULT)
+            ids.put(claim.id)
 
 
 @pytest.mark.thorough
 def test_processes_share_a_table(database_url: str, tmp_path: Path) -> None:
     """No job goes to two of them."""
-    first = open_table(database_url, tmp_path, LONG_S)
-    expected = [submitted(first) for _ in range(60)]
-    first.close()
-    assert sorted(what_all_say(_claim_and_finish, 4, database_url, tmp_path)) == sorted(expected)
+    with closing(open_table(database_url, tmp_path, LONG_S)) as table:
+        expected = [submitted(table) for _ in range(60)]
+    assert sorted(what_all_say(claim_and_finish, 4, database_url, tmp_path)) == sorted(expected)
 
 
 def test_one_client_fills_half_of_the_queue(open_job_table: OpenTable) -> None:
@@ -245,15 +244,14 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     assert table.counts().workers == {}
 
 
-def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
-    table = open_table(database_url, folder, LONG_S)
-    ids.put(table.submit(new("the same key"))[0].id)
-    table.close()
+def submit_once(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
+    with closing(open_table(database_url, folder, LONG_S)) as table:
+        ids.put(table.submit(new("the same key"))[0].id)
 
 
 def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_path: Path) -> None:
     """And all submit under one key: it is one job."""
-    ids = what_all_say(_submit_and_close, 4, database_url, tmp_path)
+    ids = what_all_say(submit_once, 4, database_url, tmp_path)
     assert (len(ids), len(set(ids))) == (4, 1)
 
 
