@@ -147,7 +147,7 @@ def test_one_owner_cannot_fill_the_queue(start_service: StartService) -> None:
 
 def test_a_body_is_not_read_without_a_key(guarded: Service) -> None:
     head = b"POST /encode?bpp=1 HTTP/1.1\r\nHost: localhost\r\nContent-Type: image/png\r\n"
-    answer = guarded.raw(head + b"Content-Length: 1000000\r\nExpect: 100-continue\r\n\r\n")
+    answer = guarded.raw(head + b"Content-Length: 1000000\r\nExpect: 100-continue\r\nConnection: close\r\n\r\n")
     assert answer.startswith(b"HTTP/1.1 401 ")  # and not "100 Continue" first
 
 
