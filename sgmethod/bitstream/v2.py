@@ -109,7 +109,7 @@ class StreamV2:
     of any parameter stands for; background: 8-bit RGB below all Gaussians; grey: no chroma in the payload;
     upright: no shear in it; texture: codes of strengths [octaves, rows, columns], None without any; alpha: a grey
     picture of the same size without either, white where the picture is opaque, None where it is opaque everywhere;
-    is_short: the payload's lanes share a state.
+    is_short: all symbols of the payload share a state.
     """
 
     VERSION: ClassVar[int] = 2
@@ -213,9 +213,9 @@ class StreamV2:
 
         Raises BitstreamError, also if they and the `others` are more than the limit.
         """
-        most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians - others}
+        limit = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians - others}
         try:
-            return Gaussians(*native.rd_decode(self._parameters(), self._part(prefix), prefix < 1, **most))
+            return Gaussians(*native.rd_decode(self._parameters(), self._part(prefix), prefix < 1, **limit))
         except RuntimeError as error:
             raise BitstreamError(f"the file is damaged: {error}") from error
         except OverflowError as error:

@@ -13,7 +13,7 @@ from sgmethod.io.formats import EXTRA, PLAIN, WRITTEN, listed
 
 BAD_INPUT = 2
 BUDGET_HELP = {
-    "bpp": ("F", "maximum size in bits per pixel (default: {default}, but at most {most} bytes)"),
+    "bpp": ("F", "maximum size in bits per pixel (default: {default}, but at most {limit} bytes)"),
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
     "quality": ("Q", "target SSIMULACRA 2, up to 100 and not on JPEG's scale, or preview (40), web (60), archive (80)"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
@@ -213,7 +213,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
     from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, DEFAULT_MAX_BYTES
 
-    default = {"default": DEFAULT_BUDGET.value, "most": f"{DEFAULT_MAX_BYTES:,}"}
+    default = {"default": DEFAULT_BUDGET.value, "limit": f"{DEFAULT_MAX_BYTES:,}"}
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
