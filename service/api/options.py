@@ -26,20 +26,10 @@ from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, Priority, SourceImage
+from sgmethod import profiles
 from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, bytes_value, default_budget
 from sgmethod.metrics.visual import SMALLEST_SIDE
-from sgmethod.profiles import (
-    DEFAULT_EFFORT,
-    DEFAULT_PROFILE,
-    EFFORTS,
-    PROFILE_NAMES,
-    TUNES,
-    checked_profile,
-    settings_of,
-    tuning,
-)
-from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 
 
@@ -81,22 +71,22 @@ class EncodeOptions(BaseModel):
     ] = _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
-    profile: Annotated[str, AfterValidator(checked_profile)] = Field(
-        default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
+    profile: Annotated[str, AfterValidator(profiles.checked_profile)] = Field(
+        default=profiles.DEFAULT_PROFILE, json_schema_extra={"enum": list(profiles.PROFILE_NAMES)}
     )
     tune: str | SkipJsonSchema[None] = Field(
         default=None,
         description="visual looks best, fidelity invents nothing, psnr has the least squared error",
-        json_schema_extra={"enum": list(TUNES)},
+        json_schema_extra={"enum": list(profiles.TUNES)},
     )
     texture: bool = Field(
         default=True, description="false leaves out the noise that stands in for grain when tuned visual"
     )
     effort: int = Field(
-        default=DEFAULT_EFFORT,
-        ge=min(EFFORTS),
-        le=max(EFFORTS),
-        description=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file; profile rd only",
+        default=profiles.DEFAULT_EFFORT,
+        ge=min(profiles.EFFORTS),
+        le=max(profiles.EFFORTS),
+        description=f"{min(profiles.EFFORTS)} is fastest, {max(profiles.EFFORTS)} gives the best file; profile rd only",
     )
     time_limit_s: Number = _positive("time limit in seconds (default: the longest that the service allows)", 60)
     priority: Priority = Field(default="interactive", description="interactive jobs run before bulk jobs")
@@ -123,31 +113,26 @@ class EncodeOptions(BaseModel):
         seconds = max_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= max_s):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {max_s:g}")
-        profile = checked_profile(self.profile)
-        tune = tuning(self.tune, profile, self.budget)
-        settings = settings_of(self.profile, self.effort)
-        if not isinstance(settings, RdSettings) and find_spec("torch") is None:
-            raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
-        budget = self._feasible_budget(settings, image)
-        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort, self.texture)
-
-    def _feasible_budget(self, settings: RdSettings | PaperSettings, image: SourceImage) -> Budget:
-        """Return the budget: if none was given, the default for the image."""
-        budget = self.budget
-        if budget is DEFAULT_BUDGET:
-            return default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
-        if budget.kind == "quality" and not isinstance(settings, RdSettings):
-            detail = f"profile {self.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians"
+        budget, profile = self.budget, profiles.checked_profile(self.profile)
+        tune = profiles.tuning(self.tune, profile, budget)
+        settings = profiles.settings_of(profile, self.effort)
+        is_rd = isinstance(settings, RdSettings)
+        if not is_rd and find_spec("torch") is None:
+            raise ProblemError(422, f"profile {profile} needs PyTorch, which this service lacks; use profile rd")
+        if budget.kind == "quality" and not is_rd:
+            detail = f"profile {profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians"
             raise ProblemError(422, detail)
         if budget.kind == "quality" and min(image.width, image.height) < SMALLEST_SIDE:
             raise ProblemError(422, f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
         if budget.kind == "gaussians":
             budget.max_gaussians(image.width, image.height)  # raises BudgetError
+        if budget is DEFAULT_BUDGET:
+            budget = default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
         allowed, min_bytes = budget.max_bytes(image.width, image.height), smallest_file(settings)
         if allowed is not None and allowed < min_bytes:
-            detail = f"a file of profile {self.profile} takes at least {min_bytes} bytes, the budget is {allowed}"
+            detail = f"a file of profile {profile} takes at least {min_bytes} bytes, the budget is {allowed}"
             raise ProblemError(422, detail)
-        return budget
+        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort, self.texture)
 
 
 OPTIONS = tuple(EncodeOptions.model_fields)

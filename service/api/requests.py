@@ -146,9 +146,10 @@ async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, 
     A body that is not a form is the image itself. Large bodies go to temporary files, deleted at the end of the
     context. Raises ProblemError 413 or 422, or HTTPException 400 for a malformed form.
     """
+    in_query = [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
     if media_type(request) != FORM_TYPE:
         async with body_as_file(request) as image:
-            yield image, _in_query(request)
+            yield image, in_query
         return
     async with request.form(max_files=1, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
         images = form.getlist(IMAGE_FIELD)
@@ -156,11 +157,7 @@ async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, 
             raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
         # Only one file is allowed, and that is the image, so the others are texts.
         texts = [(name, str(value)) for name, value in form.multi_items() if name != IMAGE_FIELD]
-        yield images[0], _in_query(request) + texts
-
-
-def _in_query(request: Request) -> list[Field]:
-    return [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
+        yield images[0], in_query + texts
 
 
 async def no_body(request: Request) -> None:
@@ -171,10 +168,7 @@ async def no_body(request: Request) -> None:
 
 
 async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """Return the result of the work, which is cancelled when the client disconnects.
-
-    The body must have been read. Raises ClientDisconnect.
-    """
+    """Return the result of work once the body is read; a disconnect cancels it. Raises ClientDisconnect."""
     working = asyncio.create_task(work)
     tasks = working, asyncio.create_task(_disconnected(request))
     try:

@@ -16,18 +16,8 @@ from service.api.metrics import Metrics
 from service.api.problems import ProblemError
 from service.jobs.job import SourceImage
 from service.pictures import ComparisonFormat, PictureFormat, PictureOptions
+from service.sandbox import frames
 from service.sandbox.client import RefusedError, Sandbox, TaskError
-from service.sandbox.frames import (
-    FORMAT_BYTES,
-    Compare,
-    Draw,
-    HeaderFigures,
-    MakePreview,
-    PreviewFigures,
-    ReadHeader,
-    Result,
-    Task,
-)
 from service.settings import Settings
 from sgmethod.io.formats import is_read
 
@@ -50,15 +40,12 @@ class Shares:
 
     @property
     def total(self) -> int:
-        """What all clients hold."""
         return self._held.total()
 
     def is_full(self) -> bool:
-        """Whether nothing is left for anyone."""
-        return self.total >= self._max_total
+        return self._held.total() >= self._max_total
 
     def is_full_for(self, client: str) -> bool:
-        """Whether nothing is left for this client."""
         return self.is_full() or self._held[client] >= self._max_own
 
     @contextmanager
@@ -93,10 +80,9 @@ class Turns:
 
         Raises ProblemError 503 at once if the queue is full, or 429 if the client's part of it is.
         """
-        if self._present.is_full():
-            detail = "too many pictures are being processed"
-            raise ProblemError(503, detail, reason="turns", headers=RETRY_SOON)
         if self._present.is_full_for(client):
+            if self._present.is_full():
+                raise ProblemError(503, "too many pictures are being processed", reason="turns", headers=RETRY_SOON)
             detail = "too many of your pictures are already waiting"
             raise ProblemError(429, detail, reason="own_turns", headers=RETRY_SOON)
         own_places = self._clients.setdefault(client, asyncio.Semaphore(self._own_places))
@@ -129,20 +115,15 @@ class ClientTasks:
         size_bytes = image.size or 0
         pixels = self._limits["max_pixels"]
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes + WEBP_BYTES_PER_PIXEL * pixels
-        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels, threads=1)
-        header: HeaderFigures = await self._figures(self._headers, client, image, task)
+        task = frames.ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels, threads=1)
+        header: frames.HeaderFigures = (await self._ask(self._headers, client, image.file, task)).figures
         return SourceImage(header.format, header.width, header.height, size_bytes)
 
     async def draw(
-        self,
-        client: str,
-        file: BinaryIO,
-        options: PictureOptions,
-        kind: PictureFormat,
-        **limits: int,
+        self, client: str, file: BinaryIO, options: PictureOptions, kind: PictureFormat, **limits: int
     ) -> bytes:
         """Draw a bitstream as a picture file. limits: of the task, if the size of the output is known."""
-        task = Draw(**{**self._limits, **limits}, options=options, file_kind=kind)
+        task = frames.Draw(**{**self._limits, **limits}, options=options, file_kind=kind)
         began = time.perf_counter()
         drawn = (await self._ask(self._drawings, client, file, task)).file
         self._metrics.decode_seconds.observe(time.perf_counter() - began)  # refusals are not counted
@@ -150,28 +131,13 @@ class ClientTasks:
 
     async def compare(self, client: str, file: BinaryIO, kind: ComparisonFormat, size: int, pixels: int) -> bytes:
         """Encode an image of so many pixels by another codec, to about `size` bytes."""
-        task = Compare(**{**self._limits, "max_pixels": pixels}, file_kind=kind, size=size)
+        task = frames.Compare(**{**self._limits, "max_pixels": pixels}, file_kind=kind, size=size)
         return (await self._ask(self._drawings, client, file, task)).file
 
-    async def preview(self, client: str, image: UploadFile, max_bytes: int) -> PreviewFigures:
-        """Make a preview of an image."""
-        task = MakePreview(**self._limits, max_bytes=max_bytes)
-        preview: PreviewFigures = await self._figures(self._drawings, client, image, task)
+    async def preview(self, client: str, image: UploadFile, max_bytes: int) -> frames.PreviewFigures:
+        task = frames.MakePreview(**self._limits, max_bytes=max_bytes)
+        preview: frames.PreviewFigures = (await self._ask(self._drawings, client, image.file, task)).figures
         return preview
-
-    async def _figures(self, turns: Turns, client: str, image: UploadFile, task: Task) -> Any:
-        """Return the figures of a task on an image.
-
-        Raises ProblemError 415 for an unknown format, 422 for an image that is damaged or beyond the limits.
-        """
-        try:
-            return (await self._ask(turns, client, image.file, task)).figures
-        except RefusedError as error:
-            await image.seek(0)
-            first = await image.read(FORMAT_BYTES)
-            raise ProblemError(422 if is_read(first) or not first else 415, str(error)) from error
-        except TaskError as error:
-            raise ProblemError(422, f"the image cannot be read: {error}") from error
 
     async def trouble(self, timeout_s: float) -> str:
         """Return why the sandbox is not working; empty if it did a task recently, or does one now."""
@@ -188,8 +154,22 @@ class ClientTasks:
     def _worked(self) -> None:
         self._trouble, self._next_trial = "", time.monotonic() + KNOWN_GOOD_S
 
-    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result[Any]:
-        async with turns.turn(client):
-            result = await self._sandbox.ask(task, file)
+    async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: frames.Task) -> frames.Result[Any]:
+        """Return the result of a task.
+
+        For a task on an image in the request: raises ProblemError 415 for an unknown format, 422 for an image that is
+        damaged or beyond the limits.
+        """
+        try:
+            async with turns.turn(client):
+                result = await self._sandbox.ask(task, file)
+        except TaskError as error:
+            if not isinstance(task, frames.ReadHeader | frames.MakePreview):
+                raise
+            if not isinstance(error, RefusedError):
+                raise ProblemError(422, f"the image cannot be read: {error}") from error
+            file.seek(0)
+            first = file.read(frames.FORMAT_BYTES)
+            raise ProblemError(422 if is_read(first) or not first else 415, str(error)) from error
         self._worked()
         return result

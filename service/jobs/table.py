@@ -83,8 +83,7 @@ class JobTable(ABC):
         Raises LimitError, or KeyReusedError if the key belongs to another request.
         """
         with self._transaction(alone=True) as db:
-            first = _first(db, job.owner, job.idempotency_key, job.fingerprint)
-            if first is not None:
+            if (first := _first(db, job.owner, job.idempotency_key, job.fingerprint)) is not None:
                 return first, False
             self._check_queue(db, job.client)
             self._check_quotas(db, job.owner, job.image.size_bytes)
@@ -98,12 +97,12 @@ class JobTable(ABC):
     def check_queue(self, client: str = "", owner: str | None = None, idempotency_key: str | None = None) -> None:
         """Raise LimitError if the queue is full for a new job of a client; a job with a known key is not new."""
         with self._connection() as db:
-            if _with_key(db, owner, idempotency_key) is None:
+            if _first(db, owner, idempotency_key) is None:
                 self._check_queue(db, client)
 
     def _check_queue(self, db: Database, client: str) -> None:
         max_own = -(-self._settings.queue_length // 2)
-        if _queued(db) >= self._settings.queue_length:
+        if db.execute(sql.QUEUED).fetchone()["jobs"] >= self._settings.queue_length:
             raise LimitError("queue", "the queue is full; try again later")
         if client and db.execute(sql.QUEUED_BY, (client,)).fetchone()["jobs"] >= max_own:
             raise LimitError("own_queue", f"you already have {max_own} jobs waiting; try again later")
@@ -127,12 +126,10 @@ class JobTable(ABC):
         return None if row is None else job_of(row)
 
     def queued(self) -> int:
-        """Return the number of queued jobs."""
         with self._connection() as db:
-            return _queued(db)
+            return int(db.execute(sql.QUEUED).fetchone()["jobs"])
 
     def counts(self) -> Counts:
-        """Count jobs by state, stored bytes, workers and outcomes."""
         with self._connection() as db:
             counted, stored_bytes = stored.by_state(db)
             figures = db.execute(sql.COUNTS).fetchone()
@@ -289,10 +286,7 @@ class JobTable(ABC):
         return self._settings.source_retention_s > 0
 
     def release(self, claim: Job, put_off_s: float | None = None) -> bool:
-        """Return the job to its place in the queue, without counting a crash. False: it is no longer this worker's.
-
-        put_off_s: seconds for which no worker claims it.
-        """
+        """Return the job to its place in the queue, after put_off_s seconds. False: it is no longer this worker's."""
         with self._transaction() as db:
             return self._change(db, claim, sql.RELEASE, put_off_s) is not None
 
@@ -311,7 +305,6 @@ class JobTable(ABC):
             return outcomes.take_delivery(db, address)
 
     def delivered(self, delivery: Delivery) -> None:
-        """Delete a webhook that was delivered."""
         with self._transaction() as db:
             db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
@@ -328,10 +321,7 @@ class JobTable(ABC):
             _update(db, "image_bytes = 0", "WHERE id = ? AND state IN ('done', 'failed')", job_id)
 
     def finished(self, older_than_s: float, *, with_image: bool = False) -> list[str]:
-        """Return ids of jobs that ended more than older_than_s seconds ago, oldest first.
-
-        with_image: only those whose image is kept.
-        """
+        """Return ids of jobs that ended so long ago, oldest first. with_image: only those whose image is kept."""
         ended = "state IN ('done', 'failed') AND finished_at < epoch() - ? AND image_bytes >= ?"
         with self._connection() as db:
             rows = db.execute(f"SELECT id FROM jobs WHERE {ended} ORDER BY number", (older_than_s, int(with_image)))
@@ -344,19 +334,10 @@ def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | N
     return None if row is None else job_of(row)
 
 
-def _queued(db: Database) -> int:
-    """Return the number of queued jobs."""
-    return int(db.execute(sql.QUEUED).fetchone()["jobs"])
-
-
-def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str) -> Job | None:
-    row = _with_key(db, owner, idempotency_key)
-    if row is not None and row["fingerprint"] != fingerprint:
+def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str | None = None) -> Job | None:
+    """Return the owner's job with this key; each owner has their own keys."""
+    query = f"{sql.SELECT_JOB} WHERE owner = ? AND idempotency_key = ?"
+    row = db.execute(query, (owner or "", idempotency_key)).fetchone()
+    if row is not None and fingerprint not in (None, row["fingerprint"]):
         raise KeyReusedError("this Idempotency-Key was already used for a different request")
     return None if row is None else job_of(row)
-
-
-def _with_key(db: Database, owner: str | None, idempotency_key: str | None) -> Any:
-    """Return the row of the owner's job with this key; each owner has their own keys."""
-    query = f"{sql.SELECT_JOB} WHERE owner = ? AND idempotency_key = ?"
-    return db.execute(query, (owner or "", idempotency_key)).fetchone()
