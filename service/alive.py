@@ -8,6 +8,7 @@ folder. As others may put anything beside it, it is in a folder that proves to b
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
 import stat
@@ -30,8 +31,11 @@ def touch(data_dir: Path) -> None:
 def is_alive(data_dir: Path) -> bool:
     """Whether a worker of this host has touched its file lately."""
     folder = _own_folder()
-    # A file from the future proves nothing.
-    return folder is not None and -SILENT_S < _age_s(folder / _name(data_dir)) < SILENT_S
+    try:
+        age_s = math.inf if folder is None else time.time() - (folder / _name(data_dir)).stat().st_mtime
+    except OSError:
+        return False
+    return -SILENT_S < age_s < SILENT_S  # a file from the future proves nothing
 
 
 def main() -> int:
@@ -59,10 +63,3 @@ def _own_folder() -> Path | None:
 def _name(data_dir: Path) -> str:
     service = zlib.crc32(os.fsencode(data_dir.absolute()))  # there may be several on this machine
     return f"{service:08x}-{socket.gethostname()}"
-
-
-def _age_s(file: Path) -> float:
-    try:
-        return time.time() - file.stat().st_mtime
-    except OSError:
-        return float("inf")

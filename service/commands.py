@@ -35,10 +35,7 @@ INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> int:
-    """Run one command.
-
-    Exit status: 0 after a requested end, 2 for a bad setting, 1 for other trouble, 130 for Ctrl-C before anything runs.
-    """
+    """Run one command. Exit status: 0 after a requested end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C."""
     arguments = _parser().parse_args()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # inherited; if ignored, children leave no status
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until the command sets its own handler
@@ -106,10 +103,7 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
 
 def _before_start(settings: Settings) -> list[str]:
-    """Open what the settings name; return the layers that the sandbox lacks.
-
-    Errors show here, not in processes that keep dying.
-    """
+    """Open what the settings name, so that errors show here; return the layers that the sandbox lacks."""
     absent = absent_layers()  # before there is a second thread
     check_layers(absent, required=settings.require_sandbox)
     open_job_table(settings).close()
@@ -160,10 +154,7 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
 
 
 def _announce(settings: Settings) -> socket.socket:
-    """Listen, and print where.
-
-    Raises OSError, also for an address that others can reach while no API key is needed.
-    """
+    """Listen, and print where. Raises OSError, also for an address that others can reach while no key is needed."""
     listener = listen(settings)
     if not (is_loopback(listener) or settings.key_names or settings.host_names):
         listener.close()

@@ -81,7 +81,6 @@ class Link:
         return f"expires={self.expires}&signature={self.signature(secret)}"
 
     def is_signed(self, secret: str, signature: str) -> bool:
-        """Whether the signature is valid."""
         return hmac.compare_digest(self.signature(secret).encode(), signature.encode())
 
 

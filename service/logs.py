@@ -45,7 +45,6 @@ def _time_of(record: logging.LogRecord) -> str:
 
 class _Json(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        """Format a record as one JSON object in one line."""
         head = {"time": _time_of(record), "level": record.levelname, "logger": record.name}
         members: dict[str, Any] = {**head, "message": record.getMessage(), **getattr(record, FIELDS, {})}
         if request_id.get():

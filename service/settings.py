@@ -213,7 +213,6 @@ class Settings(BaseSettings):
 
     @property
     def webhook_addresses(self) -> tuple[str, ...]:
-        """Addresses that receive a webhook when a job ends."""
         return tuple(listed(self.webhook_urls))
 
     @property
@@ -232,10 +231,8 @@ class Settings(BaseSettings):
 
     @property
     def uses_postgres(self) -> bool:
-        """Whether the job table is in PostgreSQL."""
         return self.database_url.startswith("postgres")
 
     @property
     def database_path(self) -> Path:
-        """The file of the job table."""
         return self.data_dir / "jobs.sqlite3"

@@ -75,7 +75,6 @@ class PageFiles(StaticFiles):
         return response
 
     def page(self, name: str) -> Callable[[Request], Awaitable[Response]]:
-        """Return the handler of one page."""
 
         async def answer(request: Request) -> Response:
             response = await self.get_response(name, request.scope)

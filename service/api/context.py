@@ -38,7 +38,6 @@ class PictureCache:
         self.bytes = 0
 
     def get(self, etag: str) -> bytes | None:
-        """Return the file if it is in memory."""
         if etag in self._files:
             self._files.move_to_end(etag)
         return self._files.get(etag)
@@ -61,8 +60,8 @@ class Context:
     tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; waits: requests that wait for a
     job; stopping: returns whether the service is shutting down.
 
-    reading, writing, storing: threads for the job table and the storage. The pools are separate, so that a lock or a
-    silent bucket does not block anything else.
+    reading, writing, storing: threads in which read() and write() use the job table, and store() the storage. The pools
+    are separate, so that a lock or a silent bucket does not block anything else.
     """
 
     settings: Settings
@@ -81,15 +80,12 @@ class Context:
     storing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
 
     async def read(self, ask: Callable[..., T], *values: object) -> T:
-        """Run a function that reads the job table, in a thread."""
         return await to_thread.run_sync(ask, *values, limiter=self.reading)
 
     async def write(self, change: Callable[..., T], *values: object) -> T:
-        """Run a function that changes the job table, in a thread."""
         return await to_thread.run_sync(change, *values, limiter=self.writing)
 
     async def store(self, ask: Callable[..., T], *values: object) -> T:
-        """Run a function that uses the storage, in a thread."""
         return await to_thread.run_sync(ask, *values, limiter=self.storing)
 
     def discard(self, key: str) -> None:

@@ -12,24 +12,12 @@ from fastapi import Depends, Request, Response
 from fastapi.responses import JSONResponse
 from starlette.datastructures import UploadFile
 
-from service.api import models
+from service.api import models, requests
 from service.api.context import Context, UseCaller, UseContext
 from service.api.files import bitstream_response, picture_response
 from service.api.metrics import WAITED_S
 from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
 from service.api.problems import RETRYABLE, ProblemError
-from service.api.requests import (
-    FORM_TYPE,
-    IMAGE_FIELD,
-    NEVER_STORED,
-    VARIES,
-    accepted_format,
-    idempotency_key,
-    image_and_fields,
-    wanted_wait_s,
-    wants_picture,
-    while_client_waits,
-)
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.jobs.job import FINAL_STATES, Job, NewJob, new_job_id
 from service.jobs.table import JobTable
@@ -40,8 +28,8 @@ BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
 FORM: dict[str, Any] = {
     "type": "object",
     "additionalProperties": False,
-    "required": [IMAGE_FIELD],
-    "properties": {IMAGE_FIELD: BINARY, **OPTION_SCHEMAS},
+    "required": [requests.IMAGE_FIELD],
+    "properties": {requests.IMAGE_FIELD: BINARY, **OPTION_SCHEMAS},
 }
 PARAMETERS: list[dict[str, Any]] = [
     {
@@ -55,11 +43,11 @@ PARAMETERS: list[dict[str, Any]] = [
 ENCODE_BODY: dict[str, Any] = {
     "required": True,
     "description": "a form with the image and the options, or the image itself with the options in the query",
-    "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
+    "content": {requests.FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
 }
 FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
-WaitSeconds = Annotated[int, Depends(wanted_wait_s)]
-IdempotencyKey = Annotated[str | None, Depends(idempotency_key)]
+WaitSeconds = Annotated[int, Depends(requests.wanted_wait_s)]
+IdempotencyKey = Annotated[str | None, Depends(requests.idempotency_key)]
 
 
 async def encode(
@@ -72,7 +60,7 @@ async def encode(
     job as JSON.
     """
     await context.read(context.table.check_queue, caller.client, caller.owner, key)  # before the body is read
-    async with image_and_fields(request) as (file, fields):
+    async with requests.image_and_fields(request) as (file, fields):
         options, fingerprint, job = read_options(fields), "", None
         if key is not None:  # first, since what would be refused now may have been accepted then
             fingerprint, job = await context.read(_earlier, context.table, options, file, caller.owner, key)
@@ -120,7 +108,7 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> 
     An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
     view = models.accepted(job, context.settings)
-    headers = {"Location": view.status_url, **NEVER_STORED}
+    headers = {"Location": view.status_url, **requests.NEVER_STORED}
     file = None
     if wait_s and not context.waits.is_full_for(request.state.caller.client):
         try:
@@ -133,7 +121,7 @@ async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> 
             pass
     if file is None:
         return JSONResponse(view.model_dump(), 202, headers)
-    file.headers.update({**headers, **VARIES})
+    file.headers.update({**headers, **requests.VARIES})
     return file
 
 
@@ -145,7 +133,7 @@ async def _file_within(request: Request, context: Context, job: Job, wait_s: int
     began = time.monotonic()
     with context.waits.one(request.state.caller.client):
         try:
-            ended = await while_client_waits(request, _ended(context, job, began + wait_s))
+            ended = await requests.while_client_waits(request, _ended(context, job, began + wait_s))
         finally:
             setattr(request.state, WAITED_S, time.monotonic() - began)
     if ended is None:
@@ -153,8 +141,8 @@ async def _file_within(request: Request, context: Context, job: Job, wait_s: int
     if ended.error is not None and ended.state == "failed":
         status = 422 if ended.error.code == "refused" else 500
         raise ProblemError(status, ended.error.detail, code=ended.error.code, id=ended.id)
-    if wants_picture(request):
-        return await picture_response(request, ended, await accepted_format(request), PictureOptions())
+    if requests.wants_picture(request):
+        return await picture_response(request, ended, await requests.accepted_format(request), PictureOptions())
     return await bitstream_response(request, ended)
 
 

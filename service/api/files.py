@@ -63,10 +63,7 @@ async def bitstream_response(request: Request, job: Job) -> Response:
 async def cached_response(
     request: Request, headers: dict[str, str], kind: PictureFormat, make: Callable[[], Coroutine[Any, Any, bytes]]
 ) -> Response:
-    """Answer with the picture file that the ETag among the headers names.
-
-    304 if the client has it; else from the cache, or from `make`.
-    """
+    """Answer with the picture that the ETag names: 304 if the client has it; else from the cache, or from `make`."""
     if (answer := not_modified(request, headers)) is not None:
         return answer
     context = context_of(request)

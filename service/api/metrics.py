@@ -94,11 +94,8 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
-        for reason in (
-            *REASONS.values(),
-            *NAMED_REASONS,
-        ):  # increase() does not see the value that a series begins with
-            self.refusals.labels(reason)
+        for reason in (*REASONS.values(), *NAMED_REASONS):
+            self.refusals.labels(reason)  # increase() does not see the value that a series begins with
         self.waits = Gauge("sgmethod_waits", "Requests that wait for a job.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.decode_seconds = Histogram(

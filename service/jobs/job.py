@@ -101,7 +101,6 @@ class EncodeResult:
 
     @property
     def size_bytes(self) -> int:
-        """Size of the bitstream."""
         return int(self.stats.get("bytes", 0))
 
 

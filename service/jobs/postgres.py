@@ -88,10 +88,7 @@ def _translated_errors() -> Iterator[None]:
 
 
 def _set_up(conninfo: str) -> None:
-    """Create the tables, or bring them to today's version.
-
-    This does not use the pool, so a wrong address is reported at once.
-    """
+    """Bring the tables to today's version without the pool, so that a wrong address is reported at once."""
     session_id = "SELECT pg_backend_pid()"
     with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
         before = other.execute(session_id).fetchone()
@@ -104,9 +101,8 @@ def _set_up(conninfo: str) -> None:
         db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
         row = db.execute("SELECT version FROM version WHERE part = 'jobs'").fetchone()
         found = None if row is None else int(row["version"])
-        if (
-            found is not None and found < NEWEST_VERSION
-        ):  # at once, or a service that is submitting a job and this would wait for each other
+        if found is not None and found < NEWEST_VERSION:
+            # At once, or a service that is submitting a job and this would wait for each other.
             db.execute("LOCK TABLE jobs IN ACCESS EXCLUSIVE MODE")
         version = migrate(_Session(db), found, (f"{EPOCH} {SCHEMA.format(number=NUMBER)} {TRIGGERS}",))
         if version is not None:

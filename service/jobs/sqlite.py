@@ -50,7 +50,6 @@ class SqliteJobTable(JobTable):
         self._follow_file()
 
     def _set_up(self) -> None:
-        """Create the tables, or bring them to today's version."""
         create = (*SCHEMA.format(number=NUMBER).split(";")[:-1], *TRIGGERS)
         with self._transaction() as db:
             found = db.execute("PRAGMA user_version").fetchone()[0]

@@ -79,4 +79,3 @@ class Database(Protocol):
 
     def execute(self, statement: str, values: Sequence[Any] = (), /) -> Any:
         """Run one statement. Returns a cursor whose rows are read by name, as in both databases' modules."""
-        ...

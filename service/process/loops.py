@@ -38,7 +38,6 @@ class StopSignal:
         return self.requested
 
     def on_signals(self) -> None:
-        """Request a stop on SIGTERM and SIGINT."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda _number, _frame: self.request())
 

@@ -17,20 +17,8 @@ from typing import Any, BinaryIO
 
 from service.process.loops import PeriodicThread, StopSignal
 from service.process.supervisor import WATCH_S, Supervised
+from service.sandbox import frames
 from service.sandbox.confinement import environment
-from service.sandbox.frames import (
-    ALIVE,
-    Begun,
-    Crashed,
-    Ended,
-    FrameError,
-    FrameReader,
-    Message,
-    ReadHeader,
-    Refused,
-    Result,
-    Task,
-)
 from service.settings import Settings
 from sgmethod import errors
 
@@ -79,7 +67,7 @@ class Sandbox:
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
 
-    def start(self, task: Task, file: BinaryIO) -> RunningTask:
+    def start(self, task: frames.Task, file: BinaryIO) -> RunningTask:
         """Start a task, which reads the open file from its beginning. Raises SandboxUnavailableError."""
         ours, theirs = socket.socketpair()
         with theirs:
@@ -91,11 +79,8 @@ class Sandbox:
                 raise SandboxUnavailableError(f"the sandbox takes no task: {error}") from error
         return RunningTask(task, ours)
 
-    async def ask(self, task: Task, file: BinaryIO) -> Result[Any]:
-        """Return the result of a task, which ends when the caller is cancelled.
-
-        Raises RefusedError, TaskError, SandboxUnavailableError.
-        """
+    async def ask(self, task: frames.Task, file: BinaryIO) -> frames.Result[Any]:
+        """Return a task's result; cancelling ends it. Raises RefusedError, TaskError, SandboxUnavailableError."""
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
                 try:
@@ -109,18 +94,18 @@ class Sandbox:
                         continue
                     raise
             match outcome:
-                case Result():
+                case frames.Result():
                     return outcome
-                case Refused(error="MemoryError", detail=detail):
+                case frames.Refused(error="MemoryError", detail=detail):
                     raise TaskError(detail)
-                case Refused(error=name, detail=detail):
+                case frames.Refused(error=name, detail=detail):
                     raise RefusedError(getattr(errors, name), detail)
-                case Crashed(detail=detail):
+                case frames.Crashed(detail=detail):
                     log.warning("a task crashed: %s", detail)
-                case Ended(status=status) if status == -signal.SIGPROF:
+                case frames.Ended(status=status) if status == -signal.SIGPROF:
                     raise TaskError("it exceeds the time limit")
-                case Ended(status=status) if status == -signal.SIGKILL:  # not by us, since the client still waits
-                    log.warning("%s", KILLED)
+                case frames.Ended(status=status) if status == -signal.SIGKILL:
+                    log.warning("%s", KILLED)  # not by us, since the client still waits
                     if not left:
                         raise OutOfMemoryError(KILLED)
         raise TaskError("its decoder crashed")
@@ -130,7 +115,7 @@ class Sandbox:
         with tempfile.TemporaryFile() as file:
             file.write(TINY_IMAGE)
             file.flush()
-            task = ReadHeader(memory_bytes=1 << 28, cpu_s=1.0, max_pixels=1)
+            task = frames.ReadHeader(memory_bytes=1 << 28, cpu_s=1.0, max_pixels=1)
             try:
                 await asyncio.wait_for(self.ask(task, file), timeout_s)
             except TimeoutError:
@@ -140,9 +125,9 @@ class Sandbox:
 class RunningTask:
     """A running task, ended when the context is left. begun: whether the sandbox has started it."""
 
-    def __init__(self, task: Task, connection: socket.socket) -> None:
+    def __init__(self, task: frames.Task, connection: socket.socket) -> None:
         self._connection = connection
-        self._reader = FrameReader(task)
+        self._reader = frames.FrameReader(task)
         self.begun = False
         connection.setblocking(False)
 
@@ -152,7 +137,7 @@ class RunningTask:
     def __exit__(self, *_: object) -> None:
         self._connection.close()
 
-    def read(self, timeout_s: float) -> list[Message]:
+    def read(self, timeout_s: float) -> list[frames.Message]:
         """Return the messages that have arrived, after waiting at most timeout_s seconds for one.
 
         Raises FrameError for an invalid frame, and SandboxUnavailableError.
@@ -161,7 +146,7 @@ class RunningTask:
             return []
         return self._parse(self._receive())
 
-    async def outcome(self) -> Message:
+    async def outcome(self) -> frames.Message:
         """Return the message that ends the task; Crashed after an invalid frame. Raises SandboxUnavailableError."""
         loop = asyncio.get_running_loop()
         while True:
@@ -169,8 +154,8 @@ class RunningTask:
                 messages = self._parse(await loop.sock_recv(self._connection, READ_BYTES))
             except ConnectionError:
                 messages = self._parse(b"")
-            except FrameError as error:
-                return Crashed(detail=f"it sent an invalid message: {error}")
+            except frames.FrameError as error:
+                return frames.Crashed(detail=f"it sent an invalid message: {error}")
             if messages:
                 return messages[0]
 
@@ -185,12 +170,12 @@ class RunningTask:
         except ConnectionError:
             return b""
 
-    def _parse(self, data: bytes) -> list[Message]:
+    def _parse(self, data: bytes) -> list[frames.Message]:
         if not data:
             raise SandboxUnavailableError("the sandbox has died")
         messages = self._reader.take(data)
-        self.begun |= any(isinstance(message, Begun) for message in messages)
-        return [message for message in messages if not isinstance(message, Begun)]
+        self.begun |= any(isinstance(message, frames.Begun) for message in messages)
+        return [message for message in messages if not isinstance(message, frames.Begun)]
 
 
 class SandboxProcess(Supervised):
@@ -227,7 +212,7 @@ class SandboxProcess(Supervised):
         """Read what the sandbox has said since the last call; whether it has said anything."""
         heard = False
         with contextlib.suppress(BlockingIOError):
-            while self.requests.recv(len(ALIVE), socket.MSG_DONTWAIT):
+            while self.requests.recv(len(frames.ALIVE), socket.MSG_DONTWAIT):
                 heard = True
         return heard
 

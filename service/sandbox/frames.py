@@ -177,25 +177,20 @@ class Task(Model):
     messages: ClassVar[TypeAdapter[Any]] = TypeAdapter(Annotated[Outcome | Result[None], KIND])
     bytes_per_pixel: ClassVar[int | None] = PICTURE_BYTES_PER_PIXEL  # None if the result has no file
 
-    @property
-    def max_file_bytes(self) -> int:
-        """Bytes of the longest file that it may send as its result."""
-        return 0 if self.bytes_per_pixel is None else FILE_BYTES + self.bytes_per_pixel * self.max_pixels
-
     def max_bytes_after(self, message: Message) -> int:
         """Bytes of the longest file that it may send with this message."""
         if isinstance(message, Preview):
             return MAX_PREVIEW_BYTES
-        return self.max_file_bytes if isinstance(message, Result) else 0
+        if not isinstance(message, Result) or self.bytes_per_pixel is None:
+            return 0
+        return FILE_BYTES + self.bytes_per_pixel * self.max_pixels
 
     @property
     def max_frames(self) -> int:
-        """Number of frames that it may send."""
         return MAX_FRAMES
 
     @property
     def max_threads(self) -> int:
-        """Number of threads that it may start."""
         return LIBRARIES * self.threads
 
     def check(self, result: Result[Any]) -> None:

@@ -168,7 +168,6 @@ class Server:
             self._close_answer(fork, answer)
 
     def _reap(self) -> None:
-        """Collect all forks that have ended."""
         self._ends.recv(CONTROL_BYTES)
         while self._forks:
             number, status = os.waitpid(-1, os.WNOHANG)

@@ -61,13 +61,11 @@ class Answer:
         self.end_early = False
 
     def send(self, message: frames.Message) -> None:
-        """Send one message."""
         left = memoryview(frames.packed(message))
         while left:
             left = left[os.write(self._descriptor, left) :]
 
     def send_result(self, figures: frames.Model | None, file: bytes = b"") -> None:
-        """Send the result of the task."""
         self.send(frames.Result(figures=figures, file=file))
 
     def send_preview(self, file: bytes) -> None:

@@ -71,31 +71,24 @@ class Storage(Protocol):
 
     def put(self, key: str, data: bytes) -> None:
         """Store data. When this returns, it survives a power cut. Raises OSError."""
-        ...
 
     def get(self, key: str) -> bytes:
         """Return the stored bytes. Raises FileNotFoundError."""
-        ...
 
     def open(self, key: str) -> BinaryIO:
         """Open the stored bytes as a file. Raises FileNotFoundError."""
-        ...
 
     def delete(self, key: str) -> None:
         """Remove the file if it exists."""
-        ...
 
     def check(self) -> None:
         """Raise OSError if the storage cannot be reached, or is known to take no files."""
-        ...
 
     def free_bytes(self) -> int | None:
         """Return the free space; None if it cannot be known. Raises OSError."""
-        ...
 
     def old(self, age_s: float) -> Iterator[str]:
         """Yield the keys of files stored more than age_s seconds ago, and of incomplete files of that age."""
-        ...
 
 
 class DiskStorage:

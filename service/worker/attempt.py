@@ -80,10 +80,7 @@ class Attempt:
             self._late = point
 
     def show(self, bitstream: bytes) -> None:
-        """Store a preview in the background: a slow storage must not hold up the encode.
-
-        Previews are dropped while one is being stored.
-        """
+        """Store a preview in the background, since a storage may be slow; drop it while another is being stored."""
         if self._showing is not None and self._showing.is_alive():
             return
         self._showing = threading.Thread(target=self._store_preview, args=(bitstream,), daemon=True)
@@ -138,17 +135,16 @@ class Attempt:
             log.info("job %s: done, %d bytes", claim.id, len(outcome.bitstream))
 
     def _store(self, data: bytes) -> None:
-        """Store the bitstream, which took long to compute, and retry for as long as the disk is full.
-
-        Raises ClaimLostError, StoppedError.
-        """
+        """Store the bitstream, which took long to compute, once there is room. Raises ClaimLostError, StoppedError."""
         while True:
             try:
                 self.renewing_lease(lambda: self._storage.put(self.key, data))
                 return
             except OSError as error:
                 log_seldom(log, "%s cannot be stored yet: %s", self.key, error)
-            self.wait()
+            if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                raise StoppedError
+            self.beat()
 
     def renewing_lease(self, work: Callable[[], T]) -> T:
         """Return the result of work that may be slow, such as a bucket's, and renew the lease meanwhile.
@@ -160,12 +156,6 @@ class Attempt:
             while futures.wait([result], HEARTBEAT_S).not_done:
                 self.beat()
             return result.result()
-
-    def wait(self) -> None:
-        """Pause while the storage is unavailable, and keep the claim. Raises ClaimLostError, StoppedError."""
-        if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
-            raise StoppedError
-        self.beat()
 
     def _retry(self, record: Callable[[], bool]) -> bool:
         """Retry until the table records the end of the attempt. Raises JobTableError if the worker is stopping."""

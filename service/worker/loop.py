@@ -125,15 +125,21 @@ class Worker:
         return True
 
     def _encode(self, attempt: Attempt) -> Encoded | JobError:
-        """Encode in the sandbox. No task is running when this returns.
-
-        Raises ClaimLostError, StoppedError, OSError.
-        """
-        source = attempt.renewing_lease(functools.partial(self._source, attempt.claim))
+        """Encode in the sandbox; no task is running after that. Raises ClaimLostError, StoppedError, OSError."""
+        claim, threads = attempt.claim, self._settings.encode_threads
+        source = attempt.renewing_lease(functools.partial(self._source, claim))
         if source is None:
             return IMAGE_LOST
         self._owed_since = self._owed_since or time.monotonic()
-        with source, self._sandbox.start(self._task(attempt), source) as running:
+        task = frames.Encode(
+            job_id=claim.id,
+            request=claim.request,
+            threads=threads,
+            memory_bytes=self._settings.job_memory_bytes,
+            cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
+            max_pixels=claim.image.width * claim.image.height,
+        )
+        with source, self._sandbox.start(task, source) as running:
             try:
                 return self._follow(running, attempt)
             except frames.FrameError as error:
@@ -150,17 +156,6 @@ class Worker:
             return source
         source.close()
         return None
-
-    def _task(self, attempt: Attempt) -> frames.Encode:
-        claim, threads = attempt.claim, self._settings.encode_threads
-        return frames.Encode(
-            job_id=claim.id,
-            request=claim.request,
-            threads=threads,
-            memory_bytes=self._settings.job_memory_bytes,
-            cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
-            max_pixels=claim.image.width * claim.image.height,
-        )
 
     def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
         """Relay progress to the job table and previews to the storage until the encode ends or must be ended."""
