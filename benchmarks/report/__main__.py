@@ -57,7 +57,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "seen-encoder": seen.same_encoder,
     "stability": stability.rules_table,
     "scenes": scenes.needs_table,
-    "sparse": scenes.sparse_table,
+    "sparse-small": partial(scenes.large_table, 1000),
+    "sparse-large": partial(scenes.large_table, 50000),
     "savings": scenes.savings_table,
     "service": service.situations,
 }
