@@ -15,9 +15,9 @@ from typing import BinaryIO
 from service.jobs.job import EncodeRequest, new_job_id
 from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
-from service.sandbox.frames import Encode, Message, Preview, TracePoint
+from service.sandbox.frames import Encode, Message, Preview, Task, TracePoint
 from tests.support.data import ROOT
-from tests.support.processes import TIMEOUT_S
+from tests.support.processes import TIMEOUT_S, wait_until
 
 # In place of an encode or a preview, a program in the file runs where the codec would: confined, with `answer` at hand.
 TAKEN_OVER = """
@@ -30,6 +30,7 @@ def run(task, file, answer):
 tasks.PERFORM[frames.Encode] = tasks.PERFORM[frames.MakePreview] = run
 
 """
+WAITS = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)\n"  # such a program, until it is to end
 
 
 @contextmanager
@@ -38,17 +39,8 @@ def sandbox(
 ) -> Iterator[tuple[Sandbox, int]]:
     """A sandbox and the number of its process, which runs the preamble first. absent: layers that tasks may lack."""
     requests, served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    number = str(served.fileno())
-    command = [sys.executable, "-m", MODULE, number, "json", *absent]
-    if preamble:
-        command = [
-            sys.executable,
-            "-c",
-            f"{preamble}\nfrom service.sandbox import server\nserver.main()",
-            number,
-            "json",
-            *absent,
-        ]
+    program = ["-c", f"{preamble}\nfrom service.sandbox import server\nserver.main()"] if preamble else ["-m", MODULE]
+    command = [sys.executable, *program, str(served.fileno()), "json", *absent]
     known = {**environment(os.environ), "OPENBLAS_NUM_THREADS": "1", **(extra or {})}
     known["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), known.get("PYTHONPATH", ""))))
     with requests:
@@ -79,6 +71,14 @@ def file_of(data: bytes) -> Iterator[BinaryIO]:
         file.flush()
         file.seek(0, io.SEEK_END)  # a task reads it from its beginning all the same
         yield file
+
+
+@contextmanager
+def begun(sandbox: Sandbox, program: bytes, what: Task | None = None) -> Iterator[RunningTask]:
+    """A task, an encode by default, that runs a program, from when it has begun."""
+    with file_of(program) as file, sandbox.start(what or task(), file) as running:
+        wait_until(lambda: running.read(0.1) or running.begun)
+        yield running
 
 
 def messages_of(sandbox: Sandbox, encode: Encode, data: bytes) -> list[Message]:

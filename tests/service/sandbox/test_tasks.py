@@ -32,7 +32,7 @@ from service.sandbox.confinement import absent_layers
 from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
 from service.settings import Settings
 from sgmethod.io.formats import PLAIN
-from tests.service.sandbox_process import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
+from tests.service.sandbox_process import TAKEN_OVER, WAITS, begun, file_of, messages_of, sandbox, task, until_end
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
 from tests.support.processes import TIMEOUT_S, encoder_of, processes, wait_until
@@ -207,9 +207,7 @@ def test_a_sandbox_that_hangs_is_replaced(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_one_that_is_to_end_early(taken_over: Sandbox) -> None:
     """Whenever it is asked to; and to ask again changes nothing."""
-    program = (
-        b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)\nanswer.send(frames.Preview(file=b'early'))"
-    )
+    program = WAITS + b"answer.send(frames.Preview(file=b'early'))"
     with file_of(program) as file, taken_over.start(task(), file) as running:
         for _ in range(3):
             running.end_early()
@@ -237,8 +235,7 @@ def test_one_that_lets_go_of_its_sandbox_holds_up_no_other(taken_over: Sandbox) 
     program = b"import os, time\nfor number in range(3, 64):\n    if number != answer._descriptor:\n        try:\n"
     program += b"            os.close(number)\n        except OSError:\n            pass\ntime.sleep(1000)"
     what = task()
-    with file_of(program) as file, taken_over.start(what, file) as running:
-        wait_until(lambda: running.read(0.1) or running.begun)
+    with begun(taken_over, program, what):
         for _ in range(3):
             assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
         assert encoder_of(what.job_id) is not None
@@ -247,12 +244,10 @@ def test_one_that_lets_go_of_its_sandbox_holds_up_no_other(taken_over: Sandbox) 
 
 def test_a_picture_that_takes_long_gets_the_priority_of_an_encode() -> None:
     """Two of one client left an encode 2 % of a core. All its threads get it, and no short picture."""
-    program = b"import threading, time\n"
-    program += b"def spin():\n    while True:\n        answer.end_early and None\n"
-    program += b"while not answer.end_early:\n    time.sleep(0.01)\nthreading.Thread(target=spin).start()\nspin()"
+    program = b"import threading\ndef spin():\n    while True:\n        answer.end_early and None\n"
+    program += WAITS + b"threading.Thread(target=spin).start()\nspin()"
     what = frames.MakePreview(**LIMITS, max_bytes=100)
-    with sandbox(TAKEN_OVER) as (tasks, parent), file_of(program) as file, tasks.start(what, file) as running:
-        wait_until(lambda: running.read(0.1) or running.begun)
+    with sandbox(TAKEN_OVER) as (tasks, parent), begun(tasks, program, what) as running:
         family = processes().items()
         (number,) = (number for number, one in family if (one.parent, one.name) == (parent, "preview"))
 
@@ -274,10 +269,8 @@ def test_an_encode_says_what_a_busy_machine_cost_it(
     answers = SimpleNamespace(end_early=False, send=lambda _: None, send_preview=lambda _: None, send_result=Mock())
     tasks.perform(task(limit_s), SMALL, answers)
     figures, _ = answers.send_result.call_args.args
-    assert (
-        figures.warnings
-        == ["the service was busy: the encode had a core for 30% of its time, and its time limit cut it short"] * warned
-    )
+    words = "the service was busy: the encode had a core for 30% of its time, and its time limit cut it short"
+    assert figures.warnings == [words] * warned
 
 
 def test_one_that_the_system_kills_is_no_fault_of_its_client(taken_over: Sandbox) -> None:
@@ -300,10 +293,8 @@ def test_one_that_the_system_kills_is_no_fault_of_its_client(taken_over: Sandbox
 
 
 def test_tasks_are_killed_before_the_service(taken_over: Sandbox) -> None:
-    program = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)"
     what = task()
-    with file_of(program) as file, taken_over.start(what, file) as running:
-        wait_until(lambda: running.read(0.1) or running.begun)
+    with begun(taken_over, WAITS, what):
         number = encoder_of(what.job_id)
         assert int(Path(f"/proc/{number}/oom_score_adj").read_text()) == int(confinement.OOM_SCORE)
 
@@ -321,9 +312,7 @@ def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
 
 def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
     """It ended the sandbox, and every task with it."""
-    program = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)"
-    with file_of(program) as file, taken_over.start(task(), file) as running, socket.socket() as unconnected:
-        wait_until(lambda: running.read(0.1) or running.begun)
+    with begun(taken_over, WAITS) as running, file_of(b"") as file, socket.socket() as unconnected:
         for message in (b"", b"nonsense"):
             for things in ([], [file], [file, file], [unconnected], [unconnected, file]):
                 socket.send_fds(taken_over._requests, [message], [thing.fileno() for thing in things])
@@ -334,10 +323,8 @@ def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
 
 def test_a_client_that_reads_nothing_holds_up_no_other(taken_over: Sandbox) -> None:
     """Its task waits for it, and so does the word of its end; others are served."""
-    with (
-        file_of(b"answer.send(frames.Preview(file=bytes(1 << 20)))") as file,
-        taken_over.start(task(), file) as running,
-    ):
+    program = b"answer.send(frames.Preview(file=bytes(1 << 20)))"
+    with file_of(program) as file, taken_over.start(task(), file) as running:
         assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
         *_, preview, end = until_end(running)
         assert preview == Preview(file=bytes(1 << 20))
