@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from itertools import product
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -125,18 +126,12 @@ def test_progress_and_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_error_of_the_caller_ends_the_fits() -> None:
-    def failing(_share: float) -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        fit(BATCH, 50, steps=1_000_000, on_progress=failing)
+        fit(BATCH, 50, steps=1_000_000, on_progress=Mock(side_effect=KeyboardInterrupt))
 
 
 def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(ExactFit, "fit", fails)
+    monkeypatch.setattr(ExactFit, "fit", Mock(side_effect=MemoryError))
     seen: list[float] = []
     for pictures in (BATCH, BATCH[:1]):
         with pytest.raises(MemoryError):
