@@ -39,6 +39,10 @@ EIGHT = "--images {photographs}/unseen --most 8 --megapixels 0.4"
 LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
 EIGHT_LARGE = f"--images {{photographs}}/large --most 99 --pictures {LARGE} --megapixels 4"
 TWELVE = "--images {photographs}/large --most 99 --pictures broken_pcb,dahlia,peony,two_samoyeds --megapixels 12"
+SMOOTH, TEXTURED = "hill_fog,yellow_sky,wet_petal", "canyon_river,two_samoyeds,pot_holder"
+SIX = (
+    f"--images {{photographs}}/unseen --most 99 --pictures {SMOOTH},{TEXTURED} --bpp 0.25 --tunes psnr,fidelity,visual"
+)
 BUT_AVIF = "--methods 'rd,rd visual,rd fidelity,paper,jpeg,webp,jpegxl,avif visual'"
 AND_AVIF = "--methods 'avif,rd until,rd fidelity until'"
 NEAREST = "--few --limits 4 --methods 'rd,rd visual,rd fidelity,avif,avif visual,rd until,rd fidelity until'"
@@ -80,6 +84,8 @@ FULL = {
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
+    "order": f"robustness order {SIX} --efforts 1,2,3,4,5,6,7,8,9 + robustness order {SIX} --seeds 4 "
+    "+ robustness order --images {photographs}/unseen --most 40",
     "speed": f"speed {KODAK}",
     "growth": "speed growth --images {photographs}/large --most 99 --pictures dahlia,peony,red_lake "
     "--megapixels 0.75,3,12 --bytes 500,2000,10000,50000 --repeats 1",

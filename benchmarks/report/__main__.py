@@ -56,6 +56,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "seen-quoted": seen.quoted_table,
     "seen-encoder": seen.same_encoder,
     "stability": stability.rules_table,
+    "worse": stability.worse_list,
     "scenes": scenes.needs_table,
     "sparse-small": partial(scenes.large_table, 1000),
     "sparse-large": partial(scenes.large_table, 50000),
@@ -89,7 +90,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
     "service": ("The service", "p99 of other clients under each attack", [service.draw]),
 }
 CSVS = ROOT / "build" / "csv"
-APART = {"stiff": "picture"}  # a further column that tells rows of a CSV apart
+APART = {"stiff": "picture", "order": "tune"}  # a further column that tells rows of a CSV apart
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Pictures that are hard to code, extreme Gaussians and bad starts."""
+"""Pictures that are hard to code, extreme Gaussians, bad starts, and files that more time or bytes made worse."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks.report.plots import style
 from benchmarks.report.results import rows
+from benchmarks.robustness import order
 from benchmarks.robustness.stiff import Row, judged
 from benchmarks.tables import MISSING, number, table
 
@@ -31,6 +32,12 @@ def extremes() -> list[dict[str, Any]]:
 
 
 @cache
+def ordered() -> list[order.Row]:
+    """The rows of more time and more bytes."""
+    return [order.Row(**row) for row in rows("order")]
+
+
+@cache
 def lines() -> list[list[Any]]:
     """For each rule: its words, its tolerance, the checks, those that fail, and the worst case."""
     found = list(judged([Row(**row) for row in rows("stiff")]))
@@ -42,7 +49,7 @@ def lines() -> list[list[Any]]:
         amount = "an error" if worst["worst"] is None else f"{number(worst['worst'], '.2g')}{unit}"
         where = f"{amount} ({worst['case']})" if worst["worst"] != 0 else MISSING
         found.append([says, f"{own[0]['limit']:g}{unit}", len(own), broken, where])
-    return found
+    return found + order.judged(ordered())
 
 
 def rules_table() -> str:
@@ -50,11 +57,20 @@ def rules_table() -> str:
     return table("rule | tolerance | checks | failed | worst case", lines())
 
 
+def worse_list() -> str:
+    """A line for each file that more time or more bytes made worse."""
+    failed = [check for rule in (order.EFFORT, order.SIZE) for check in order.checks(ordered(), rule) if check.failed]
+    return "\n".join(f"- {check}" for check in failed) or "None is."
+
+
 def figures() -> dict[str, float]:
     """The figures of sentences, by mark."""
     checks, failed = (sum(line[k] for line in lines()) for k in (2, 3))
-    found = {"stability.rules": len(lines()), "stability.kept": sum(not line[3] for line in lines())}
-    return found | {"stability.checks": checks, "stability.failed": failed}
+    found: dict[str, float] = {"stability.rules": len(lines()), "stability.kept": sum(not line[3] for line in lines())}
+    found |= {"stability.checks": checks, "stability.failed": failed}
+    for name, rule in (("longer", order.EFFORT), ("larger", order.SIZE)):
+        found[f"stability.order-{name}"] = len({check.row.picture for check in order.checks(ordered(), rule)})
+    return found | {f"stability.spread-{tune}": order.spread(ordered(), tune) for tune in order.TOLERANCES}
 
 
 def draw(axes: Any, rule: str) -> None:
