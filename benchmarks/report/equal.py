@@ -86,10 +86,16 @@ def differences(size: str) -> Iterator[tuple[float, str, str, str, Difference]]:
 def differences_table(size: str) -> str:
     """A row for each of them."""
     lines = [
-        [f"{bpp:g}", ours, theirs, TITLES[figure], *cells(found, FORMS[figure])]
+        [f"{bpp:g}", ours, theirs, TITLES[figure], *cells(found, FORMS[figure]), spread(found, f"+{FORMS[figure]}")]
         for bpp, ours, theirs, figure, found in differences(size)
     ]
-    return table("bpp | sgmethod | AVIF | figure | ours | AVIF's | difference | ours is better on", lines)
+    titles = "bpp | sgmethod | AVIF | figure | ours | AVIF's | difference | ours is better on | over photographs"
+    return table(titles, lines)
+
+
+def spread(found: Difference, form: str) -> str:
+    """The lowest and the highest difference of any photograph."""
+    return f"{number(found.lowest, form)} to {number(found.highest, form)}"
 
 
 def figures() -> dict[str, float | None]:

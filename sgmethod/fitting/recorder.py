@@ -34,11 +34,12 @@ class Recorder:
     ) -> None:
         """Add a point if one is due.
 
-        mse: the error, or a function that measures it only for the trace, in at most a fiftieth of the time; size: of
-        the file in bytes, 0 while unknown; tries: quanta that the search usually tries.
+        mse: the error, or a function that measures it only for the trace, in at most a fiftieth of the time, or a
+        twentieth if somebody watches; size: of the file in bytes, 0 while unknown; tries: quanta that the search
+        usually tries.
         """
-        seconds = self.clock.seconds()
-        interval_s = max(REPORT_INTERVAL_S, 50 * self._slow_s[-1] if self._slow_s else 0.0)
+        seconds, rarely = self.clock.seconds(), 20 if self.on_progress else 50
+        interval_s = max(REPORT_INTERVAL_S, rarely * self._slow_s[-1] if self._slow_s else 0.0)
         new_phase = not self.points or self.points[-1].phase != phase
         if not (new_phase or step == steps or seconds - self.points[-1].seconds >= interval_s):
             return

@@ -33,8 +33,14 @@ def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.
     assert "| 0.25 | AVIF | iq, 10 bits | 30.00 | 61.00 | 0.0600 | - | - | - | - |" in lines  # not the LPIPS of 8 bits
     assert len(lines) == 2 + 2 * 5
     differences = equal.differences_table("768").splitlines()
-    assert "| 0.25 | fidelity | ssimulacra2 | SSIMULACRA 2 | 63.00 | 62.00 | +1.00 ± 0.00 | 2 of 2 |" in differences
-    assert "| 0.5 | visual | iq, film grain | LPIPS | 0.0580 | 0.0480 | +0.0100 ± 0.0000 | 0 of 2 |" in differences
+    assert (
+        "| 0.25 | fidelity | ssimulacra2 | SSIMULACRA 2 | 63.00 | 62.00 | +1.00 ± 0.00 | 2 of 2 | +1.00 to +1.00 |"
+        in differences
+    )
+    assert (
+        "| 0.5 | visual | iq, film grain | LPIPS | 0.0580 | 0.0480 | +0.0100 ± 0.0000 | 0 of 2 | +0.0100 to +0.0100 |"
+        in differences
+    )
     figures = equal.figures()
     assert (figures["equal.768-visual-lpips-at-0.5"], figures["equal.whole-pictures"]) == (pytest.approx(0.01), 2)
     plots = equal.plots()

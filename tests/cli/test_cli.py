@@ -378,7 +378,7 @@ def test_commands_of_the_readme(run: Run) -> None:
 def test_commands_of_the_command_lines_page(run: Run) -> None:
     run_in_order(run, commands_of("docs/command_line.md"))
     assert info("photo.sg").version == 2  # none has put a file of another profile in its place
-    assert {"photo.sg", "small.sg", "paper.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
+    assert {"photo.sg", "small.sg", "paper.sg", "out", "photo.png", "part.png"} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
@@ -386,7 +386,7 @@ def test_commands_of_the_help(run: Run) -> None:
     for name in ("photos/a.jpg", "a.png", "b.png"):
         PHOTO.save(name)
     texts = (arguments.EXAMPLES, arguments.ENCODE[1], arguments.DECODE[1], arguments.INFO[1], arguments.COMPARE[1])
-    lines = re.findall(r"^  (sgmethod .*)", "\n".join((*texts, arguments.PLOT[1])), re.MULTILINE)
+    lines = re.findall(r"^  (sgmethod .*)", "\n".join(texts), re.MULTILINE)
     assert len(lines) > 15
     run_in_order(run, lines)
 

@@ -46,7 +46,8 @@ def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.
     steps: list[int] = []
     stopped = limited(on_progress=lambda point: steps.append(point.step), stop=lambda: max(steps, default=0) >= 40)
     assert decode(stopped.data).shape == CROP.shape
-    assert 42 < stopped.stats.steps < 72
+    # Between two reports are ten looks at the clock, and up to `every` steps between two looks.
+    assert 42 < stopped.stats.steps < 40 + 6 * RD.objective.moving.every
     if budget.kind == "bytes":
         assert 0.8 * 400 <= len(stopped.data) <= 400
 
@@ -145,7 +146,7 @@ def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> 
     fewer = two.effort.steps - 1
     assert fit_to_steps(five, pixels, fewer) == filled(one, min(round(RD.deadline.spare_steps * fewer), all_steps))
     assert fit_to_steps(two, pixels, three.effort.steps) == two
-    with_few = replace(one, densify=replace(one.densify, most=RD.deadline.max_when_short))
+    with_few = replace(one, densify=replace(one.densify, limit=RD.deadline.max_when_short))
     fewest = one.effort.steps // 4
     assert [fit_to_steps(fit, pixels, fewest) for fit in (five, one)] == [with_few, with_few]
 
