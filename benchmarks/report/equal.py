@@ -104,7 +104,7 @@ def figures() -> dict[str, float | None]:
     for size in measured():
         for bpp, ours, _, figure, one in differences(size):
             mark = f"equal.{size}-{ours.replace(', ', '-').replace(' ', '-')}-{figure}-at-{bpp:g}"
-            found |= {mark: one.gain, f"{mark}-error": one.standard_error, f"{mark}-better": one.better}
+            found |= {mark: one.gain, f"{mark}-error": one.standard_error, f"{mark}-behind": -one.gain}
             found[f"equal.{size}-pictures"] = one.pictures
         if rate := against(rows(size), "rd", "avif tune=psnr 10 bits"):
             found |= {f"equal.{size}-fewer": -rate.mean, f"equal.{size}-fewer-error": rate.standard_error}
@@ -124,7 +124,10 @@ def draw(axes: Any, size: str, figure: str) -> None:
         points = [(bpp, m[figure]) for bpp, m in found if m[figure] is not None and not m["above"]]
         if points:
             axes.plot(*zip(*points, strict=True), **style(k) | {"label": ", ".join(codec)})
-    axes.set(xscale="log", xlabel=f"bits per pixel; {SETS[size]}", ylabel=TITLES[figure])
+    axes.set_xscale("log")
+    axes.minorticks_off()
+    axes.set_xticks(rates(size), [f"{bpp:g}" for bpp in rates(size)])
+    axes.set(xlabel=f"bits per pixel; {SETS[size]}", ylabel=TITLES[figure])
 
 
 def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
@@ -136,5 +139,5 @@ def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
             [partial(draw, size=size, figure=figure) for size in measured()],
         )
         for figure in QUALITIES
-        if measured()
+        if any(means[figure] is not None for size in measured() for means in average(size).values())
     }
