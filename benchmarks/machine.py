@@ -15,7 +15,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from sgmethod import __version__
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 
@@ -34,9 +33,8 @@ CODE = ("sgmethod", "service", "benchmarks", "tests/support", *(f":!{path}" for 
 
 
 def origin() -> dict[str, object]:
-    """Version, commit, date (UTC) and machine, in plain JSON types."""
+    """Commit, date (UTC) and machine, in plain JSON types."""
     return {
-        "version": __version__,
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": {

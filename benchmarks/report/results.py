@@ -27,19 +27,16 @@ def rows(name: str) -> list[Row]:
 
 
 def sources(names: Sequence[str]) -> str:
-    """One line: the JSON behind a page by the version that they measured, and when and on which machine that was."""
-    files: dict[str, list[str]] = {}
-    for name in names:
-        threads = " (by one thread)" if threads_of(load(name)) == 1 else ""
-        version = load(name).get("version", "1.0.0rc2")  # the first whose JSON do not say it
-        files.setdefault(version, []).append(f"[{name}]({LINKS}/{name}.json){threads}")
-    data = "; ".join(f"of {version}: {', '.join(links)}" for version, links in files.items())
+    """One line: the JSON behind a page, each with its commit, and when and on which machine they were measured."""
+    files = [
+        f"[{name}]({LINKS}/{name}.json) ({'by one thread, ' * (threads_of(found) == 1)}{found['commit']})"
+        for name, found in ((name, load(name)) for name in names)
+    ]
     dates = sorted({load(name)["date"][:10] for name in names})
     machines = dict.fromkeys(f"{m['processor']}, {m['cores']} cores" for m in (load(name)["machine"] for name in names))
-    commits = dict.fromkeys(load(name)["commit"] for name in names)
     return (
-        f"<sub>Data {data}. Measured {' to '.join(dict.fromkeys((dates[0], dates[-1])))} on "
-        f"{'; '.join(machines)}, commit {', '.join(commits)}. The JSON files also record the versions of all "
+        f"<sub>Data and commits: {', '.join(files)}. Measured {' to '.join(dict.fromkeys((dates[0], dates[-1])))} on "
+        f"{'; '.join(machines)}. The JSON files also record the versions of all "
         "libraries.</sub>"
     )
 
