@@ -37,14 +37,6 @@ def all_halved(planes: NDArray[Any]) -> NDArray[Any]:
     return np.stack([halved(plane) for plane in planes])
 
 
-def weigh(planes: FloatArray, visibility: NDArray[np.int16], root: FloatArray | None) -> None:
-    """Scale an error's planes [3, H, W], in place, so that their squares are the error as it is seen.
-
-    visibility: [H, W]; root [9]: square root of the weights of channels, None if all count alike.
-    """
-    native.to_amplitudes(planes, visibility, root)
-
-
 def gains(planes: list[FloatArray], sigmas: FloatArray, scales: FloatArray) -> tuple[FloatArray, NDArray[np.uint8]]:
     """Largest of scales [N] times the sum of squares of planes [3][H, W] blurred by sigmas [N], and its number."""
     gain, chosen = np.empty(planes[0].shape, np.float32), np.empty(planes[0].shape, np.uint8)

@@ -31,6 +31,7 @@ SEEN_COLOR, SEEN_LUMA = native.SEEN_COLOR, native.SEEN_LUMA
 NO_LIMIT = 1 << 40  # bytes
 thread_count, release_memory = native.thread_count, native.release_memory
 seen_difference = native.seen_difference
+to_amplitudes = native.to_amplitudes
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Backend, Frame, Target, Visibility
 from sgmethod.fitting.bands import Rows, bands, in_strips
 from sgmethod.fitting.islands import Islands, OnSheet, moved
-from sgmethod.fitting.visibility import to_amplitudes
+from sgmethod.fitting.visibility import weigh
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import PyramidSettings
@@ -167,7 +167,7 @@ class Level:
 
         def rows(first: int, end: int) -> FloatArray:
             planes = missing(first, end)
-            to_amplitudes(visibility, planes, first)
+            weigh(visibility, planes, first)
             return planes
 
         return rows

@@ -13,8 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.planes import weigh
-from sgmethod.backend.protocol import VISIBLE, Visibility, seen_difference
+from sgmethod.backend.protocol import VISIBLE, Visibility, seen_difference, to_amplitudes
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import VisibilitySettings
@@ -53,10 +52,10 @@ def _color_root(visibility: Visibility) -> FloatArray:
     return np.asarray((axes * np.sqrt(values)) @ axes.T, np.float32)
 
 
-def to_amplitudes(visibility: Visibility, planes: FloatArray, first: int) -> None:
+def weigh(visibility: Visibility, planes: FloatArray, first: int) -> None:
     """Scale rows [3, N, W] of an error from row `first` on, in place, so that their squares are the weighted error."""
     root = _color_root(visibility).ravel() if visibility.by_eye else None
-    weigh(planes, visibility.values[first : first + planes.shape[1]], root)
+    to_amplitudes(planes, visibility.values[first : first + planes.shape[1]], root)
 
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:

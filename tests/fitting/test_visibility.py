@@ -11,7 +11,7 @@ from skimage import data
 
 from sgmethod import decode, encode
 from sgmethod.backend.protocol import Visibility
-from sgmethod.fitting.visibility import VisibleShare, error, of_detail, to_amplitudes
+from sgmethod.fitting.visibility import VisibleShare, error, of_detail, weigh
 from sgmethod.native import native
 from sgmethod.numerics import quiet
 from sgmethod.scene import FloatArray
@@ -102,7 +102,7 @@ def test_squares_of_amplitudes_are_what_is_seen() -> None:
     visible = visibility(30, 20)
     wanted = seen(planes, visible)
     for rows in (planes[:, :13].copy(), 0), (planes[:, 13:].copy(), 13):
-        to_amplitudes(visible, *rows)
+        weigh(visible, *rows)
         wanted -= np.square(rows[0]).sum()
     assert wanted == pytest.approx(0, abs=1e-3)
     a, b = np.random.default_rng(7).integers(0, 256, (2, 20, 30, 3), np.uint8)
