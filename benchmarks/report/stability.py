@@ -59,8 +59,7 @@ def rules_table() -> str:
 
 def worse_list() -> str:
     """A line for each file that more time or more bytes made worse."""
-    failed = [check for rule in (order.EFFORT, order.SIZE) for check in order.checks(ordered(), rule) if check.failed]
-    return "\n".join(f"- {check}" for check in failed) or "None is."
+    return "\n".join(f"- {check}" for check in order.failures(ordered())) or "None is."
 
 
 def figures() -> dict[str, float]:

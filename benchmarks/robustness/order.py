@@ -83,6 +83,11 @@ def checks(rows: Sequence[Row], rule: str) -> Iterator[Check]:
             yield Check(row, max(0.0, max(one.figure for one in less) - row.figure))
 
 
+def failures(rows: Sequence[Row]) -> list[Check]:
+    """The checks of both rules that fail."""
+    return [check for rule in (EFFORT, SIZE) for check in checks(rows, rule) if check.failed]
+
+
 def _same(one: Row, other: Row) -> bool:
     return (one.picture, one.tune) == (other.picture, other.tune)
 
@@ -128,4 +133,4 @@ def main() -> None:
                 record.add(asdict(measure(path.stem, pixels, *key)))
     rows = [Row(**row) for row in record.rows]
     print(f"\n{table('rule | tolerance | checks | failed | worst case', judged(rows))}")
-    print(*(check for rule in (EFFORT, SIZE) for check in checks(rows, rule) if check.failed), sep="\n")
+    print(*failures(rows), sep="\n")

@@ -1,6 +1,6 @@
 """Headers as tables of fields, which define both reading and writing.
 
-docs/format.md and sgmethod/javascript/src/header.js have the same tables; tests/bitstream/test_fields.py compares them.
+docs/format.md and sgmethod/javascript/src/header.js have the same tables, which tests compare.
 """
 
 from __future__ import annotations

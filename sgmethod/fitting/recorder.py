@@ -38,8 +38,8 @@ class Recorder:
         twentieth if somebody watches; size: of the file in bytes, 0 while unknown; tries: quanta that the search
         usually tries.
         """
-        seconds, rarely = self.clock.seconds(), 20 if self.on_progress else 50
-        interval_s = max(REPORT_INTERVAL_S, rarely * self._slow_s[-1] if self._slow_s else 0.0)
+        seconds, multiple = self.clock.seconds(), 20 if self.on_progress else 50
+        interval_s = max(REPORT_INTERVAL_S, multiple * self._slow_s[-1] if self._slow_s else 0.0)
         new_phase = not self.points or self.points[-1].phase != phase
         if not (new_phase or step == steps or seconds - self.points[-1].seconds >= interval_s):
             return

@@ -187,7 +187,7 @@ def frame_adam(
     spacing: float = 1.0,
     coarse: float = 0.0,
 ) -> None:
-    """Move Gaussians, and update first, second [N, 8] and bias [N, 2]: Backend.step (sgmethod/backend/protocol.py)."""
+    """Move Gaussians, and update first, second [N, 8] and bias [N, 2]: StepwiseBackend.step (backend/protocol.py)."""
 
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
