@@ -40,6 +40,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "reached-psnr-large": partial(speed.reached_table, 4, "psnr"),
     "reached-ssimulacra2-small": partial(speed.reached_table, 0.4, "ssimulacra2"),
     "reached-ssimulacra2-large": partial(speed.reached_table, 4, "ssimulacra2"),
+    "until": speed.until,
     "growth-by-pixels": partial(speed.growth, "megapixels"),
     "growth-by-bytes": partial(speed.growth, "max_bytes"),
     "paper-optimiser": paper.optimiser_table,

@@ -7,13 +7,19 @@ from functools import cache, partial
 from typing import Any
 
 from benchmarks.machine import RESULTS
-from benchmarks.rd.equal import FORMS, Difference, cells, difference
+from benchmarks.rd.equal import FORMS, Difference, difference
 from benchmarks.rd.report import QUALITIES, TITLES, Means, Row, against, means
 from benchmarks.report import results
 from benchmarks.report.plots import Draw, style
 from benchmarks.tables import number, table
 
-SETS = {"768": "longer side of 768 pixels", "whole": "whole, at most 4 megapixels"}
+SETS = {"768": "longer side of 768 pixels", "whole": "whole, at most 4 megapixels", "kodak": "Kodak"}
+# The JSON of each. Where two have the same row, the later one counts, which has more figures.
+FILES = {
+    "768": ("rd/equal-768",),
+    "whole": ("rd/equal-whole", "rd/equal-whole-psnr", "rd/equal-whole-seen"),
+    "kodak": ("rd/equal-kodak",),
+}
 # Codec and setting of a row, and the names of its files. Where AVIF was made in 8 and in 10 bits, a row has those bits
 # that are better in the figure that the setting is for.
 CODECS: dict[tuple[str, str], tuple[str, ...]] = {
@@ -30,13 +36,20 @@ CODECS: dict[tuple[str, str], tuple[str, ...]] = {
     ("jpegli", "4:2:0"): ("jpegli",),
 }
 # Settings that aim at the same, ours and theirs.
-PAIRS = (("psnr", "psnr"), ("fidelity", "ssimulacra2"), ("visual, no texture", "iq"), ("visual", "iq, film grain"))
+PAIRS = (
+    ("psnr", "psnr"),
+    ("fidelity", "ssimulacra2"),
+    ("visual, no texture", "iq"),
+    ("visual", "iq"),
+    ("visual", "iq, film grain"),
+)
 
 
 @cache
 def rows(size: str) -> tuple[Row, ...]:
-    """The rows of one of SETS."""
-    return tuple(Row(**row) for row in results.rows(f"rd/equal-{size}"))
+    """The rows of one of SETS, each once."""
+    found = [Row(**row) for name in FILES[size] for row in results.rows(name)]
+    return tuple({row.key: row for row in found}.values())
 
 
 @cache
@@ -84,27 +97,33 @@ def differences(size: str) -> Iterator[tuple[float, str, str, str, Difference]]:
 
 
 def differences_table(size: str) -> str:
-    """A row for each of them."""
+    """A row for each rate and pair of settings, a column for each figure."""
+    by_pair: dict[tuple[float, str, str], dict[str, Difference]] = {}
+    for bpp, ours, theirs, figure, found in differences(size):
+        by_pair.setdefault((bpp, ours, theirs), {})[figure] = found
+    measured = [figure for figure in QUALITIES if any(figure in found for found in by_pair.values())]
     lines = [
-        [f"{bpp:g}", ours, theirs, TITLES[figure], *cells(found, FORMS[figure]), spread(found, f"+{FORMS[figure]}")]
-        for bpp, ours, theirs, figure, found in differences(size)
+        [f"{bpp:g}", *settings, *(gain(found[figure], FORMS[figure]) if figure in found else "" for figure in measured)]
+        for (bpp, *settings), found in by_pair.items()
     ]
-    titles = "bpp | sgmethod | AVIF | figure | ours | AVIF's | difference | ours is better on | over photographs"
-    return table(titles, lines)
+    return table(" | ".join(["bpp", "sgmethod", "AVIF", *(TITLES[figure] for figure in measured)]), lines)
 
 
-def spread(found: Difference, form: str) -> str:
-    """The lowest and the highest difference of any photograph."""
-    return f"{number(found.lowest, form)} to {number(found.highest, form)}"
+def gain(found: Difference, form: str) -> str:
+    """The difference with its standard error, and on how many pictures ours is better."""
+    error = number(found.standard_error, form)
+    return f"{number(found.gain, f'+{form}')} ± {error} ({found.better} of {found.pictures})"
 
 
 def figures() -> dict[str, float | None]:
     """The differences and their standard errors, and the bits that AVIF saves us or we save at equal PSNR."""
     found: dict[str, float | None] = {}
     for size in measured():
-        for bpp, ours, _, figure, one in differences(size):
-            mark = f"equal.{size}-{ours.replace(', ', '-').replace(' ', '-')}-{figure}-at-{bpp:g}"
+        for bpp, ours, theirs, figure, one in differences(size):
+            settings = f"{ours}-{theirs}".replace(",", "").replace(" ", "-")
+            mark = f"equal.{size}-{settings}-{figure}-at-{bpp:g}"
             found |= {mark: one.gain, f"{mark}-error": one.standard_error, f"{mark}-behind": -one.gain}
+            found |= {f"{mark}-lowest": one.lowest, f"{mark}-highest": one.highest}
             found[f"equal.{size}-pictures"] = one.pictures
         if rate := against(rows(size), "rd", "avif tune=psnr 10 bits"):
             found |= {f"equal.{size}-fewer": -rate.mean, f"equal.{size}-fewer-error": rate.standard_error}
@@ -113,7 +132,7 @@ def figures() -> dict[str, float | None]:
 
 def measured() -> list[str]:
     """Those of SETS that have been measured."""
-    return [size for size in SETS if (RESULTS / f"rd/equal-{size}.json").exists()]
+    return [size for size, names in FILES.items() if all((RESULTS / f"{name}.json").exists() for name in names)]
 
 
 def draw(axes: Any, size: str, figure: str) -> None:
@@ -131,12 +150,12 @@ def draw(axes: Any, size: str, figure: str) -> None:
 
 
 def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
-    """A plot for each figure, with a panel for each of SETS; none before they are measured."""
+    """A plot for each figure, with a panel for each of SETS at more than one rate; none before they are measured."""
     return {
         f"equal-{figure.replace('_', '-')}": (
             f"{TITLES[figure]} at equal bytes",
             "means of photographs on which nothing was chosen",
-            [partial(draw, size=size, figure=figure) for size in measured()],
+            [partial(draw, size=size, figure=figure) for size in measured() if len(rates(size)) > 1],
         )
         for figure in QUALITIES
         if any(means[figure] is not None for size in measured() for means in average(size).values())

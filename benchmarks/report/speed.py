@@ -6,12 +6,14 @@ import math
 import statistics
 from typing import Any
 
+from benchmarks.convergence import until_table
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, load, rows, seconds
 from benchmarks.speed.growth import exponent, growth_table
 from benchmarks.tables import MISSING, number, standard_error, table
 
 SIZES = {0.4: "convergence/0.4-megapixels", 4: "convergence/4-megapixels"}
+ONE_CORE = [f"convergence/{size}-megapixels-1-core" for size in ("0.4", "4", "12")]
 METHODS = {
     ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
     ("rd", ""): "`rd`, tuned for PSNR",
@@ -80,6 +82,11 @@ def sizes_table() -> str:
     counts = {size: len({row["picture"] for row in rows(name)}) for size, name in SIZES.items()}
     titles = [f"{size:g} megapixels ({n} photographs)" for size, n in counts.items()]
     return table(" | ".join(["method", *titles]), lines)
+
+
+def until() -> str:
+    """A line for each size and figure: seconds until AVIF's quality at AVIF's bytes, on one core."""
+    return until_table([row for name in ONE_CORE for row in rows(name)])
 
 
 def growth(axis: str) -> str:
