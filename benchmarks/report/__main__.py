@@ -24,7 +24,7 @@ from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 
 TABLE = re.compile(r"( *)<!-- table ([\w-]+)((?: \S+)*) -->\n.*?<!-- end -->", re.DOTALL)
-FIGURE = re.compile(r"(\S*)<!-- ([\w-]+\.[\w.-]+) -->")
+FIGURE = re.compile(r"(\S*)<!--\s+([\w-]+\.[\w.-]+)\s+-->")  # a line may end within a mark
 TABLES: dict[str, Callable[[], str]] = {
     "readme": rate.readme_table,
     "rate": rate.codecs_table,
@@ -79,7 +79,7 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
     "paper": ("Gaussians by structure", "before coding, means of 12 pictures and standard errors", [paper.draw]),
     "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
     "seen": (
-        "What people see",
+        "Perceptual metrics",
         "each mark is a picture; right of the line ours is better",
         [partial(seen.draw, figure=figure) for figure in ("ssimulacra2", "lpips", "dists")],
     ),

@@ -13,7 +13,7 @@ from benchmarks.report import results
 from benchmarks.report.plots import Draw, style
 from benchmarks.tables import number, table
 
-SETS = {"768": "longer side of 768 pixels", "whole": "whole, at most 4 megapixels", "kodak": "Kodak"}
+SETS = {"768": "with a longer side of 768 pixels", "whole": "at their own size", "kodak": "of Kodak"}
 # The JSON of each. Where two have the same row, the later one counts, which has more figures.
 FILES = {
     "768": ("rd/equal-768",),
@@ -146,7 +146,8 @@ def draw(axes: Any, size: str, figure: str) -> None:
     axes.set_xscale("log")
     axes.minorticks_off()
     axes.set_xticks(rates(size), [f"{bpp:g}" for bpp in rates(size)])
-    axes.set(xlabel=f"bits per pixel; {SETS[size]}", ylabel=TITLES[figure])
+    count = len({row.image for row in rows(size)})
+    axes.set(xlabel=f"bits per pixel; {count} photographs {SETS[size]}", ylabel=TITLES[figure])
 
 
 def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:

@@ -39,7 +39,7 @@ def large_table(max_bytes: int) -> str:
         ]
         for row in sorted(mine, key=lambda row: (scenes.index(row["scene"]), row["megapixels"]))
     ]
-    return table("scene | megapixels | Gaussians | bytes | PSNR | seconds | of the textured | MiB", lines)
+    return table("scene | megapixels | Gaussians | bytes | PSNR, dB | seconds | relative time | MiB", lines)
 
 
 def savings_table() -> str:

@@ -19,9 +19,9 @@ METHODS = {
     ("rd", ""): "`rd`, tuned for PSNR",
     ("rd visual", "effort 1"): "`rd`, effort 1, tuned for the eye",
     ("rd visual", ""): "`rd`, tuned for the eye (the default)",
-    ("avif", "9"): "AVIF, speed 9",
-    ("avif", "6"): "AVIF, speed 6",
-    ("avif", "4"): "AVIF, speed 4",
+    ("avif", "9"): "AVIF of 10 bits, `tune=psnr`, speed 9",
+    ("avif", "6"): "AVIF of 10 bits, `tune=psnr`, speed 6",
+    ("avif", "4"): "AVIF of 10 bits, `tune=psnr`, speed 4",
     ("jpegxl", "7"): "JPEG XL, effort 7",
     ("webp", "6"): "WebP, method 6",
     ("jpeg", "0"): "JPEG",
@@ -44,7 +44,8 @@ REACHED: dict[float, dict[str, tuple[float, ...]]] = {
 FIGURES = ("seconds", "encode_s", "decode_ms", "psnr", "ssimulacra2", "bytes")  # of which some have no encode_s
 UNITS = {"psnr": "{:g} dB", "ssimulacra2": "SSIMULACRA 2 {:g}"}
 DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
-LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
+LABELS = {"rd": "rd, tuned for PSNR, by effort or time limit", "rd visual": "rd, tuned for the eye, by effort"}
+LABELS |= {"avif": "AVIF of 10 bits, tune=psnr, by speed", "jpegxl": "JPEG XL", "webp": "WebP", "jpeg": "JPEG"}
 
 
 def of(megapixels: float, method: str, setting: str) -> dict[str, Row]:

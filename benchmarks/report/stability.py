@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from functools import cache
 from typing import Any
@@ -59,7 +60,7 @@ def rules_table() -> str:
 
 def worse_list() -> str:
     """A line for each file that more time or more bytes made worse."""
-    return "\n".join(f"- {check}" for check in order.failures(ordered())) or "None is."
+    return "\n".join(f"- {check}" for check in order.failures(ordered())) or "None."
 
 
 def figures() -> dict[str, float]:
@@ -73,12 +74,13 @@ def figures() -> dict[str, float]:
 
 
 def draw(axes: Any, rule: str) -> None:
-    """The error of kernels by the ratio of axes, and its limit."""
+    """The error of kernels by the ratio of axes, and its limit where there is one."""
     mine = [row for row in extremes() if row["rule"].startswith(rule) and row["worst"]]
     for k, version in enumerate(("version 1", "version 2")):
-        found = [(re.match(rf"aspect ratio (\S+), {version}", row["case"]), row["worst"]) for row in mine]
-        points = [(float(match[1]), worst) for match, worst in found if match]
-        axes.plot(*zip(*points, strict=True), **style(k) | {"label": f"files of {version}"})
-    limit = next(row["limit"] for row in mine if row["limit"] is not None)
-    axes.axhline(limit, **style(3) | {"marker": "", "label": "limit"})
-    axes.set(xscale="log", yscale="log", xlabel="ratio of axes", ylabel="pixels" if rule == VALUE else "gradients")
+        found = [(re.match(rf"aspect ratio (\S+), {version}", row["case"]), row) for row in mine]
+        points = [(float(match[1]), row["worst"], row["limit"]) for match, row in found if match]
+        ratios, errors, limits = zip(*points, strict=True)
+        axes.plot(ratios, errors, **style(k) | {"label": f"files of {version}"})
+    axes.plot(ratios, [limit or math.nan for limit in limits], **style(3) | {"marker": "", "label": "limit"})
+    kind = "pixels" if rule == VALUE else "gradients"
+    axes.set(xscale="log", yscale="log", xlabel="ratio of axes", ylabel=f"relative error of {kind}")

@@ -33,6 +33,10 @@ def test_documents_are_what_the_json_says() -> None:
             "It saves 14.9<!-- rate.fewer-than-avif --> % of the bits.",
             ["14.9 (rate.fewer-than-avif): the JSON has 13.92"],
         ),
+        (
+            "It saves 14.9<!--\nrate.fewer-than-avif --> % of the bits.",
+            ["14.9 (rate.fewer-than-avif): the JSON has 13.92"],
+        ),
         ("It saves 13.9 %<!-- rate.fewer-than-avif --> of the bits.", ["% (rate.fewer-than-avif): no number"]),
         ("It saves 13.9<!-- rate.avif --> % of the bits.", ["13.9 (rate.avif): no such figure"]),
     ],
