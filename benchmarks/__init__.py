@@ -1,6 +1,6 @@
 """Measurements, one command each; every result says which command, machine, commit and date it comes from.
 
-python -m benchmarks              a small set of all, or with --full what docs/results shows
+python -m benchmarks              small versions of most, or with --full what docs/results shows
 python -m benchmarks.rd           rate and quality over a folder of pictures, compared with other codecs
 python -m benchmarks.previews     the same from 32 to 4,096 bytes, compared with placeholders and reduced pictures
 python -m benchmarks.perceptual   metrics that are designed to agree with people; .sheet draws crops

@@ -4,10 +4,10 @@
     python -m benchmarks.perceptual.blind --score build/study/key.json ANSWERS.json ...
 
 The first command (make study IMAGES=FOLDER) writes OUT/site, static files for a server or for a browser alone, and
-OUT/key.json, which stays home. Each pair is a part of a photograph, drawn by lot, by one of our settings and one of
-AVIF's: OURS and THEIRS, each with each equally often. AVIF's file is the largest within --bpp, and ours is no larger.
+OUT/key.json, which you keep. Each pair is a random part of a photograph, by one of our settings and one of AVIF's:
+OURS and THEIRS, each with each equally often. AVIF's file is the largest within --bpp, and ours is no larger.
 The page shows the source between them, draws the order of pairs anew for each visitor, has ours on the left in half of
-them, and hands out the answers as JSON. The second command says who is preferred, with 95 % intervals (study.py).
+them, and exports the answers as JSON. The second command says who is preferred, with 95 % intervals (study.py).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def main() -> None:
     else:
         make(chosen_from(options.images, options.pairs), options.bpp, options.seed, options.out)
         key = options.out / "key.json"
-        print(f"put {options.out / 'site'} on a server, or open its index.html; {key} stays at home")
+        print(f"put {options.out / 'site'} on a server, or open its index.html; {key} is for you alone")
         print(f"count answers with: python -m benchmarks.perceptual.blind --score {key} ANSWERS.json ...")
 
 

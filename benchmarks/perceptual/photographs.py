@@ -2,7 +2,7 @@
 
 FOLDER/unseen gets those of unseen.tsv, which chose no constant of the codec and decided on none of its features: the
 headline rests on them. FOLDER/measured gets photographs that decided whether features stay, FOLDER/tuning those on
-which constants were chosen. The longer side becomes 768 pixels, so that no trace of their JPEG files is left.
+which constants were chosen. The longer side becomes 768 pixels, which removes most artefacts of their JPEG files.
 FOLDER/whole gets the photographs of unseen.tsv as people have them, with at most 4 megapixels.
 FOLDER/large gets files of 12 megapixels and more as they are, for speed. Needs apt-get, dpkg-deb and the packages of
 Debian 12; licences stand in unseen.tsv and in each package's copyright file.

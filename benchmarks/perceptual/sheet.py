@@ -1,4 +1,4 @@
-"""Parts of textured pictures side by side, for looking at.
+"""Sheets of enlarged parts of textured pictures, side by side.
 
     python -m benchmarks.perceptual.sheet --images KODAK [--bpp 0.25] [--out FILE]
     python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif \\

@@ -1,7 +1,7 @@
-"""Other codecs, each with one quality to choose, at the settings that serve it best.
+"""Other codecs, each with one quality to choose.
 
-docs/notebook/comparisons.md says how these were chosen. On a picture of Kodak, a second thread makes only the
-decoder of JPEG XL faster, by a sixth.
+docs/notebook/comparisons.md says how their other settings were chosen. On a picture of Kodak, a second thread makes
+only the decoder of JPEG XL faster, by a sixth.
 """
 
 from __future__ import annotations

@@ -142,7 +142,8 @@ def main() -> None:
     if options.csv:
         write_csvs()
         return
-    pages = {path: path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "results").glob("*.md")))}
+    documents = [path for folder in ("docs", "docs/results") for path in sorted((ROOT / folder).glob("*.md"))]
+    pages = {path: path.read_text() for path in (ROOT / "README.md", *documents)}
     texts = {path: filled(text) for path, text in pages.items()}
     errors = [f"{path.relative_to(ROOT)}: {line}" for path, text in pages.items() for line in stale(text)]
     changed = [path for path, text in texts.items() if text != pages[path]]
