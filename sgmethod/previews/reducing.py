@@ -53,7 +53,7 @@ def reduced_size(size: Size, pixels: int) -> Size:
     scale = min((pixels / (short * long)) ** 0.5, longest / long)
     if scale >= 1:
         return size
-    most = max(int(scale * short), 1)
-    sides = [(side, min(round(side * long / short), longest)) for side in range(most, int(SHORTEST * most), -1)]
+    max_side = max(int(scale * short), 1)
+    sides = [(side, min(round(side * long / short), longest)) for side in range(max_side, int(SHORTEST * max_side), -1)]
     best = min(sides, key=lambda one: abs(one[1] / one[0] * short / long - 1))
     return best if size[0] < size[1] else best[::-1]

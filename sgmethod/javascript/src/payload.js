@@ -18,7 +18,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
   const [symbol, number, fetch, take, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort, onCost);
   const [begin, advance, look, add] = newMap({ width, height, isShort });
   const refuseOverrun = () => refuseUnless(bytesRead() <= payload.length, "it ends too early");
-  const most = min(width * height, 2 ** 24, 3 * payload.length + 64);
+  const limit = min(width * height, 2 ** 24, 3 * payload.length + 64);
   let [now, next] = [{}, {}]; // a Gaussian whose place is incomplete, and the one behind it
   let at = 0; // in values
   fetch(6);
@@ -31,7 +31,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
     fetch(0);
     const n = whole(count);
     refuseOverrun();
-    refuseUnless(at / 8 + n <= most, "it has too many Gaussians");
+    refuseUnless(at / 8 + n <= limit, "it has too many Gaussians");
     if (!n) continue;
     const larger = new Float32Array(at + 8 * n);
     larger.set(values);

@@ -5,7 +5,7 @@
 // reducing.js   the picture, to what its bytes can show
 // targets.js    what Gaussians are to add up to
 // fitting.js    Gaussians, to that: the schedule
-// grid.js       their weights, what they leave of the picture, derivatives
+// grid.js       their weights, the residual that they leave, derivatives
 // growing.js    where another one pays
 // refining.js   their integers
 // settings.js   constants that are Python's
@@ -19,7 +19,7 @@ import { COARSE, FINE, expectedIn, fitted, quantumIn } from "./fitting.js";
 import { fiveBits, quantumOf } from "./integers.js";
 import { averaged, pictureOf, reducedSize } from "./reducing.js";
 import { COARSER_ALPHA, DARK, NARROWEST_PX, PIXELS_PER_BYTE, SOFT_BYTES, SOFT_PX } from "./settings.js";
-import { UNSEEN, decodedAlpha, ofAlpha, ofColours } from "./targets.js";
+import { MIN_VISIBLE_CHANGE, decodedAlpha, ofAlpha, ofColours } from "./targets.js";
 import { fileOf } from "./writing.js";
 
 const { abs, floor, max, min, round, sqrt } = Math;
@@ -89,19 +89,19 @@ function picturesOf(picture, [width, height], gaussians, least) {
 function encoded(pictures, [width, height], average, alpha, least, bytes) {
   const { means } = pictures[1];
   const all = (holds) => means.every((_, i) => i % 4 || holds(means[i], means[i + 1], means[i + 2], means[i + 3]));
-  const grey = all((red, green, blue) => abs(red - green) < UNSEEN && abs(green - blue) < UNSEEN);
+  const grey = all((red, green, blue) => abs(red - green) < MIN_VISIBLE_CHANGE && abs(green - blue) < MIN_VISIBLE_CHANGE);
   const header = { width, height, grey, background: average.map(fiveBits), payload: [] };
-  const left = (plane) => bytes - fileOf({ ...header, code: 0 }, plane).length;
-  if (all((red, green, blue, shown) => shown > 1 - UNSEEN)) {
+  const room = (plane) => bytes - fileOf({ ...header, code: 0 }, plane).length;
+  if (all((red, green, blue, shown) => shown > 1 - MIN_VISIBLE_CHANGE)) {
     const grids = pictures.map((picture) => ofColours(picture, header, average));
-    return fileOf(fitted(grids, header, left(), least)[0]);
+    return fileOf(fitted(grids, header, room(), least)[0]);
   }
   const empty = { width, height, grey: true, background: [alpha, alpha, alpha].map(fiveBits), payload: [] };
-  const most = floor(BYTES_OF_ALPHA * left({ ...empty, code: 0 }));
+  const limit = floor(BYTES_OF_ALPHA * room({ ...empty, code: 0 }));
   const planes = pictures.map((picture) => ofAlpha(picture, empty));
   const finest = min(COARSER_ALPHA * quantumIn(bytes, header), quantumOf(0));
-  const [plane, gaussians] = fitted(planes, empty, most, least, finest);
+  const [plane, gaussians] = fitted(planes, empty, limit, least, finest);
   const shown = planes.map((grid) => decodedAlpha(grid, gaussians, plane));
   const grids = pictures.map((picture, k) => ofColours(picture, header, average, shown[k]));
-  return fileOf(fitted(grids, header, left(plane), least)[0], plane);
+  return fileOf(fitted(grids, header, room(plane), least)[0], plane);
 }

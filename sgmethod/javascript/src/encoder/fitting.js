@@ -3,7 +3,7 @@
 // bytes: docs/notebook/service.md.
 
 import { found } from "./growing.js";
-import { differentiate, errorOf, leave } from "./grid.js";
+import { differentiate, errorOf, setResidual } from "./grid.js";
 import { FINEST, codeOf, quantumOf, rounded } from "./integers.js";
 import { refined } from "./refining.js";
 import { BETA1, BETA2, BITS_OF_NEW, BITS_PER_GAUSSIAN, DENSE, EXCESS, EXCESS_FROM } from "./settings.js";
@@ -91,7 +91,7 @@ function descend(all, grid, { width, height }, quantum, rate, least) {
   const area = grid.sx * grid.sy;
   const weight = (RATE_WEIGHT * priceOf(quantum) * area) / (2 * Math.LN2);
   const d = new Float64Array(8);
-  const covered = leave(grid, all);
+  const covered = setResidual(grid, all);
   all.forEach((one, i) => {
     const { g } = one;
     differentiate(grid, g, covered[i], d);
@@ -172,11 +172,11 @@ export function fitted([coarse, fine], header, limit, least, finest = 0) {
       if (at >= STEERING_FROM) quantum = steered(quantum, sizeOf(coded(all, header, quantum)), limit, finest, at);
     }
     if (grows) {
-      leave(grid, all);
+      setResidual(grid, all);
       const more = max(all.length, floor(expected / GROWTH_AT.length), MIN_GROWN);
-      const most = min(more, min(MAX_SURPLUS * expected, pixels) - all.length);
+      const maxNew = min(more, min(MAX_SURPLUS * expected, pixels) - all.length);
       const worth = RATE_WEIGHT * BITS_OF_NEW * priceOf(quantum) * grid.sx * grid.sy;
-      for (const g of found(grid, most, worth, least)) {
+      for (const g of found(grid, maxNew, worth, least)) {
         all.push({ g, first: new Float64Array(8), second: new Float64Array(8), age: 0 });
       }
     }

@@ -13,14 +13,14 @@ let [weights, spans] = [new Float32Array(0), new Float64Array(0)];
 const START = [0, 0, 0, 0];
 
 /** A grid of samples over a picture of width x height pixels. shown: how much an error of each sample counts, 0 to 1;
- * target: [rows, columns, 3], times that; left: what Gaussians leave of it. low, high: if given, the offsets from the
- * target between which nothing is left. */
+ * target: [rows, columns, 3], times that; residual: what Gaussians leave of it. low, high: if given, the offsets from
+ * the target between which the residual is zero. */
 export const newGrid = (target, columns, rows, width, height, { shown, low, high }) => ({
   target,
   shown,
   low,
   high,
-  left: target.slice(),
+  residual: target.slice(),
   columns,
   rows,
   sx: columns / width,
@@ -75,27 +75,27 @@ function cover({ columns, rows, sx, sy }, g, before = START) {
   return [first, n, start, k];
 }
 
-/** Take a Gaussian off what is left, or put it back with times = -1. Returns what cover() does. */
+/** Take a Gaussian off the residual, or put it back with times = -1. Returns what cover() does. */
 export function subtract(grid, g, times = 1, before = START) {
   const covered = cover(grid, g, before);
-  const { left, shown } = grid;
+  const { residual, shown } = grid;
   const [red, green, blue] = [g[5] * times, g[6] * times, g[7] * times];
   const [first, last, start] = covered;
   for (let row = first, k = start; row < last; row += 4) {
     for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
       const w = max(weights[k++] - EDGE, 0) * shown[i++];
-      left[at] -= red * w;
-      left[at + 1] -= green * w;
-      left[at + 2] -= blue * w;
+      residual[at] -= red * w;
+      residual[at + 1] -= green * w;
+      residual[at + 2] -= blue * w;
     }
   }
   return covered;
 }
 
-/** Inner products of a Gaussian's weights with what is left, for each colour, and with themselves. */
+/** Inner products of a Gaussian's weights with the residual, for each colour, and with themselves. */
 export function project(grid, g) {
   const [first, last, start] = cover(grid, g);
-  const { left, shown } = grid;
+  const { residual, shown } = grid;
   let red = 0;
   let green = 0;
   let blue = 0;
@@ -103,9 +103,9 @@ export function project(grid, g) {
   for (let row = first, k = start; row < last; row += 4) {
     for (let at = spans[row] | 0, end = spans[row + 1] | 0, i = (at / 3) | 0; at < end; at += 3) {
       const w = max(weights[k++] - EDGE, 0) * shown[i++];
-      red += left[at] * w;
-      green += left[at + 1] * w;
-      blue += left[at + 2] * w;
+      red += residual[at] * w;
+      green += residual[at + 1] * w;
+      blue += residual[at + 2] * w;
       energy += w * w;
     }
   }
@@ -113,8 +113,9 @@ export function project(grid, g) {
 }
 
 /** Half the derivative of the squared error by a Gaussian's parameters in its own frame, into `out`: by d, where the
- * mean moves by L d; by S, a lower triangle, where L becomes L (1 + S); and by the colour. covered: by leave(). */
-export function differentiate({ left, shown, sx }, g, [first, last, start], out) {
+ * mean moves by L d; by S, a lower triangle, where L becomes L (1 + S); and by the colour. covered: by
+ * setResidual(). */
+export function differentiate({ residual, shown, sx }, g, [first, last, start], out) {
   const [red, green, blue] = [g[5], g[6], g[7]];
   const step = 1 / (g[2] * sx); // of z1 from one sample to the next
   const slope = g[3] / g[4]; // by which z2 falls when z1 rises
@@ -132,10 +133,10 @@ export function differentiate({ left, shown, sx }, g, [first, last, start], out)
       const share = shown[i++];
       const weight = weights[k++];
       const w = max(weight - EDGE, 0) * share;
-      byRed += left[at] * w;
-      byGreen += left[at + 1] * w;
-      byBlue += left[at + 2] * w;
-      const v = (red * left[at] + green * left[at + 1] + blue * left[at + 2]) * weight * share;
+      byRed += residual[at] * w;
+      byGreen += residual[at + 1] * w;
+      byBlue += residual[at + 2] * w;
+      const v = (red * residual[at] + green * residual[at + 1] + blue * residual[at + 2]) * weight * share;
       s0 += v;
       s1 += v * z;
       s2 += v * z * z;
@@ -152,26 +153,26 @@ export function differentiate({ left, shown, sx }, g, [first, last, start], out)
   }
 }
 
-/** Squared error of what is left. */
-export function errorOf({ left }) {
+/** Squared error of the residual. */
+export function errorOf({ residual }) {
   let sum = 0;
-  for (let i = 0; i < left.length; i++) sum += left[i] * left[i];
+  for (let i = 0; i < residual.length; i++) sum += residual[i] * residual[i];
   return sum;
 }
 
-/** Set what is left by Gaussians, each as `g` of an object. Returns for each what cover() does, for differentiate(). */
-export function leave(grid, gaussians) {
-  const { left, target, low, high } = grid;
-  left.set(target);
+/** Set the residual of Gaussians, each as `g` of an object. Returns for each what cover() does, for differentiate(). */
+export function setResidual(grid, gaussians) {
+  const { residual, target, low, high } = grid;
+  residual.set(target);
   let before = START;
   const covered = gaussians.map(({ g }) => (before = subtract(grid, g, 1, before)));
-  if (low) for (let i = 0; i < left.length; i++) left[i] += min(max(-left[i], low[i]), high[i]);
+  if (low) for (let i = 0; i < residual.length; i++) residual[i] += min(max(-residual[i], low[i]), high[i]);
   return covered;
 }
 
-/** What Gaussians alone add to a grid; nothing else is left on it. */
+/** What Gaussians alone add to a grid; nothing else stays on it. */
 export function drawn(grid, gaussians) {
-  grid.left.fill(0);
+  grid.residual.fill(0);
   for (const { g } of gaussians) subtract(grid, g, -1);
-  return grid.left;
+  return grid.residual;
 }

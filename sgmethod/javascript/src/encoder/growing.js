@@ -38,8 +38,8 @@ function blurred(plane, length, step, b) {
 }
 
 /** The gain of a round Gaussian of blur b at every sample. */
-function gainsOf({ left, columns, rows }, b) {
-  const mean = blurred(blurred(left, columns, 3, b), rows, 3 * columns, b);
+function gainsOf({ residual, columns, rows }, b) {
+  const mean = blurred(blurred(residual, columns, 3, b), rows, 3 * columns, b);
   const [across, down] = [columns, rows].map((n) => blurred(new Float32Array(n).fill(1), n, 1, b));
   const gains = new Float32Array(columns * rows);
   for (let at = 0, i = 0; at < gains.length; at++, i += 3) {
@@ -71,9 +71,9 @@ function raise(highest, gains) {
   for (let at = 0; at < gains.length; at++) highest[at] = max(highest[at], gains[at]);
 }
 
-/** Find at most `most` Gaussians that each lower the squared error by `worth` and more, none narrower than `least`
+/** Find at most `limit` Gaussians that each lower the squared error by `worth` and more, none narrower than `least`
  * pixels. They are taken off the grid. */
-export function found(grid, most, worth, least) {
+export function found(grid, limit, worth, least) {
   const { columns, rows, sx, sy } = grid;
   const scale = sqrt(sx * sy); // samples a pixel
   const sizes = [max(BLUR_OF_SCALE * least * scale, 0.75)];
@@ -86,7 +86,7 @@ export function found(grid, most, worth, least) {
   places.sort(([one], [other]) => other - one);
   const gaussians = [];
   for (const [, at, k] of places) {
-    if (gaussians.length >= most) break;
+    if (gaussians.length >= limit) break;
     const s = max(sizes[k] / BLUR_OF_SCALE / scale, least);
     const g = Float64Array.of(((at % columns) + 0.5) / sx, (floor(at / columns) + 0.5) / sy, s, 0, s, 0, 0, 0);
     const [red, green, blue, energy] = project(grid, g);

@@ -35,7 +35,7 @@ export function withGaussian(s, { quantum }) {
   return s;
 }
 
-const integer = (value, most) => clamp(round(value), -most, most) | 0;
+const integer = (value, limit) => clamp(round(value), -limit, limit) | 0;
 
 /** The integers of a Gaussian, with the one that they stand for as `g`; null if nothing is left of its colour. spot: what
  * was known of it by its part when it was last written. */

@@ -11,10 +11,10 @@ export function reducedSize(width, height, pixels) {
   const longest = floor(pixels / THINNEST);
   const scale = min(sqrt(pixels / (short * long)), longest / long);
   if (scale >= 1) return [width, height];
-  const most = max(floor(scale * short), 1);
+  const maxSide = max(floor(scale * short), 1);
   let best = [1, longest];
   let least = Infinity;
-  for (let side = most; side > floor(SHORTEST * most); side--) {
+  for (let side = maxSide; side > floor(SHORTEST * maxSide); side--) {
     const other = min(round((side * long) / short), longest);
     const off = abs(((other / side) * short) / long - 1);
     if (off < least) [best, least] = [[side, other], off];

@@ -1,6 +1,6 @@
 // A search over a file's integers: rounding each Gaussian alone ignores that they overlap. sgmethod/native/refine/.
 
-import { leave, project, subtract } from "./grid.js";
+import { setResidual, project, subtract } from "./grid.js";
 import { rounded, withGaussian } from "./integers.js";
 import { payloadOf } from "./writing.js";
 
@@ -9,7 +9,7 @@ const { exp, min, sign } = Math;
 const SWEEPS = 4;
 const BITS_OF_COLOUR = 6; // most bits that another colour is expected to save
 
-/** Change of the squared error if a Gaussian is taken off what is left (times = -2), or put back (2), by its inner
+/** Change of the squared error if a Gaussian is taken off the residual (times = -2), or put back (2), by its inner
  * products. */
 function change(g, products, times) {
   let sum = 0;
@@ -77,7 +77,7 @@ function chosen(s, grid, header, price, bitsOf) {
   return best;
 }
 
-/** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid is left without them.
+/** Refine integers to a payload of at most `limit` bytes, and return it with them; the grid then has their residual.
  * price: squared error on the grid that a bit is worth. */
 export function refined(all, grid, header, price, limit) {
   let [payload, bitsOf] = payloadOf(all, header);
@@ -100,7 +100,7 @@ export function refined(all, grid, header, price, limit) {
       [payload, bitsOf] = payloadOf(all, header);
     }
   };
-  leave(grid, all);
+  setResidual(grid, all);
   for (let i = 0; i < SWEEPS; i++) sweep();
   if (payload.length > limit) {
     drop();

@@ -6,7 +6,7 @@ import { MARGIN, OF_SLOPE, OVERSHOOT } from "./settings.js";
 
 const { abs, floor, max, min } = Math;
 
-export const UNSEEN = 1 / 512; // half a level of 8 bits
+export const MIN_VISIBLE_CHANGE = 1 / 512; // half a level of 8 bits
 const HIDDEN = 1 / 64; // weight of the average where alpha hides a colour
 
 /** A grid for the colours of a picture that is averaged(). An error of a colour counts as much as the alpha that is
@@ -30,7 +30,7 @@ export function ofAlpha({ means, columns, rows }, { width, height, background })
   const alpha = means.filter((_, i) => i % 4 === 3);
   const [target, low, high] = [0, 1, 2].map(() => new Float32Array(3 * alpha.length));
   alpha.forEach((level, i) => {
-    const [isClear, isOpaque] = [level < UNSEEN, level > 1 - UNSEEN];
+    const [isClear, isOpaque] = [level < MIN_VISIBLE_CHANGE, level > 1 - MIN_VISIBLE_CHANGE];
     const margin = isClear || isOpaque ? MARGIN + OF_SLOPE * slopeAt(alpha, columns, rows, i) : 0;
     for (let at = 3 * i; at < 3 * i + 3; at++) {
       target[at] = level - levelOf(background[0]);
@@ -45,12 +45,12 @@ export function ofAlpha({ means, columns, rows }, { width, height, background })
 /** Half of the largest difference of a sample from those around it. */
 function slopeAt(plane, columns, rows, at) {
   const [x, y] = [at % columns, floor(at / columns)];
-  let most = 0;
+  let largest = 0;
   for (let j = max(y - 1, 0); j <= min(y + 1, rows - 1); j++) {
     for (let i = max(x - 1, 0); i <= min(x + 1, columns - 1); i++)
-      most = max(most, abs(plane[j * columns + i] - plane[at]));
+      largest = max(largest, abs(plane[j * columns + i] - plane[at]));
   }
-  return most / 2;
+  return largest / 2;
 }
 
 /** The alpha that is decoded from Gaussians on a background, on ofAlpha()'s grid. */

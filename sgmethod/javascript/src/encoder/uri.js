@@ -7,7 +7,7 @@ import { largestWithin } from "./within.js";
 
 const { floor, max, min, round } = Math;
 
-const PNG_SIDES = [4, 32]; // least and most
+const PNG_SIDES = [4, 32]; // at least and at most
 const [COLOURS, PASSES] = [8, 8]; // docs/notebook/service.md
 const OPAQUE = 1 - 1 / 512;
 
@@ -21,8 +21,8 @@ export async function dataUri(rgba, width, height, options) {
   const picture = averaged(pictureOf(rgba, width, height), ...sizeWithin(width, height, JUDGED_SIDE));
   for (let at = 3; at < picture.means.length; at += 4) if (picture.means[at] < OPAQUE) return "";
   const prefix = `data:image/${sharp ? "webp" : "png"};base64,`;
-  const most = 3 * floor((characters - prefix.length) / 4);
-  const file = await (sharp ? bestWebp(picture, most, sharp) : bestPng(picture, most));
+  const maxBytes = 3 * floor((characters - prefix.length) / 4);
+  const file = await (sharp ? bestWebp(picture, maxBytes, sharp) : bestPng(picture, maxBytes));
   return file ? prefix + btoa(String.fromCharCode(...file)) : "";
 }
 
@@ -37,12 +37,12 @@ function reduced({ means, columns, rows }, longest) {
   return { rgb, width, height };
 }
 
-async function bestWebp(picture, most, sharp) {
+async function bestWebp(picture, maxBytes, sharp) {
   const judged = reduced(picture, JUDGED_SIDE);
   const { width, height } = judged;
   let [best, least] = [null, Infinity];
   for (const side of SIDES) {
-    const file = await finestWebp(reduced(picture, side), most, sharp);
+    const file = await finestWebp(reduced(picture, side), maxBytes, sharp);
     if (!file) continue;
     const drawn = await sharp(file).resize(width, height, { kernel: "cubic", fit: "fill" }).removeAlpha().raw().toBuffer();
     const error = judged.rgb.reduce((sum, level, i) => sum + (level - drawn[i]) ** 2, 0);
@@ -51,16 +51,16 @@ async function bestWebp(picture, most, sharp) {
   return best;
 }
 
-const finestWebp = ({ rgb, width, height }, most, sharp) =>
-  largest(most, 1, 100, (quality) =>
+const finestWebp = ({ rgb, width, height }, maxBytes, sharp) =>
+  largest(maxBytes, 1, 100, (quality) =>
     sharp(rgb, { raw: { width, height, channels: 3 } }).webp({ quality, effort: 6 }).toBuffer(),
   );
 
-const bestPng = (picture, most) => largest(most, ...PNG_SIDES, (side) => pngOf(reduced(picture, side)));
+const bestPng = (picture, maxBytes) => largest(maxBytes, ...PNG_SIDES, (side) => pngOf(reduced(picture, side)));
 
-/** The file of the highest number, from least to highest, that has at most so many bytes; null if none has. */
-const largest = async (most, least, highest, fileOf) =>
-  (await largestWithin(fileOf, (file) => file.length <= most, least - 1, highest + 1))[1];
+/** The file of the highest number, from low to high, that has at most so many bytes; null if none has. */
+const largest = async (maxBytes, low, high, fileOf) =>
+  (await largestWithin(fileOf, (file) => file.length <= maxBytes, low - 1, high + 1))[1];
 
 async function pngOf({ rgb, width, height }) {
   const [palette, nearest] = paletteOf(rgb);
