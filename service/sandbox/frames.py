@@ -5,7 +5,7 @@ closes the socket to end the task, and writes a byte into it to make an encode e
 
 The answer is a sequence of frames. A frame is the lengths of its two parts (4 bytes each, big-endian), a message in
 JSON, and a file, which most messages do not have. Begun comes first and Ended last. Between them, an encode sends
-TracePoint and Preview; every task sends Result, Refused or Crashed once.
+TracePoint and EncodePreview; every task sends Result, Refused or Crashed once.
 
 A malicious file may control the process that parses it, so every frame is checked. Each task names the messages that
 it may send, the length of its files and the number of its frames. Anything else raises FrameError in the client, which
@@ -82,7 +82,7 @@ class TracePoint(Model):
     share: float = Field(ge=0, le=1)
 
 
-class Preview(Model):
+class EncodePreview(Model):
     """The bitstream of a fit that is still running."""
 
     kind: Literal["preview"] = "preview"
@@ -123,7 +123,7 @@ class Result(Model, Generic[Figures]):
 
 
 Outcome = Begun | Refused | Crashed | Ended  # of any task
-Message = Outcome | TracePoint | Preview | Result[Any]
+Message = Outcome | TracePoint | EncodePreview | Result[Any]
 KIND = Field(discriminator="kind")
 
 
@@ -179,7 +179,7 @@ class Task(Model):
 
     def max_bytes_after(self, message: Message) -> int:
         """Bytes of the longest file that it may send with this message."""
-        if isinstance(message, Preview):
+        if isinstance(message, EncodePreview):
             return MAX_PREVIEW_BYTES
         if not isinstance(message, Result) or self.bytes_per_pixel is None:
             return 0
@@ -252,7 +252,7 @@ class Encode(Task):
     job_id: str
     request: EncodeRequest
     threads: int
-    messages = TypeAdapter(Annotated[Outcome | TracePoint | Preview | Result[EncodeFigures], KIND])
+    messages = TypeAdapter(Annotated[Outcome | TracePoint | EncodePreview | Result[EncodeFigures], KIND])
     bytes_per_pixel = FILE_BYTES_PER_PIXEL
 
     @property
@@ -319,7 +319,7 @@ class FrameReader:
             raise FrameError(f"a file of {file_bytes} bytes after the message {message.kind}, which is too long")
         if len(self._data) < file_at + file_bytes:
             return None
-        if isinstance(message, Preview | Result):
+        if isinstance(message, EncodePreview | Result):
             with memoryview(self._data) as view:
                 message = message.model_copy(update={"file": bytes(view[file_at : file_at + file_bytes])})
         if isinstance(message, Result):

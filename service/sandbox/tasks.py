@@ -72,7 +72,7 @@ class Answer:
         """Send a preview, unless it is large or the last one was sent within PREVIEW_EVERY_S."""
         if len(file) <= frames.MAX_PREVIEW_BYTES and time.monotonic() - self._shown >= PREVIEW_EVERY_S:
             self._shown = time.monotonic()
-            self.send(frames.Preview(file=file))
+            self.send(frames.EncodePreview(file=file))
 
 
 def set_threads(count: int) -> None:

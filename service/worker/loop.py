@@ -22,7 +22,7 @@ from service.sandbox.client import KILLED, RunningTask, Sandbox, SandboxUnavaila
 from service.settings import Settings
 from service.storage.files import Storage, source_key
 from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
-from service.worker.sweeping import Swept, pause_s, sweep
+from service.worker.sweeping import SweepResult, pause_s, sweep
 from service.worker.webhooks import POLL_S, send_next
 
 log = logging.getLogger(__name__)
@@ -91,7 +91,7 @@ class Worker:
         swept = sweep(
             self._table, self._storage, retention_s=settings.retention_s, source_retention_s=settings.source_retention_s
         )
-        if swept != Swept(0, 0):
+        if swept != SweepResult(0, 0):
             log.info("removed %d finished jobs and %d files; %d files stay", swept.jobs, swept.files, swept.stuck)
 
     def run_one(self) -> bool:
@@ -167,7 +167,7 @@ class Worker:
             for message in messages:
                 if isinstance(message, frames.TracePoint):
                     attempt.add(message.model_dump(exclude={"kind"}))
-                elif isinstance(message, frames.Preview):
+                elif isinstance(message, frames.EncodePreview):
                     attempt.show(message.file)
                 else:
                     attempt.beat(now=True)

@@ -18,7 +18,7 @@ OVERDUE = 1 / 4  # something may stay for longer than it is kept, by this part o
 
 
 @dataclass(frozen=True)
-class Swept:
+class SweepResult:
     """Numbers of removed jobs and files, and of files that could not be removed."""
 
     jobs: int
@@ -33,7 +33,7 @@ def sweep(
     retention_s: float,
     source_retention_s: float = 0,
     orphan_age_s: float = ORPHAN_AGE_S,
-) -> Swept:
+) -> SweepResult:
     """Remove expired jobs and images, and files that no job needs.
 
     retention_s: age of finished jobs in seconds (0: keep them); source_retention_s: age of images of finished jobs.
@@ -50,7 +50,7 @@ def sweep(
         if source_key(job_id) not in stuck:
             table.source_removed(job_id)
     of_jobs = [key for job_id in expired for key in _remove(table, storage, job_id)]
-    return Swept(len(expired), len(files) - len(stuck), len(stuck.union(of_jobs)))
+    return SweepResult(len(expired), len(files) - len(stuck), len(stuck.union(of_jobs)))
 
 
 def pause_s(*kept_s: float) -> float:

@@ -15,7 +15,7 @@ from typing import BinaryIO
 from service.jobs.job import EncodeRequest, new_job_id
 from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
-from service.sandbox.frames import Encode, Message, Preview, Task, TracePoint
+from service.sandbox.frames import Encode, EncodePreview, Message, Task, TracePoint
 from tests.support.data import ROOT
 from tests.support.processes import TIMEOUT_S, wait_until
 
@@ -92,5 +92,5 @@ def until_end(running: RunningTask) -> Iterator[Message]:
     while True:
         for message in running.read(1.0):
             yield message
-            if not isinstance(message, TracePoint | Preview):
+            if not isinstance(message, TracePoint | EncodePreview):
                 return

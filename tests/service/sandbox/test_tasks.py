@@ -29,7 +29,7 @@ from service.pictures import WRITERS, Drawing, PictureOptions
 from service.sandbox import client, confinement, frames, server, tasks
 from service.sandbox.client import OutOfMemoryError, Sandbox, SandboxProcess, SandboxUnavailableError, TaskError
 from service.sandbox.confinement import absent_layers
-from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, Preview, ReadHeader, Refused, Result, Task
+from service.sandbox.frames import Crashed, Draw, Encode, Ended, FrameError, ReadHeader, Refused, Result, Task
 from service.settings import Settings
 from sgmethod.io.formats import PLAIN
 from tests.service.sandbox_process import TAKEN_OVER, WAITS, begun, file_of, messages_of, sandbox, task, until_end
@@ -207,7 +207,7 @@ def test_a_sandbox_that_hangs_is_replaced(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_one_that_is_to_end_early(taken_over: Sandbox) -> None:
     """Whenever it is asked to; and to ask again changes nothing."""
-    program = WAITS + b"answer.send(frames.Preview(file=b'early'))"
+    program = WAITS + b"answer.send(frames.EncodePreview(file=b'early'))"
     with file_of(program) as file, taken_over.start(task(), file) as running:
         for _ in range(3):
             running.end_early()
@@ -323,9 +323,9 @@ def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
 
 def test_a_client_that_reads_nothing_holds_up_no_other(taken_over: Sandbox) -> None:
     """Its task waits for it, and so does the word of its end; others are served."""
-    program = b"answer.send(frames.Preview(file=bytes(1 << 20)))"
+    program = b"answer.send(frames.EncodePreview(file=bytes(1 << 20)))"
     with file_of(program) as file, taken_over.start(task(), file) as running:
         assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
         *_, preview, end = until_end(running)
-        assert preview == Preview(file=bytes(1 << 20))
+        assert preview == frames.EncodePreview(file=bytes(1 << 20))
         assert end == Ended(status=0)

@@ -16,7 +16,7 @@ from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, preview_key, source_key
 from service.worker.loop import Worker
-from service.worker.sweeping import Swept, pause_s, sweep
+from service.worker.sweeping import SweepResult, pause_s, sweep
 from tests.support import job_table
 from tests.support.job_table import IMAGE, LONG_S, REFUSED, OpenTable, change, claimed
 from tests.support.processes import failing, wait_until
@@ -61,8 +61,8 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     orphans = {source_key(new_job_id()), source_key(done), bitstream_key(done, 2), "unfinished/" + new_job_id()}
     for key in orphans:
         storage.put(key, b"left over")
-    assert sweep(table, storage, retention_s=0) == Swept(0, 0)  # they may be of a job that is just being accepted
-    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == Swept(0, 4)
+    assert sweep(table, storage, retention_s=0) == SweepResult(0, 0)  # they may be of a job that is just being accepted
+    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 4)
     assert stored(storage) == needed
 
 
@@ -89,14 +89,14 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
 
     monkeypatch.setattr(storage, "delete", delete)
     times = {"source_retention_s": AT_ONCE_S, "orphan_age_s": AT_ONCE_S}
-    assert sweep(table, storage, retention_s=1000, **times) == Swept(0, 5, 2)
+    assert sweep(table, storage, retention_s=1000, **times) == SweepResult(0, 5, 2)
     assert table.counts().stored_bytes == IMAGE.size_bytes + 4 * 9
-    assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == Swept(4, 0, 3)
+    assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == SweepResult(4, 0, 3)
     assert table.page(10) == []
     assert stored(storage) == held
     assert all(f"{key} cannot be removed: AccessDenied" in caplog.text for key in held)
     held.clear()
-    assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == Swept(0, 3)
+    assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == SweepResult(0, 3)
     assert stored(storage) == set()
 
 
@@ -112,7 +112,7 @@ def test_files_are_removed_even_if_the_job_table_cannot_be_written(
     with pytest.raises(JobTableError):
         sweep(table, storage, retention_s=AT_ONCE_S, source_retention_s=AT_ONCE_S, orphan_age_s=AT_ONCE_S)
     assert stored(storage) == set()
-    assert sweep(table, storage, retention_s=AT_ONCE_S, source_retention_s=AT_ONCE_S) == Swept(1, 1)
+    assert sweep(table, storage, retention_s=AT_ONCE_S, source_retention_s=AT_ONCE_S) == SweepResult(1, 1)
     assert table.page(10) == []
 
 
@@ -122,8 +122,8 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
     done, refused, waiting = (submitted(table, storage) for _ in range(3))
     assert table.finish(claimed(table), EncodeResult(bitstream_key(done, 1), "", {"bytes": 7}))
     assert table.fail(claimed(table), REFUSED)
-    assert sweep(table, storage, retention_s=1000, source_retention_s=60) == Swept(0, 0)
-    for swept in (Swept(0, 2), Swept(0, 0)):
+    assert sweep(table, storage, retention_s=1000, source_retention_s=60) == SweepResult(0, 0)
+    for swept in (SweepResult(0, 2), SweepResult(0, 0)):
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
         assert stored(storage) == {source_key(waiting)}
     assert table.counts().stored_bytes == 7 + IMAGE.size_bytes
@@ -168,7 +168,7 @@ def test_a_job_with_many_attempts_goes_with_few_deletes(
     assert sweep(table, storage, retention_s=AT_ONCE_S).jobs == 1
     assert len(deleted) < 50
     assert stored(storage) == {old}
-    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
+    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 1)
 
 
 def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Storage) -> None:
@@ -183,9 +183,9 @@ def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Stor
     assert table.fail(refused, REFUSED)
     storage.delete(source_key(refused.id))
     waiting = submitted(table, storage)
-    assert sweep(table, storage, retention_s=60) == Swept(0, 0)
-    assert sweep(table, storage, retention_s=0) == Swept(0, 0)  # never
+    assert sweep(table, storage, retention_s=60) == SweepResult(0, 0)
+    assert sweep(table, storage, retention_s=0) == SweepResult(0, 0)  # never
     assert len(table.page(10)) == 3
-    assert sweep(table, storage, retention_s=AT_ONCE_S) == Swept(2, 0)
+    assert sweep(table, storage, retention_s=AT_ONCE_S) == SweepResult(2, 0)
     assert [job.id for job in table.page(10)] == [waiting]
     assert stored(storage) == {source_key(waiting)}
