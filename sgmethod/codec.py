@@ -17,7 +17,7 @@ from sgmethod.io.files import checked_path
 from sgmethod.io.image import Input, read_input
 from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Settings, Tune
-from sgmethod.trace import Preview, Progress, Stop
+from sgmethod.trace import OnPreview, Progress, Stop
 
 
 @quiet
@@ -39,7 +39,7 @@ def encode(
     time_limit_s: AnyFloat | None = None,
     on_progress: Progress | None = None,
     stop: Stop | None = None,
-    on_preview: Preview | None = None,
+    on_preview: OnPreview | None = None,
     measure: bool = False,
 ) -> Encoded:
     """Encode a picture within a budget.

@@ -69,4 +69,4 @@ def seconds_left(trace: Sequence[Mapping[str, Any]], seconds: float, limit_s: fl
 
 Progress = Callable[[TracePoint], None]
 Stop = Callable[[], bool]
-Preview = Callable[[bytes], None]
+OnPreview = Callable[[bytes], None]

@@ -23,12 +23,12 @@ def bands(height: int, width: int) -> list[tuple[int, int]]:
     return [(first, min(first + rows, height)) for first in range(0, height, rows)]
 
 
-def in_strips(function: Callable[[int, int], Result], rows: int, least: int = STRIP) -> list[Result]:
+def parallel_rows(function: Callable[[int, int], Result], rows: int, min_rows: int = STRIP) -> list[Result]:
     """Call a function with the first and the end row of strips, in parallel; results in order.
 
     First rows are even, and depend on the number of threads: the function's results must not.
     """
-    count = max(min(thread_count(), rows // least), 1)
+    count = max(min(thread_count(), rows // min_rows), 1)
     if count == 1:
         return [function(0, rows)]  # whose kernels may use all threads
     ends = [rows * number // count // 2 * 2 for number in range(count)] + [rows]

@@ -1,8 +1,8 @@
 """Islands: the parts of a picture that differ from its background, for pictures that are nearly all background.
 
 Reduced pictures lose stars, and a word on a page; on the whole picture, fitting even one Gaussian takes seconds. So the
-islands are laid out side by side on a small sheet, and the fit sees only that. Gaussians stay in pixels of the whole
-picture; each is moved to the sheet together with the island that it is in, or else nearest to.
+islands are laid out side by side in a small atlas, and the fit sees only that. Gaussians stay in pixels of the whole
+picture; each is moved to the atlas together with the island that it is in, or else nearest to.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ TILE = 4  # pixels; around an island lie one to two tiles of background
 
 
 class Box(NamedTuple):
-    """A rectangle of width x height pixels: its corner in the picture, and on the sheet."""
+    """A rectangle of width x height pixels: its corner in the picture, and in the atlas."""
 
     x: int
     y: int
     width: int
     height: int
-    sheet_x: int
-    sheet_y: int
+    atlas_x: int
+    atlas_y: int
 
     @property
     def in_picture(self) -> tuple[slice, slice]:
@@ -47,23 +47,23 @@ class Box(NamedTuple):
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
     @property
-    def on_sheet(self) -> tuple[slice, slice]:
-        """Rows and columns of the sheet."""
-        return slice(self.sheet_y, self.sheet_y + self.height), slice(self.sheet_x, self.sheet_x + self.width)
+    def in_atlas(self) -> tuple[slice, slice]:
+        """Rows and columns of the atlas."""
+        return slice(self.atlas_y, self.atlas_y + self.height), slice(self.atlas_x, self.atlas_x + self.width)
 
 
 @dataclass(frozen=True, eq=False)
 class Islands:
-    """Islands of a picture, and their places on a sheet.
+    """Islands of a picture, and their places in an atlas.
 
-    width, height: of the sheet; to_sheet, to_picture: how far a Gaussian moves, by the tile of its centre in the
-    picture or on the sheet, float32 [rows, columns, 2].
+    width, height: of the atlas; to_atlas, to_picture: how far a Gaussian moves, by the tile of its centre in the
+    picture or in the atlas, float32 [rows, columns, 2].
     """
 
     boxes: tuple[Box, ...]
     width: int
     height: int
-    to_sheet: FloatArray
+    to_atlas: FloatArray
     to_picture: FloatArray
 
     @classmethod
@@ -79,31 +79,31 @@ class Islands:
         if not rectangles:
             return None
         boxes = _laid_out([_cut(rectangle, width, height) for rectangle in rectangles])
-        sheet = max(b.sheet_x + b.width for b in boxes), max(b.sheet_y + b.height for b in boxes)
+        atlas = max(b.atlas_x + b.width for b in boxes), max(b.atlas_y + b.height for b in boxes)
         corners = np.array([(b.x, b.y) for b in boxes], np.float32)
-        on_sheet = np.array([(b.sheet_x, b.sheet_y) for b in boxes], np.float32)
+        in_atlas = np.array([(b.atlas_x, b.atlas_y) for b in boxes], np.float32)
         nearest = _nearest(tiles, [box.in_picture for box in boxes])
-        back = _nearest((-(-sheet[1] // TILE), -(-sheet[0] // TILE)), [box.on_sheet for box in boxes])
-        return cls(boxes, *sheet, (on_sheet - corners)[nearest], (corners - on_sheet)[back])
+        back = _nearest((-(-atlas[1] // TILE), -(-atlas[0] // TILE)), [box.in_atlas for box in boxes])
+        return cls(boxes, *atlas, (in_atlas - corners)[nearest], (corners - in_atlas)[back])
 
     @property
     def pixels(self) -> int:
-        """Number of the sheet's pixels."""
+        """Number of the atlas's pixels."""
         return self.width * self.height
 
     def laid(self, planes: NDArray[Any], between: NDArray[Any] | int) -> NDArray[Any]:
-        """Lay planes [..., H, W] of the picture out on the sheet. between: values [..., 1, 1] between islands."""
-        sheet = np.empty((*planes.shape[:-2], self.height, self.width), planes.dtype)
-        sheet[...] = between
+        """Lay planes [..., H, W] of the picture out in the atlas. between: values [..., 1, 1] between islands."""
+        atlas = np.empty((*planes.shape[:-2], self.height, self.width), planes.dtype)
+        atlas[...] = between
         for box in self.boxes:
-            sheet[(..., *box.on_sheet)] = planes[(..., *box.in_picture)]
-        return sheet
+            atlas[(..., *box.in_atlas)] = planes[(..., *box.in_picture)]
+        return atlas
 
-    def put_back(self, sheet: NDArray[Any], planes: NDArray[Any]) -> NDArray[Any]:
-        """Return planes [..., H, W] of the picture with the islands of a sheet."""
+    def put_back(self, atlas: NDArray[Any], planes: NDArray[Any]) -> NDArray[Any]:
+        """Return planes [..., H, W] of the picture with the islands of an atlas."""
         planes = planes.copy()
         for box in self.boxes:
-            planes[(..., *box.in_picture)] = sheet[(..., *box.on_sheet)]
+            planes[(..., *box.in_picture)] = atlas[(..., *box.in_atlas)]
         return planes
 
 
@@ -126,20 +126,20 @@ def _rectangles(land: NDArray[np.uint8]) -> list[tuple[int, int, int, int]]:
 
 
 def _cut(rectangle: tuple[int, int, int, int], width: int, height: int) -> Box:
-    """Convert a rectangle of tiles to pixels within a picture of width x height, at no place of a sheet yet."""
+    """Convert a rectangle of tiles to pixels within a picture of width x height, at no place of an atlas yet."""
     x, y, across, down = (TILE * side for side in rectangle)
     return Box(x, y, min(across, width - x), min(down, height - y), 0, 0)
 
 
 def _laid_out(boxes: list[Box]) -> tuple[Box, ...]:
-    """Lay boxes out in rows, the highest first, on a sheet about as wide as high."""
+    """Lay boxes out in rows, the highest first, in an atlas about as wide as high."""
     area = sum(box.width * box.height for box in boxes)
     widest = max(math.isqrt(area), *(box.width for box in boxes), 0)
     laid, x, y, row = [], 0, 0, 0
     for box in sorted(boxes, key=lambda box: -box.height):
         if x + box.width > widest:
             x, y, row = 0, y + row, 0
-        laid.append(box._replace(sheet_x=x, sheet_y=y))
+        laid.append(box._replace(atlas_x=x, atlas_y=y))
         x, row = x + -(-box.width // TILE) * TILE, max(row, -(-box.height // TILE) * TILE)
     return tuple(laid)
 
@@ -159,10 +159,10 @@ def _nearest(tiles: tuple[int, int], places: list[tuple[slice, slice]]) -> NDArr
 
 
 @dataclass(frozen=True)
-class OnSheet:
-    """A Backend whose frames are of the sheet, while its Gaussians and their refining are of the whole picture.
+class AtlasBackend:
+    """A Backend whose frames are of the atlas, while its Gaussians and their refining are of the whole picture.
 
-    share: pixels of the sheet, as a part of the picture's; beside: mean squared error of the background, which the file
+    share: pixels of the atlas, as a part of the picture's; beside: mean squared error of the background, which the file
     may have rounded; target, visibility: those of the whole picture.
     """
 
@@ -173,36 +173,36 @@ class OnSheet:
     target: Target
     visibility: Visibility | None
 
-    def _on_sheet(self, gaussians: Gaussians) -> Gaussians:
-        return replace(gaussians, means=moved(gaussians.means, self.islands.to_sheet))
+    def _in_atlas(self, gaussians: Gaussians) -> Gaussians:
+        return replace(gaussians, means=moved(gaussians.means, self.islands.to_atlas))
 
     def residual(
         self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
     ) -> FloatArray:
-        return self.backend.residual(self._on_sheet(gaussians), frame, target, first_row, half=half)
+        return self.backend.residual(self._in_atlas(gaussians), frame, target, first_row, half=half)
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         """Mean over the whole picture."""
-        on_sheet = self.backend.error(self._on_sheet(gaussians), frame, target, visibility)
-        return on_sheet * self.share + self.beside * (1 - self.share)
+        in_atlas = self.backend.error(self._in_atlas(gaussians), frame, target, visibility)
+        return in_atlas * self.share + self.beside * (1 - self.share)
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        return self.backend.gradients(self._on_sheet(gaussians), frame, target, visibility)
+        return self.backend.gradients(self._in_atlas(gaussians), frame, target, visibility)
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
-        return self.backend.gram(self._on_sheet(gaussians), frame, visibility)
+        return self.backend.gram(self._in_atlas(gaussians), frame, visibility)
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         self.backend.keep_in_range(gaussians, width, height)
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
         size = self.islands.width, self.islands.height
-        on_sheet = replace(descent, price=descent.price / self.share, width=size[0], height=size[1])
+        in_atlas = replace(descent, price=descent.price / self.share, width=size[0], height=size[1])
         for rate in rates:  # one by one: how many come together depends on the time they take, and the file must not
-            moving = self._on_sheet(gaussians)
-            self.backend.steps(moving, moments, on_sheet, [rate])
+            moving = self._in_atlas(gaussians)
+            self.backend.steps(moving, moments, in_atlas, [rate])
             gaussians.means[:] = moved(moving.means, self.islands.to_picture)
             self.backend.keep_in_range(gaussians, descent.width, descent.height)
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Backend, Frame, Target, Visibility
-from sgmethod.fitting.bands import Rows, bands, in_strips
-from sgmethod.fitting.islands import Islands, OnSheet, moved
+from sgmethod.fitting.bands import Rows, bands, parallel_rows
+from sgmethod.fitting.islands import Islands, AtlasBackend, moved
 from sgmethod.fitting.visibility import weigh
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
@@ -81,7 +81,7 @@ def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 
             np.subtract(channel[first:end], below, out=plane[first:end], dtype=np.int16)
             plane[first:end] *= TARGET_WHITE // 255
 
-    in_strips(strip, len(pixels))
+    parallel_rows(strip, len(pixels))
     return target
 
 
@@ -89,7 +89,7 @@ def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 
 class Level:
     """One size of the picture: its target, and the weights of the pixels' errors.
 
-    islands: those of the picture if it is their sheet.
+    islands: those of the picture if it is their atlas.
     """
 
     backend: Backend
@@ -108,10 +108,10 @@ class Level:
         """Number of this level's pixels."""
         return self.frame.height * self.frame.width
 
-    def on_sheet(self, islands: Islands, background: Target) -> Level:
-        """Return the sheet of this whole picture's islands as a level. background: the target [3, 1, 1] elsewhere."""
+    def atlas(self, islands: Islands, background: Target) -> Level:
+        """Return the atlas of this whole picture's islands as a level. background: the target [3, 1, 1] elsewhere."""
         share, beside = islands.pixels / self.pixels, float(np.square(background / TARGET_WHITE).mean())
-        backend = OnSheet(self.backend, islands, share, beside, self.target, self.visibility)
+        backend = AtlasBackend(self.backend, islands, share, beside, self.target, self.visibility)
         frame, target = Frame(islands.width, islands.height), islands.laid(self.target, background)
         visibility = self.visibility and replace(self.visibility, values=islands.laid(self.visibility.values, VISIBLE))
         return Level(backend, frame, target, visibility, islands)

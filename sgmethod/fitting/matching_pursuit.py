@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.planes import even, gains, halved
-from sgmethod.fitting.bands import Rows, bands, in_strips
+from sgmethod.fitting.bands import Rows, bands, parallel_rows
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
 
@@ -156,7 +156,7 @@ class _GainLevel:
             y, x = np.nonzero(peaks & (gain > least))
             return y + first, x
 
-        y, x = (np.concatenate(found) for found in zip(*in_strips(strip, stop - begin), strict=True))
+        y, x = (np.concatenate(found) for found in zip(*parallel_rows(strip, stop - begin), strict=True))
         gain, blurs = self.gain[y, x], np.array(self.blurs, np.float32)[self.chosen[y, x]]
         x_px, y_px = ((place + np.float32(0.5)) * np.float32(self.shrink) for place in self._peak(x, y))
         return Places(gain, x_px, y_px + np.float32(first_row), blurs)
@@ -194,7 +194,7 @@ def _halve(planes: Iterable[FloatArray], out: FloatArray) -> FloatArray:
         for plane, to in zip(planes, out, strict=True):
             to[first:end] = halved(plane[2 * first : 2 * end], "constant")
 
-    in_strips(strip, out.shape[1])
+    parallel_rows(strip, out.shape[1])
     return out
 
 
@@ -206,7 +206,7 @@ def _larger(gain: FloatArray, coarse: FloatArray, first_row: int) -> FloatArray:
         enlarged = _enlarged(coarse, first_row + first, first_row + end, gain.shape[1])
         np.maximum(gain[first:end], enlarged, out=larger[first:end])
 
-    in_strips(strip, len(gain))
+    parallel_rows(strip, len(gain))
     return larger
 
 
@@ -241,5 +241,5 @@ def _max_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray
         rows = np.maximum(part[0::2], part[1::2])
         np.maximum(rows[:, 0::2], rows[:, 1::2], out=fewer[first:end])
 
-    in_strips(strip, len(fewer))
+    parallel_rows(strip, len(fewer))
     return fewer

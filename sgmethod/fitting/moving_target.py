@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.planes import all_halved, halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
-from sgmethod.fitting.bands import Rows, bands, in_strips
+from sgmethod.fitting.bands import Rows, bands, parallel_rows
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import MovingTargetSettings
@@ -114,7 +114,7 @@ class ExaggeratedTarget(FitTarget):
                 if self.grain is not None:
                     plane -= self.grain[k, first:end]
 
-        in_strips(strip, size[0])
+        parallel_rows(strip, size[0])
         return now
 
     def _source(self, first: int, end: int) -> FloatArray:
@@ -125,13 +125,13 @@ class ExaggeratedTarget(FitTarget):
         _, height, width = self.original.shape
         luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
         for first, end in bands(height, width):
-            planes, seen = halves(first, end), luma[first // 2 : -(-end // 2)]
+            planes, part = halves(first, end), luma[first // 2 : -(-end // 2)]
 
-            def strip(top: int, bottom: int, planes: FloatArray = planes, seen: FloatArray = seen) -> None:
+            def strip(top: int, bottom: int, planes: FloatArray = planes, part: FloatArray = part) -> None:
                 for plane, weight in zip(planes[:, top:bottom], LUMA, strict=True):
-                    seen[top:bottom] += np.float32(weight) * plane
+                    part[top:bottom] += np.float32(weight) * plane
 
-            in_strips(strip, len(seen))
+            parallel_rows(strip, len(part))
         return luma
 
     def _more_detail(self, detail: tuple[FloatArray, ...], missing: FloatArray) -> tuple[FloatArray, ...]:
@@ -150,7 +150,7 @@ class ExaggeratedTarget(FitTarget):
                 old = self.more[octave][first:end] if self.more else new
                 moved[first:end] = old + np.float32(s.detail_rate) * (new - old)
 
-            in_strips(strip, len(source))
+            parallel_rows(strip, len(source))
             return moved
 
         return tuple(moved(octave, less) for octave, less in enumerate(_octaves(missing, s)))

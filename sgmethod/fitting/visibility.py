@@ -35,7 +35,7 @@ def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Vi
     visible = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
     detail = np.sqrt(variance + 1)  # weights of the mean: there are more Gaussians where there is more detail
     visible *= np.sum(detail, dtype=np.float64) / np.sum(visible * detail, dtype=np.float64)
-    levels = np.round(np.clip(visible, s.least, s.most) * VISIBLE).astype(np.int16)
+    levels = np.round(np.clip(visible, s.min_weight, s.max_weight) * VISIBLE).astype(np.int16)
     levels = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.int16)
     if alpha is not None:
         levels = (levels.astype(np.int32) * alpha.values // VISIBLE).astype(np.int16)

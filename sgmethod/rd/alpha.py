@@ -28,7 +28,7 @@ from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings
-from sgmethod.trace import Preview
+from sgmethod.trace import OnPreview
 
 Plane = NDArray[np.float32]
 
@@ -87,7 +87,7 @@ def _error(decoded: Pixels, source: Pixels) -> float:
     return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(source)) / 10))
 
 
-def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:
+def _with_alpha(preview: OnPreview, alpha: StreamV2) -> OnPreview:
     """Wrap a preview so that it is given files with alpha."""
 
     def shown(file: bytes) -> None:

@@ -11,7 +11,7 @@ from sgmethod.rd.problem import Problem
 from sgmethod.settings.rd import PyramidSettings
 
 LARGE = 1 << 18  # pixels of a picture; a smaller one is fitted in no time
-SMALLER = 4  # times: a sheet's fit also takes time for moving Gaussians to it
+SMALLER = 4  # times: an atlas's fit also takes time for moving Gaussians to it
 
 
 def whole_of(problem: Problem, backend: Backend) -> Level:
@@ -21,7 +21,7 @@ def whole_of(problem: Problem, backend: Backend) -> Level:
 
 
 def pyramid_of(problem: Problem, settings: PyramidSettings, gaussians: int, backend: Backend) -> Pyramid:
-    """Build the picture in the sizes that this many Gaussians can show or, if it is sparse, the sheet of its islands.
+    """Build the picture in the sizes that this many Gaussians can show or, if it is sparse, the atlas of its islands.
 
     With alpha, colours are all the same to hidden pixels, and seldom one colour.
     """
@@ -33,5 +33,5 @@ def pyramid_of(problem: Problem, settings: PyramidSettings, gaussians: int, back
     if islands is None or SMALLER * islands.pixels > pyramid.finest.pixels or problem.objective.shown is not None:
         return pyramid
     colour = np.array([[histogram.background]], np.uint8)
-    sheet = whole.on_sheet(islands, target_of(colour, problem.background))
-    return Pyramid.from_whole(sheet, settings, gaussians)
+    atlas = whole.atlas(islands, target_of(colour, problem.background))
+    return Pyramid.from_whole(atlas, settings, gaussians)

@@ -227,8 +227,8 @@ class VisibilitySettings:
     window: float = 1.5  # sigma of the window, in its samples
     power: float = 0.5  # visibility falls with this power of the variance
     seen_levels: float = 9.0  # of 255: detail that is fainter hides nothing
-    least: float = 1 / 32
-    most: float = 3.0  # the mean over detail is 1
+    min_weight: float = 1 / 32
+    max_weight: float = 3.0  # the mean over detail is 1
     # Weight with which mean errors over squares of 4 pixels count once more, after the growth of a run: growth would
     # take the difference for error, and add wide Gaussians instead of correcting fine errors. Notebook, eye.md.
     coarse: float = 1.0

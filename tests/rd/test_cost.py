@@ -78,7 +78,7 @@ def test_a_reduced_level_asks_for_the_gaussians_of_the_whole() -> None:
     pixels = np.repeat((250 * np.exp(-((x - 255.5) ** 2 + (y - 255.5) ** 2) / 2 / 6**2))[..., None], 3, 2)
     smooth = asked(np.asarray(np.rint(pixels), np.uint8), Budget("bytes", 64))
     whole, s = whole_of(smooth.problem, smooth.backend), smooth.settings.pyramid
-    level = Pyramid.from_whole(whole, s, smooth.rate.expected_gaussians()).finest  # not the sheet of its one island
+    level = Pyramid.from_whole(whole, s, smooth.rate.expected_gaussians()).finest  # not the atlas of its one island
     assert level.frame.spacing >= 4
     peak = level.image()[0].max() * 255 + smooth.problem.background[0]
     assert peak == pytest.approx(250 * np.exp(-(2**2 + 2**2) / 2 / 6**2), abs=2)  # 217 without sharpening

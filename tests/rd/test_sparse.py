@@ -71,23 +71,23 @@ def test_errors_are_those_of_the_whole_picture() -> None:
     gaussians = Gaussians(places, np.tile(np.float32([0.6, 0, 0.6]), (5, 1)), np.full((5, 3), 0.3, np.float32))
     found = level.backend.error(gaussians, level.frame, level.target)
     assert found == pytest.approx(Kernels().error(gaussians, whole.frame, whole.target), rel=1e-5)
-    _, on_sheet = level.gradients(gaussians)
+    _, in_atlas = level.gradients(gaussians)
     _, right = whole.gradients(gaussians)
-    for one, other in zip(on_sheet.arrays, right.arrays, strict=True):
+    for one, other in zip(in_atlas.arrays, right.arrays, strict=True):
         np.testing.assert_allclose(level.values * one, whole.values * other, rtol=1e-3, atol=1e-3)
 
 
-def test_islands_go_to_the_sheet_and_back() -> None:
+def test_islands_go_to_the_atlas_and_back() -> None:
     pixels = dots(40, 203)
     islands = Islands.from_pixels(pixels, GREY)
     assert islands is not None
     planes = pixels.transpose(2, 0, 1)
-    sheet = islands.laid(planes, 128)
-    assert (sheet == 255).sum() == (planes == 255).sum()  # each island once
-    np.testing.assert_array_equal(islands.put_back(sheet, np.full_like(planes, 128)), planes)
+    atlas = islands.laid(planes, 128)
+    assert (atlas == 255).sum() == (planes == 255).sum()  # each island once
+    np.testing.assert_array_equal(islands.put_back(atlas, np.full_like(planes, 128)), planes)
     places = np.argwhere(pixels[..., 0] == 255)[:, ::-1].astype(np.float32) + 0.5
-    there = moved(places, islands.to_sheet)
-    assert (sheet[(0, *there.astype(int).T[::-1])] == 255).all()
+    there = moved(places, islands.to_atlas)
+    assert (atlas[(0, *there.astype(int).T[::-1])] == 255).all()
     np.testing.assert_array_equal(moved(there, islands.to_picture), places)
 
 
