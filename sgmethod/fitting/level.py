@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Backend, Frame, Target, Visibility
 from sgmethod.fitting.bands import Rows, bands, parallel_rows
-from sgmethod.fitting.islands import Islands, AtlasBackend, moved
+from sgmethod.fitting.islands import AtlasBackend, Islands, moved
 from sgmethod.fitting.visibility import weigh
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians

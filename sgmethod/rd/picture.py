@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from sgmethod.bitstream import container
+from sgmethod.budget import Budget
 from sgmethod.encode_arguments import EncodeArguments
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd import alpha, encode as pipeline
-from sgmethod.rd.budgets import rate_of
+from sgmethod.rd.aim import PsnrAim, QualityAim
+from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.problem import Problem, Session
+from sgmethod.rd.rate_control import GaussianCount, RateControl
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings
 
@@ -36,3 +39,17 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     else:
         stream, steps = pipeline.encode(problem, settings, rate, session)
     return container.serialise(stream), steps
+
+
+def rate_of(budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_alpha: bool = False) -> RateControl:
+    """Create rate control for a picture of size (width, height). Raises BudgetError if no file can meet the budget."""
+    pixels = size[0] * size[1]
+    match budget.kind:
+        case "gaussians":
+            limit, quantum = budget.max_gaussians(*size), settings.rate.gaussians_quantum
+            return GaussianCount(settings.rate, pixels, quantum, max_gaussians=limit)
+        case "psnr":
+            return PsnrAim.from_psnr(budget.value, pixels, settings)
+        case "quality":
+            return QualityAim.from_score(budget.value, size, settings)
+    return ByteBudget.from_bytes(budget.max_bytes(*size) or 0, pixels, settings, has_alpha=has_alpha)
