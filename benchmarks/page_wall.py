@@ -48,10 +48,10 @@ const thumb = rgbaToThumbHash(width, height, pixels);
 const own = thumbHashToRGBA(thumb);
 const text = Buffer.from(thumb).toString("base64").replaceAll("=", "");
 found.thumbhash = [text.length, own.w, own.h, Buffer.from(own.rgba).toString("base64")];
-found.blurhash = characters.map((most) => {
+found.blurhash = characters.map((maxCharacters) => {
   let best = [4, 3];
   for (let x = 1; x <= 9; x++) for (let y = 1; y <= 9; y++)
-    if (4 + 2 * x * y <= most && x >= y && x * y > best[0] * best[1]) best = [x, y];
+    if (4 + 2 * x * y <= maxCharacters && x >= y && x * y > best[0] * best[1]) best = [x, y];
   const text = encode(pixels, width, height, ...best);
   return [text.length, ...drawn, Buffer.from(decode(text, ...drawn)).toString("base64")];
 });
@@ -59,14 +59,14 @@ console.log(JSON.stringify(found));
 """
 
 
-def webp(picture: Image.Image, most: int) -> str | None:
+def webp(picture: Image.Image, max_bytes: int) -> str | None:
     """The file of at most so many bytes that is nearest to the picture when enlarged bicubically, as base64."""
     best: tuple[float, bytes] | None = None
     source = np.asarray(picture, np.float64)
     for shrink in SHRINKS:
         small = picture.resize((picture.width // shrink, picture.height // shrink), Image.Resampling.BOX)
         files = [saved(small, "WEBP", quality=quality, method=6) for quality in range(101)]
-        if fitting := bisect_right(files, most, key=len):
+        if fitting := bisect_right(files, max_bytes, key=len):
             found = files[fitting - 1]
             drawn = Image.fromarray(pixels_of(found)).resize(picture.size, Image.Resampling.BICUBIC)
             error = float(((np.asarray(drawn, np.float64) - source) ** 2).mean())
@@ -103,9 +103,9 @@ def main() -> None:
         for path, alt in PHOTOGRAPHS.items():
             with Image.open(STATIC / path) as file:
                 picture = file.convert("RGB")
-            texts = [preview(picture, most).text for most in BYTES]
+            texts = [preview(picture, max_bytes).text for max_bytes in BYTES]
             placeholders = hashes(picture, [len(text) for text in texts], Path(name))
-            files = [webp(picture, most) for most in BYTES]
+            files = [webp(picture, max_bytes) for max_bytes in BYTES]
             wall.append({"src": path, "alt": alt, "previews": texts, "webp": files, **placeholders})
     (STATIC / "wall" / "wall.json").write_text(json.dumps({"bytes": BYTES, "pictures": wall}, separators=(",", ":")))
 

@@ -62,10 +62,10 @@ def name_of(path: Path) -> str:
     return (path.parents[2].name if path.parent.name == "images" else path.stem).lower()
 
 
-def reduced(source: Path, target: Path, most: float | None = None) -> None:
+def reduced(source: Path, target: Path, max_pixels: float | None = None) -> None:
     """Write a photograph as PNG, upright and with a longer side of SIDE pixels, or with at most that many pixels."""
     picture = ImageOps.exif_transpose(Image.open(source)).convert("RGB")
-    scale = min(1, math.sqrt(most / math.prod(picture.size))) if most else SIDE / max(picture.size)
+    scale = min(1, math.sqrt(max_pixels / math.prod(picture.size))) if max_pixels else SIDE / max(picture.size)
     target.parent.mkdir(parents=True, exist_ok=True)
     size = round(picture.width * scale), round(picture.height * scale)
     (picture if scale == 1 else picture.resize(size, Image.Resampling.LANCZOS)).save(target)

@@ -65,14 +65,14 @@ def main() -> None:
     record = Record(options.out, "benchmarks.previews", {"seen": options.seen_bytes if networks else []})
     for path in named_in(options):
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
-        for most in sorted(options.bytes):
+        for max_bytes in sorted(options.bytes):
             for codec in options.codecs:
                 key = {"codec": codec, "image": path.name}
-                if record.has(**key, max_bytes=most) or (made := ALL_CODECS[codec](pixels, most)) is None:
+                if record.has(**key, max_bytes=max_bytes) or (made := ALL_CODECS[codec](pixels, max_bytes)) is None:
                     continue
                 if not record.has(**key, bytes=made.bytes):
-                    found = measured(made, pixels, networks if most in options.seen_bytes else None)
-                    record.add({"codec": codec, "max_bytes": most, "image": path.name} | found)
+                    found = measured(made, pixels, networks if max_bytes in options.seen_bytes else None)
+                    record.add({"codec": codec, "max_bytes": max_bytes, "image": path.name} | found)
     print(flat(record.rows))
 
 

@@ -66,18 +66,18 @@ def reduced(pixels: Pixels, side: int) -> Pixels:
     return resized(pixels, max(round(scale * width), 1), max(round(scale * height), 1))
 
 
-def sg(pixels: Pixels, most: int) -> Made:
+def sg(pixels: Pixels, max_bytes: int) -> Made:
     """This project's preview."""
     began = time.process_time()
-    made = sgmethod.preview(pixels, most)
+    made = sgmethod.preview(pixels, max_bytes)
     return _of_file(made.data, time.process_time() - began, pixels)
 
 
-def sg_in_javascript(pixels: Pixels, most: int) -> Made:
+def sg_in_javascript(pixels: Pixels, max_bytes: int) -> Made:
     """The npm package's preview, by Node in a process of its own."""
     height, width = pixels.shape[:2]
     rgba = np.dstack([pixels, np.full((height, width), 255, np.uint8)]).tobytes()
-    command = ["node", "--input-type=module", "--eval", ENCODE, str(ENCODER), str(width), str(height), str(most)]
+    command = ["node", "--input-type=module", "--eval", ENCODE, str(ENCODER), str(width), str(height), str(max_bytes)]
     found = json.loads(subprocess.run(command, input=rgba, capture_output=True, check=True).stdout)
     return _of_file(from_text(found["text"]), found["seconds"], pixels)
 
@@ -93,11 +93,11 @@ def _of_file(data: bytes, took_s: float, pixels: Pixels) -> Made:
     return Made(len(data), len(to_text(data)), took_s, decode)
 
 
-def blurhash(pixels: Pixels, most: int) -> Made | None:
+def blurhash(pixels: Pixels, max_bytes: int) -> Made | None:
     """BlurHash, of a colour to begin with and two characters for each component."""
     height, width = pixels.shape[:2]
     sides = range(1, MAX_COMPONENTS + 1)
-    grids = [(x, y) for x in sides for y in sides if 4 + 2 * x * y <= most * 4 // 3]
+    grids = [(x, y) for x in sides for y in sides if 4 + 2 * x * y <= max_bytes * 4 // 3]
     if not grids:
         return None
     aspect = math.log(width / height)
@@ -114,7 +114,7 @@ def blurhash(pixels: Pixels, most: int) -> Made | None:
     return Made(math.ceil(len(text) * 3 / 4), len(text), took_s, decode)
 
 
-def thumbhash(pixels: Pixels, most: int) -> Made | None:
+def thumbhash(pixels: Pixels, max_bytes: int) -> Made | None:
     """ThumbHash, whose size depends on the picture alone."""
     height, width = pixels.shape[:2]
     began = time.process_time()
@@ -122,7 +122,7 @@ def thumbhash(pixels: Pixels, most: int) -> Made | None:
     opaque = np.dstack([small, np.full(small.shape[:2], 255, np.uint8)])
     data = bytes(package("fast_thumbhash").rgba_to_thumb_hash(small.shape[1], small.shape[0], opaque.tobytes()))
     took_s = time.process_time() - began
-    if len(data) > most:
+    if len(data) > max_bytes:
         return None
 
     def decode() -> Pixels:
@@ -135,18 +135,18 @@ def thumbhash(pixels: Pixels, most: int) -> Made | None:
 def of_baseline(baseline: Baseline) -> Callable[[Pixels, int], Made | None]:
     """A maker of the baseline's best file over all factors; None where none is so small."""
 
-    def make(pixels: Pixels, most: int) -> Made | None:
+    def make(pixels: Pixels, max_bytes: int) -> Made | None:
         height, width = pixels.shape[:2]
         best, best_db = None, 0.0
         for factor in FACTORS:
             began = time.process_time()
             small = pixels if factor == 1 else resized(pixels, max(width // factor, 1), max(height // factor, 1))
             took_s = time.process_time() - began
-            bpp = 8 * most / (small.shape[0] * small.shape[1])
+            bpp = 8 * max_bytes / (small.shape[0] * small.shape[1])
             if not BPP[0] <= bpp <= BPP[1]:
                 continue
             file = baseline.best(small, bpp)
-            if len(file.data) > most:
+            if len(file.data) > max_bytes:
                 continue
 
             def decode(data: bytes = file.data) -> Pixels:

@@ -33,8 +33,8 @@ PSNR_PER_DOUBLING_DB = 1.7  # first guess in a search for a PSNR: gain from twic
 
 
 @dataclass(frozen=True)
-class Request:
-    """A request to encode pixels, uint8 [H, W, 3]."""
+class PaperProblem:
+    """A picture to encode, uint8 [H, W, 3], and what its run has at hand."""
 
     pixels: Pixels
     profile: str
@@ -57,45 +57,45 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     budget, settings = asked.budget, asked.settings
     assert isinstance(settings, PaperSettings)
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, pixels.shape[0] * pixels.shape[1])
-    request = Request(pixels, asked.profile, settings, deadline, recorder, asked.seed)
+    problem = PaperProblem(pixels, asked.profile, settings, deadline, recorder, asked.seed)
     with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
-            stream, steps = reach_psnr(request, budget.value)
+            stream, steps = reach_psnr(problem, budget.value)
         elif budget.kind == "gaussians":
-            stream, steps = run(request, budget.max_gaussians(*request.size), None)
+            stream, steps = run(problem, budget.max_gaussians(*problem.size), None)
         elif budget.kind == "quality":
-            raise BudgetError(f"profile {request.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians")
+            raise BudgetError(f"profile {problem.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians")
         else:
-            stream, steps = within_bytes(request, budget.max_bytes(*request.size) or 0)
+            stream, steps = within_bytes(problem, budget.max_bytes(*problem.size) or 0)
     return container.serialise(stream), steps
 
 
-def within_bytes(request: Request, max_bytes: int) -> tuple[StreamV1, int]:
+def within_bytes(problem: PaperProblem, max_bytes: int) -> tuple[StreamV1, int]:
     """Encode to at most max_bytes."""
-    s, (width, height), smallest = request.settings, request.size, smallest_file(request.settings)
+    s, (width, height), smallest = problem.settings, problem.size, smallest_file(problem.settings)
     if max_bytes < smallest:
         raise BudgetError(
-            f"a file of profile {request.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
+            f"a file of profile {problem.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
         )
     bits = 8 * (max_bytes - v1.file_bytes(0, EXPECTED_GROUPS))
     n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
-    return run(request, n, max_bytes)
+    return run(problem, n, max_bytes)
 
 
-def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
+def reach_psnr(problem: PaperProblem, target_db: float) -> tuple[StreamV1, int]:
     """Search for the smallest stream that reaches target_db; return the best found if none does.
 
     Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the logarithm of
     that number.
     """
-    pixels = request.size[0] * request.size[1]
+    pixels = problem.size[0] * problem.size[1]
     n, steps = max(pixels // 300, 1), 0
     tried: dict[int, tuple[float, StreamV1]] = {}
-    for attempt in request.deadline.attempts(len(PSNR_UNTIL)):
-        part = replace(request, deadline=request.deadline.at(PSNR_UNTIL[attempt]))
+    for attempt in problem.deadline.attempts(len(PSNR_UNTIL)):
+        part = replace(problem, deadline=problem.deadline.at(PSNR_UNTIL[attempt]))
         stream, taken = run(part, n, None)
         steps += taken
-        tried[n] = (psnr(draw(stream.scene()), request.pixels), stream)
+        tried[n] = (psnr(draw(stream.scene()), problem.pixels), stream)
         n = _next_count(tried, target_db, pixels)
         if n in tried:
             break
@@ -103,18 +103,18 @@ def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
     return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1], steps
 
 
-def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]:
+def run(problem: PaperProblem, n: int, max_bytes: int | None) -> tuple[StreamV1, int]:
     """Encode n Gaussians, within max_bytes or else with bitwidths set by lambda_b; return stream and steps."""
-    s, recorder = request.settings, request.recorder
-    image = request.pixels.astype(np.float32)
+    s, recorder = problem.settings, problem.recorder
+    image = problem.pixels.astype(np.float32)
     image /= 255
-    level = level_of(request.pixels)
-    start = place_by_structure(image, n, s.start, np.random.default_rng(request.seed))
-    fitted, fit_steps = fit(level, start, s, recorder, request.deadline.after(FIT_SHARE))
-    tuner = Tuner(fitted, level, s, max_bytes, request.seed)
+    level = level_of(problem.pixels)
+    start = place_by_structure(image, n, s.start, np.random.default_rng(problem.seed))
+    fitted, fit_steps = fit(level, start, s, recorder, problem.deadline.after(FIT_SHARE))
+    tuner = Tuner(fitted, level, s, max_bytes, problem.seed)
     schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate)
-    steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)
-    return tuner.stream(request.profile), steps
+    steps = fit_steps + schedule.run(problem.deadline, recorder, tuner.step)
+    return tuner.stream(problem.profile), steps
 
 
 @contextmanager
