@@ -171,7 +171,7 @@ def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> Job
 
 
 def _members(job: Job, settings: Settings) -> JsonObject:
-    """Return the fields of a summary; pydantic converts times from seconds."""
+    """Return the fields of a summary: those of the job and its request, and the rest here. pydantic converts times."""
     request, image, stats = job.request, job.image, job.result.stats if job.result else {}
     return {
         **vars(request),

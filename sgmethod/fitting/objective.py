@@ -28,9 +28,10 @@ GREY = 128.0
 class Objective:
     """The error that one picture's encode minimises.
 
-    pixels: [H, W, 3]; visibility: weights of the pixels' errors in the fit, None if all are equal; shown: the weights
-    due to alpha alone; has_texture: whether texture may replace grain; is_alpha: the picture is an alpha plane, which
-    may overshoot.
+    pixels: [H, W, 3]; tune: as in encode(), and "psnr" for alpha planes, previews and torch.fit(); has_texture: whether
+    texture may replace grain; is_alpha: the picture is an alpha plane, which may overshoot; shown: the weights due to
+    alpha alone; visibility: weights of the pixels' errors in the fit, None if all are equal; visible_share: of each
+    Gaussian's energy by these.
     """
 
     pixels: Pixels

@@ -23,7 +23,7 @@ const TEXTURED = "wqsMZeXg___fvfw-G6scF3GhVT6gasOEAVY";
 const VIEW = { scale: 1.5, region: [2, 1, 9, 7], prefix: 0.9 };
 // Properties that no user and no browser sees.
 const INTERNAL =
-  /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|top|sx|sy|dx|dy|lumaRow|vRow|rRow|signsRow|across|down|xBits|yBits|level|part|halvings|columns|block|square|uBits)$/;
+  /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|residual|top|sx|sy|dx|dy|lumaRow|vRow|rRow|signsRow|across|down|xBits|yBits|level|part|halvings|columns|block|square|uBits)$/;
 
 const preview = 'export { SgError, decodePreview } from "./src/preview.js";';
 const element = 'export { SgImage } from "./src/sg-img.js";';

@@ -1,4 +1,5 @@
 // The entropy decoder of version 2: docs/format.md, "States and symbols" and "Raw bits and numbers".
+// The label WHOLE: header.js.
 
 import { floor, refuseUnless } from "./header.js";
 

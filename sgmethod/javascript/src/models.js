@@ -1,4 +1,5 @@
 // Where the entropy coder's models begin, and the networks of the map: docs/format.md, "States and symbols".
+// The label WHOLE: header.js.
 
 import { FLAT, modelsOf, newCoder } from "./coder.js";
 import { MAPPED, PACKED } from "./tables.js";

@@ -1,4 +1,5 @@
 // A payload to its Gaussians: docs/format.md, "Payload" and "Integers to Gaussians".
+// The label WHOLE: header.js.
 
 import { newCoder } from "./coder.js";
 import { floor, fround, max, min, refuseUnless } from "./header.js";

@@ -1,4 +1,5 @@
 // Gaussians to the samples of a pyramid: docs/format.md, "Gaussians to pixels" and "Views".
+// The label WHOLE: header.js.
 
 import { ceil, exp, floor, fround, max, min, round, sqrt } from "./header.js";
 
