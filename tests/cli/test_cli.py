@@ -14,6 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -30,11 +31,11 @@ from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Ran, Run, assert_refused, names, on_terminal, rest_of, start, start_interruptible
+from tests.support import processes
 from tests.support.data import ROOT, code_in, golden_path
+from tests.support.pictures import saved
 
 FIGURES = {"bytes", "bpp", "psnr", "ms_ssim", "ssimulacra2", "gaussians", "steps", "seconds", "width", "height"}
-
-
 ENCODE = "encode photo.png out.sg "
 DECODE = "decode picture.sg out.png "
 
@@ -218,9 +219,7 @@ def test_refused_in_one_line(run: Run, line: str, why: str) -> None:
 def test_what_cannot_be_written_is_known_before_the_work(
     run: Run, monkeypatch: pytest.MonkeyPatch, line: str, why: str
 ) -> None:
-    def work(*_: object) -> None:
-        raise AssertionError("begins to work")
-
+    work = Mock(side_effect=AssertionError("begins to work"))
     Path("folder").mkdir()
     Path("folder.sg").mkdir()
     monkeypatch.setattr(codec, "encode", work)
@@ -240,9 +239,7 @@ def test_permissions_are_known_before_the_work(run: Run) -> None:
 
 
 def damaged_tiff() -> bytes:
-    file = io.BytesIO()
-    PHOTO.save(file, "TIFF", compression="tiff_lzw")
-    data = bytearray(file.getvalue())
+    data = bytearray(saved(PHOTO, "TIFF", compression="tiff_lzw"))
     data[100:400] = b"\xff" * 300
     return bytes(data)
 
@@ -266,20 +263,14 @@ def test_endless_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_disk_that_fills_up_leaves_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))))
     arguments = ["photo.png", "out.sg", "--gaussians", "9", "--trace", "trace.json"]
     assert_refused(run("encode", *arguments), "cannot write trace.json: No space left")
     assert_refused(run("decode", "picture.sg", "out.png"), "cannot write out.png: No space left")
 
 
 def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def decode_more(*_: object, **__: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(decoding, "SgFile", decode_more)
+    monkeypatch.setattr(decoding, "SgFile", Mock(side_effect=MemoryError))
     assert_refused(run("decode", "picture.sg", "out.png"), "memory")
 
 
@@ -368,17 +359,19 @@ def run_in_order(run: Run, lines: list[str]) -> None:
             assert (ran.status, ran.err) == (0, ""), line
 
 
-def test_commands_of_the_readme(run: Run) -> None:
-    lines = commands_of("README.md")
+@pytest.mark.parametrize(
+    ("document", "made"),
+    [
+        ("README.md", "photo.sg photo.png small.png"),
+        ("docs/command_line.md", "photo.sg small.sg paper.sg out photo.png part.png"),
+    ],
+)
+def test_commands_of_a_document(run: Run, document: str, made: str) -> None:
+    lines = commands_of(document)
     assert len(lines) > 3
     run_in_order(run, lines)
-    assert {"photo.sg", "photo.png", "small.png"} <= names()
-
-
-def test_commands_of_the_command_lines_page(run: Run) -> None:
-    run_in_order(run, commands_of("docs/command_line.md"))
     assert info("photo.sg").version == 2  # none has put a file of another profile in its place
-    assert {"photo.sg", "small.sg", "paper.sg", "out", "photo.png", "part.png"} <= names()
+    assert {*made.split()} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
@@ -404,25 +397,18 @@ def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.Mo
     assert_refused(run("encode", "photo.png", "out.sg", "--profile", "paper"), "out of memory")
 
 
+KERNELS = "sgmethod.native._native", r"the compiled part .* install --editable \.; elsewhere, .*"
+TORCH = "torch", r".*torch.* pip install 'sgmethod\[torch\]'"
+
+
 @pytest.mark.parametrize(
-    ("module", "line", "why"),
-    [
-        (
-            "sgmethod.native._native",
-            "encode photo.png out.sg",
-            r"the compiled part .* install --editable \.; elsewhere, .*",
-        ),
-        ("sgmethod.native._native", "decode picture.sg out.png", r"the compiled part .*"),
-        ("sgmethod.native._native", "info picture.sg", r"the compiled part .*"),
-        ("torch", "encode photo.png out.sg --profile paper", r".*torch.* pip install 'sgmethod\[torch\]'"),
-    ],
+    ("missing", "line"),
+    [*((KERNELS, line) for line in (ENCODE, DECODE, "info picture.sg")), (TORCH, f"{ENCODE} --profile paper")],
 )
-def test_what_is_not_installed_is_one_clear_line(module: str, line: str, why: str) -> None:
-    missing = f"import sys; sys.modules['{module}'] = None  # to import it is an ImportError"
-    script = f"{missing}\nfrom sgmethod.cli.main import main; sys.exit(main())"
-    command = [sys.executable, "-c", script, *line.split()]
-    ran = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
-    )
-    assert_refused(Ran(ran.returncode, ran.stdout, ran.stderr), "pip install")
+def test_what_is_not_installed_is_one_clear_line(missing: tuple[str, str], line: str, tmp_path: Path) -> None:
+    module, why = missing
+    without = f"import sys; sys.modules['{module}'] = None  # to import it is an ImportError"
+    script = f"{without}\nfrom sgmethod.cli.main import main; sys.exit(main())"
+    ran = processes.run(sys.executable, "-c", script, *line.split(), folder=tmp_path, PYTHONPATH=ROOT)
+    assert_refused(Ran(ran.status, ran.stdout, ran.stderr), "pip install")
     assert re.fullmatch(rf"sgmethod: {why}\n", ran.stderr)
