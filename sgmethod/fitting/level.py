@@ -141,7 +141,7 @@ class Level:
             target[plane] = small
 
         in_parallel(halve, range(3))
-        return replace(self, frame=frame, target=target, visibility=self.visibility and self.visibility.halved())
+        return replace(self, frame=frame, target=target, visibility=self.visibility and self.visibility.half)
 
     def image(self) -> FloatArray:
         """Return the target as floats [3, H, W], 1 being white."""

@@ -80,15 +80,9 @@ def _places(residual: Rows, size: tuple[int, int], min_gain: float, suppression_
         residual = _drawn_once(residual, height)
     half_size = -(-height // 2), -(-width // 2)
     margin = math.ceil(REACH * narrow[-1]) + _reach(narrow[-1], 1)
-    half, finer = np.empty((3, *half_size), np.float32), np.zeros(half_size, np.float32)
-
-    levels: list[_GainLevel] = []
-    if by_shrink:
-        for first, end in parts:
-            _halve(residual(first, end), half[:, first // 2 : -(-end // 2)])
-        levels = _coarse_levels(list(half), by_shrink)
+    levels = _coarse_levels(residual, parts, half_size, by_shrink)
     hiding = levels[-1].largest(suppression_levels - 1) if levels else None
-    found = []
+    found, finer = [], np.zeros(half_size, np.float32)
     for first, end in parts:
         top, bottom = max(first - margin, 0), min(end + margin, height)
         level = _GainLevel(list(residual(top, bottom)), 1, narrow)
@@ -175,9 +169,16 @@ class _GainLevel:
         return x + beside(left, right), y + beside(above, below)
 
 
-def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> list[_GainLevel]:
-    """Build a level for each shrink, coarsest first. half: the residual's planes at half the size."""
-    planes = {2: half}
+def _coarse_levels(
+    residual: Rows, parts: list[tuple[int, int]], half_size: tuple[int, int], blurs: dict[int, list[float]]
+) -> list[_GainLevel]:
+    """Build a level for each shrink, coarsest first. parts: bands of the residual."""
+    if not blurs:
+        return []
+    half = np.empty((3, *half_size), np.float32)
+    for first, end in parts:
+        _halve(residual(first, end), half[:, first // 2 : -(-end // 2)])
+    planes = {2: list(half)}
     for shrink in list(blurs)[1:]:
         height, width = planes[shrink // 2][0].shape
         planes[shrink] = list(_halve(planes[shrink // 2], np.empty((3, -(-height // 2), -(-width // 2)), np.float32)))

@@ -34,7 +34,7 @@ LUMA = (0.299, 0.587, 0.114)
 
 @dataclass(frozen=True, eq=False)
 class FitTarget:
-    """A target of the fit that stays as it is. Subclasses move, each time to a new instance.
+    """A target of the fit that stays as it is. Subclasses move, in the memory of the target before.
 
     original: the picture, [3, H, W]; now: what the fit aims at; every: in steps, the target may move before a step
     whose number is a multiple of this; hides: grain has been hidden already, or never will be.
@@ -51,20 +51,18 @@ class FitTarget:
         """Whether the target moves before this step. has_grown: the growth of this run is over."""
         return False
 
-    def moved(self, _error: Rows, _into: Target | None = None) -> FitTarget:
-        """Return the target moved for this error: original target minus picture, by the target's rows.
-
-        into: memory for what the fit then aims at; may be this target's own, if nobody needs it any more.
-        """
+    def moved(self, _error: Rows) -> FitTarget:
+        """Return the target moved for this error: original target minus picture, by the target's rows."""
         return self
 
     def without(self, _grain: Target) -> FitTarget:
-        """Return the target with grain [3, H, W] to be subtracted at each move."""
+        """Return the target with grain [3, H, W] subtracted, in the grain's memory."""
         return self
 
-    def at_rest(self) -> FitTarget:
-        """Return the target where it is now, without the memory that a move needs."""
-        return FitTarget(self.original, self.now)
+    @property
+    def room(self) -> Target:
+        """Memory for the next move: this target's own, once it is not the picture itself."""
+        return np.empty_like(self.now) if self.now is self.original else self.now
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,16 +70,16 @@ class ExaggeratedTarget(FitTarget):
     """A target for the eye: exaggerates detail that the picture lacks, without hidden grain.
 
     It moves only after the growth of a run, which would take the difference for error.
-    detail: the source's luma by octave, from half the size on; more: its exaggeration, as factors; kept: share of
-    detail left where grain is hidden, at half the size.
+    detail: the source's luma by octave, from half the size on; more: its exaggeration, as factors; added: what that
+    adds to the target, at half the size; kept: share of detail left where grain is hidden, at half the size.
     """
 
     half = True
 
     settings: MovingTargetSettings
-    grain: Target | None = None
     detail: tuple[FloatArray, ...] = ()
     more: tuple[FloatArray, ...] = ()
+    added: NDArray[np.int16] | None = None
     kept: FloatArray | None = None
 
     @classmethod
@@ -95,27 +93,21 @@ class ExaggeratedTarget(FitTarget):
     def without(self, grain: Target) -> ExaggeratedTarget:
         finest = self.original[1] - _enlarged(halved(self.original[1]), grain.shape[1:])
         hidden, whole = (_spread_nearby(plane) for plane in (grain[1], finest))
-        return replace(self, grain=grain, kept=1 - np.minimum(hidden / (whole + 1), 1), hides=True)
+        kept = 1 - np.minimum(hidden / (whole + 1), 1)
+        now = _in_planes(np.subtract, self.now, grain, grain)
+        return replace(self, now=now, kept=kept, hides=True)
 
-    def moved(self, error: Rows, into: Target | None = None) -> ExaggeratedTarget:
+    def moved(self, error: Rows) -> ExaggeratedTarget:
         detail = self.detail or _octaves(self._luma(self._source), self.settings)
-        more = self._more_detail(detail, self._luma(error))
-        return replace(self, now=self._offset(self._exaggerated(detail, more), into), detail=detail, more=more)
+        more = self._more_detail(detail, _octaves(self._luma(error), self.settings))
+        added, now = self._exaggerated(detail, more), self.now
+        if self.added is not None:
+            _in_planes(np.subtract, now, self._enlarged_whole(self.added), now)
+        now = _in_planes(np.add, now, self._enlarged_whole(added), self.room)
+        return replace(self, now=now, detail=detail, more=more, added=added)
 
-    def _offset(self, detail: FloatArray, into: Target | None) -> Target:
-        """Add detail at half the size to the original, and subtract hidden grain."""
-        _, *size = self.original.shape
-        by_detail = _enlarged(np.rint(detail * TARGET_WHITE).astype(np.int16), (*size,))
-        now = np.empty_like(self.original) if into is None else into
-
-        def strip(first: int, end: int) -> None:
-            for k, plane in enumerate(now[:, first:end]):
-                np.add(self.original[k, first:end], by_detail[first:end], out=plane)
-                if self.grain is not None:
-                    plane -= self.grain[k, first:end]
-
-        parallel_rows(strip, size[0])
-        return now
+    def _enlarged_whole(self, half: NDArray[np.int16]) -> NDArray[np.int16]:
+        return _enlarged(half, self.original.shape[1:])
 
     def _source(self, first: int, end: int) -> FloatArray:
         return all_halved(self.original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE))
@@ -134,34 +126,36 @@ class ExaggeratedTarget(FitTarget):
             parallel_rows(strip, len(part))
         return luma
 
-    def _more_detail(self, detail: tuple[FloatArray, ...], missing: FloatArray) -> tuple[FloatArray, ...]:
-        """Update the exaggeration of each octave of detail. missing: luma of the error at half the size."""
+    def _more_detail(self, detail: tuple[FloatArray, ...], missing: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
+        """Update the exaggeration of each octave of detail, in place. missing: luma of the error by octave."""
         s = self.settings
         margin = math.ceil(4 * s.detail_window) + 1  # to the ends of a blur's kernel
 
         def moved(octave: int, less: FloatArray) -> FloatArray:
-            source, moved = detail[octave], np.empty_like(less)
+            source, moved = detail[octave], self.more[octave] if self.more else np.empty_like(less)
 
             def strip(first: int, end: int) -> None:
                 top, bottom = max(first - margin, 0), min(end + margin, len(source))
                 part = source[top:bottom]
                 unlike = _unlikeness(part, part - less[top:bottom], s)[first - top : end - top]
                 new = np.minimum(unlike, s.max_detail[octave]) - 1
-                old = self.more[octave][first:end] if self.more else new
+                old = moved[first:end] if self.more else new
                 moved[first:end] = old + np.float32(s.detail_rate) * (new - old)
 
             parallel_rows(strip, len(source))
             return moved
 
-        return tuple(moved(octave, less) for octave, less in enumerate(_octaves(missing, s)))
+        return tuple(moved(octave, less) for octave, less in enumerate(missing))
 
-    def _exaggerated(self, detail: tuple[FloatArray, ...], more: tuple[FloatArray, ...]) -> FloatArray:
+    def _exaggerated(self, detail: tuple[FloatArray, ...], more: tuple[FloatArray, ...]) -> NDArray[np.int16]:
         """Detail to add to the target, at half the size."""
-        size = detail[0].shape
-        total = np.asarray(
-            sum(_enlarged(share * octave, size) for share, octave in zip(more, detail, strict=True)), np.float32
-        )
-        return total if self.kept is None else total * self.kept  # else hidden grain would return as dots
+        total = more[0] * detail[0]
+        for share, octave in zip(more[1:], detail[1:], strict=True):
+            total += _enlarged(share * octave, total.shape)
+        if self.kept is not None:  # else hidden grain would return as dots
+            total *= self.kept
+        total *= TARGET_WHITE
+        return np.rint(total, out=total).astype(np.int16)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -189,8 +183,8 @@ class OvershootingTarget(FitTarget):
     def is_due(self, step: int, _has_grown: bool) -> bool:
         return step % self.every == 0
 
-    def moved(self, error: Rows, into: Target | None = None) -> OvershootingTarget:
-        now, (_, height, width) = np.empty_like(self.original) if into is None else into, self.original.shape
+    def moved(self, error: Rows) -> OvershootingTarget:
+        now, (_, height, width) = self.room, self.original.shape
         for first, end in bands(height, width):
             beyond = np.clip(-error(first, end)[0], *self.range[:, first:end])
             moved = np.rint(beyond * TARGET_WHITE).astype(np.int16)
@@ -198,10 +192,11 @@ class OvershootingTarget(FitTarget):
         return replace(self, now=now)
 
 
-def led(target: Target, error: Rows, weight: float, shrink: int) -> Target:
+def led(target: Target, error: Rows, weight: float, shrink: int, into: Target | None = None) -> Target:
     """Move a target further away by `weight` times the mean error of each square of 2 shrink samples.
 
-    error: original target minus picture, at half the size, by the target's rows.
+    error: original target minus picture, at half the size, by the target's rows; into: memory for the result, maybe the
+    target's own.
     """
     _, height, width = target.shape
     means = np.empty((3, -(-height // (2 * shrink)), -(-width // (2 * shrink))), np.float32)
@@ -209,7 +204,8 @@ def led(target: Target, error: Rows, weight: float, shrink: int) -> Target:
         planes, here = error(first, end), means[:, first // (2 * shrink) : -(-end // (2 * shrink))]
         for plane, mean in zip(planes, here, strict=True):
             cv2.resize(plane, mean.shape[::-1], mean, interpolation=cv2.INTER_AREA)
-    by, moved = np.rint(np.float32(weight * TARGET_WHITE) * means).astype(np.int16), np.empty_like(target)
+    by = np.rint(np.float32(weight * TARGET_WHITE) * means).astype(np.int16)
+    moved = np.empty_like(target) if into is None else into
 
     def enlarge(plane: int) -> None:
         np.add(_enlarged(by[plane], (height, width)), target[plane], out=moved[plane])
@@ -223,7 +219,8 @@ def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> tuple[FloatAr
     found = []
     for _ in settings.max_detail:
         coarse = halved(plane)
-        found.append(plane - _enlarged(coarse, plane.shape))
+        finer = _enlarged(coarse, plane.shape)
+        found.append(np.subtract(plane, finer, out=finer))
         plane = coarse
     return tuple(found)
 
@@ -238,6 +235,16 @@ def _unlikeness(source: FloatArray, drawn: FloatArray, settings: MovingTargetSet
     faint = np.float32((settings.faint_levels / 255) ** 2)
     both = mean(source * source + drawn * drawn) + faint
     return np.asarray((both / (np.maximum(2 * mean(source * drawn), 0) + faint)) ** settings.detail_power, np.float32)
+
+
+def _in_planes(function: np.ufunc, target: Target, by: Target | NDArray[np.int16], out: Target) -> Target:
+    """Apply a function to a target and to another, or to each of its planes and one plane; into `out`."""
+
+    def strip(first: int, end: int) -> None:
+        function(target[:, first:end], by[..., first:end, :], out=out[:, first:end])
+
+    in_strips(strip, target.shape[1])
+    return out
 
 
 def _spread_nearby(plane: Target) -> FloatArray:

@@ -69,7 +69,7 @@ class VisibleShare:
     def __init__(self, visibility: Visibility) -> None:
         self._color, self._levels = visibility.color, [visibility.values]
         while min(visibility.values.shape) > 1:
-            visibility = visibility.halved()
+            visibility = visibility.half
             self._levels.append(visibility.values)
 
     def look_up(self, gaussians: Gaussians) -> FloatArray:

@@ -54,6 +54,8 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     limit = min(at_once, plan.allowed_gaussians(stage.times, stage.at) - n)
     level = plan.level_for(state, stage, n + limit)
     min_gain = price * s.bits_of_new / level.frame.spacing**2
+    if level.values > MANY_VALUES:
+        release_memory()  # of the steps
     new = _found(plan, state, level, limit, min_gain)
     saturated = price if len(new) < min(limit, s.saturated * n) else state.saturated_price
     if len(new) == 0:

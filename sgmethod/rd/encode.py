@@ -43,16 +43,16 @@ def encode(
     """Encode a picture within a budget; return the coded picture and the optimiser steps it took."""
     if problem.is_one_colour:
         return problem.stream(Gaussians.empty(0), rate.quantum), 0
-    pyramid = pyramid_of(problem, settings.pyramid, rate.expected_gaussians(), backend)
-    plan = Plan(problem, settings, rate, session, pyramid)
+    sizes = settings.pyramid, rate.expected_gaussians(), backend
+    plan = Plan(problem, settings, rate, session, pyramid_of(problem, *sizes))
     gaussians = place(plan)
     plan = plan.in_time(gaussians)
     state, rounds = plan.begin(gaussians), plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds
     for number, pace in enumerate(plan.session.deadline.runs(plan.lengths)):
         state = run(plan, state, pace, plan.times(number))
-        if number == rounds[-1] + rate.further_rounds:  # the last that may follow: a search needs memory of its own
-            state = replace(state, target=state.target.at_rest())
+        if number == rounds[-1] + rate.further_rounds:  # the last run: a search needs memory of its own
+            plan, state = plan.at_rest(state)
         if state.is_enough or number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
             if rate.is_enough(files[number]):

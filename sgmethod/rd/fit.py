@@ -11,7 +11,6 @@ from sgmethod.rd.plan import Plan, Stage, State
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
     """Take the steps of a stage."""
-    given = state.target.now
     state = _without_grain(plan, state, stage)
     s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
@@ -27,8 +26,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
             missing = plan.finest.missing(gaussians, half=state.target.half)
-            into = None if state.target.now is given else state.target.now  # each is as large as the picture
-            state = replace(state, target=state.target.moved(missing, into))
+            state = replace(state, target=state.target.moved(missing))
             level = replace(level, target=state.target.now)
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         plan.finest.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)

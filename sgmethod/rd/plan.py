@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -65,7 +65,7 @@ class Plan:
         """Share of the finest level that alpha shows."""
         shown = self.problem.objective.shown
         for _ in range(self.finest.frame.spacing.bit_length() - 1):
-            shown = shown and shown.halved()
+            shown = shown and shown.half
         return shown
 
     @property
@@ -101,15 +101,28 @@ class Plan:
             level = self.problem.objective.with_coarse(level)
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
 
-    def refining_target(self, state: State) -> Target:
-        """Return the target of refining, which weighs each pixel alone: coarse errors move it."""
+    def aim(self, state: State) -> Aim:
+        """Return what a search of this state aims at."""
+        return Aim(self.refining_target(state), cache(partial(self.error, state.gaussians, state.quantum)))
+
+    def at_rest(self, state: State) -> tuple[Plan, State]:
+        """Return both for a search that no run follows: of all pictures, they keep the target of refining alone."""
+        error = self.error(state.gaussians, state.quantum)  # by the picture, which goes
+        target = self.refining_target(state, into=state.target.now)
+        finest = replace(self.finest, target=target)
+        pyramid = replace(self.pyramid, levels=(finest,), detailed=(finest,))
+        state = replace(state, target=FitTarget(target, target), aim=Aim(target, lambda: error))
+        return replace(self, pyramid=pyramid), state
+
+    def refining_target(self, state: State, into: Target | None = None) -> Target:
+        """Return the target of refining, which weighs each pixel alone: coarse errors move it, into memory if given."""
         shrink, level = COARSE_SIDE // (2 * self.finest.frame.spacing), self.problem.objective.with_coarse(self.finest)
         if shrink == 0 or level.visibility is None or level.visibility.coarse == 0:
             return state.target.now
         error = level.missing(state.gaussians, half=True)
         if self.problem.objective.shown is not None:
-            error = _where(level.visibility.halved().values > 0, error)
-        return led(state.target.now, error, level.visibility.coarse, shrink)
+            error = _where(level.visibility.half.values > 0, error)
+        return led(state.target.now, error, level.visibility.coarse, shrink, into)
 
     def descent(self, level: Level, quantum: float, price: float) -> Descent:
         """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""
@@ -248,12 +261,20 @@ def stages(pace: Pace, times: Times) -> Iterator[Stage]:
 
 
 @dataclass(frozen=True)
+class Aim:
+    """What refining aims at, and the mean squared error of the fit that it begins with, as it would decode."""
+
+    target: Target
+    error: Callable[[], float]
+
+
+@dataclass(frozen=True)
 class State:
     """The state of a fit.
 
     moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: estimated
     size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing; is_enough:
-    see RateControl.is_enough().
+    see RateControl.is_enough(); aim: of the search, once no run follows it.
     """
 
     gaussians: Gaussians
@@ -264,6 +285,7 @@ class State:
     size: int = 0
     saturated_price: float = np.inf
     is_enough: bool = False
+    aim: Aim | None = None
 
     @property
     def bit_price(self) -> float:

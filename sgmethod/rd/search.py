@@ -28,19 +28,19 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     for the rounding of the other half. Then all are refined again: refining alone finds no single change that helps.
     """
     problem, rate, deadline, s = plan.problem, plan.rate, plan.session.deadline, plan.settings.refine
-    if plan.finest.values > MANY_VALUES:
-        release_memory()  # which the fit kept for its next step
     coded = cache(partial(problem.stream, state.gaussians))  # several quanta have one code
 
     def payload(quantum: float) -> int:
         return len(coded(StreamV2.coded_quantum(quantum, problem.is_short)).payload)
 
-    fit_error = cache(partial(plan.error, state.gaussians, state.quantum))  # the fit stays as it is
-    report = partial(_report, plan, state, rounds, fit_error)
+    aim = state.aim or plan.aim(state)
+    report = partial(_report, plan, state, rounds, aim.error)
     report(0, rate.usual_tries)
     texture = _texture(plan, lambda: coded(state.quantum))
+    if plan.finest.values > MANY_VALUES:
+        release_memory()  # which the fit kept for its next step
     empty = replace(problem.stream(Gaussians.empty(0), state.quantum), texture=texture)
-    limit, target = max(rate.max_bytes - empty.file_bytes, 0), plan.refining_target(state)
+    limit, target = max(rate.max_bytes - empty.file_bytes, 0), aim.target
     refined = partial(_refined, plan, target, texture)
 
     code = partial(refined, state.gaussians, max_bytes=limit)

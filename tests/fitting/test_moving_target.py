@@ -8,6 +8,7 @@ from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import ExaggeratedTarget, led
+from sgmethod.opencv import cv2
 from sgmethod.settings.rd import RD
 
 
@@ -58,9 +59,23 @@ def test_grain_that_is_hidden_is_not_exaggerated() -> None:
     grain = np.rint(missing * TARGET_WHITE).astype(np.int16)
     still = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False)
     plain, hiding = (
-        moving.moved(lambda first, end: all_halved(missing[:, first:end])) for moving in (still, still.without(grain))
+        moving.moved(lambda first, end: all_halved(missing[:, first:end]))
+        for moving in (still, still.without(grain.copy()))
     )
     assert (hiding.now + grain - original).std() < 0.8 * (plain.now - original).std()
+
+
+def test_a_target_that_has_moved_often_is_the_picture_without_grain_and_with_the_last_detail() -> None:
+    """It moves in place, so what one move adds the next has to take away."""
+    original = grainy()
+    grain = np.random.default_rng(1).integers(-200, 200, original.shape).astype(np.int16)
+    moving = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False).without(grain.copy())
+    for drawn in (0.9, 0.5, 0.7):
+        error = original * np.float32((1 - drawn) / TARGET_WHITE)
+        moving = moving.moved(lambda first, end, error=error: all_halved(error[:, first:end]))
+    assert moving.added is not None
+    assert moving.added.any()
+    assert (moving.now == original - grain + cv2.resize(moving.added, original.shape[:0:-1])).all()
 
 
 def test_coarse_errors_lead_the_target_of_refining() -> None:

@@ -131,7 +131,7 @@ def test_detail_hides_errors() -> None:
     assert visible.shape == (96, 128)
     assert visible[:, :40].min() > 2 * visible[:, 80:].max()
     assert (of_detail(pixels[:1, :1], DETAIL).values == native.VISIBLE).all()
-    assert Visibility(visible[:95, :127]).halved().values.shape == (48, 64)
+    assert Visibility(visible[:95, :127]).half.values.shape == (48, 64)
 
 
 PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 140:300])

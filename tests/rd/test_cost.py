@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -11,14 +13,14 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame, RefineLimits, step_by_step
+from sgmethod.backend.protocol import Descent, Frame, Moments, RefineLimits, step_by_step
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.level import Pyramid
 from sgmethod.metrics import psnr
 from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
-from tests.rd.short import asked
+from tests.rd.short import asked, short
 from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
@@ -82,3 +84,32 @@ def test_a_reduced_level_asks_for_the_gaussians_of_the_whole() -> None:
     assert level.frame.spacing >= 4
     peak = level.image()[0].max() * 255 + smooth.problem.background[0]
     assert peak == pytest.approx(250 * np.exp(-(2**2 + 2**2) / 2 / 6**2), abs=2)  # 217 without sharpening
+
+
+class Weighing(Kernels):
+    """Notes how many bytes arrays take, at most, while the kernels step and refine."""
+
+    def __init__(self) -> None:
+        self.stepping = self.refining = 0
+
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        self.stepping = max(self.stepping, tracemalloc.get_traced_memory()[0])
+        super().steps(gaussians, moments, descent, rates)
+
+    def refine(self, *given: Any) -> bytes:
+        self.refining = max(self.refining, tracemalloc.get_traced_memory()[0])
+        return super().refine(*given)
+
+
+def test_few_arrays_of_the_whole_picture_are_held() -> None:
+    """When refining begins, which needs most memory of its own: pixels, visibility and one target."""
+    weighing, size = Weighing(), (640, 480)
+    asked(CROP, BUDGET, "visual", settings=short(4)).encode()  # imports
+    tracemalloc.start()
+    try:
+        asked(cv2.resize(CROP, size), Budget("bytes", 4000), "visual", settings=short(60), backend=weighing).encode()
+    finally:
+        tracemalloc.stop()
+    stepping, refining = (held / (size[0] * size[1]) for held in (weighing.stepping, weighing.refining))
+    assert stepping < 35  # bytes a pixel: 31 seen, and 39 when the grain and the target before were kept
+    assert refining < 18  # 12 seen, and 27 when all that the fit had seen was kept

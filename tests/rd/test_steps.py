@@ -40,9 +40,6 @@ def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> 
     after = fit(plan, state, stage_of(plan, 100, at=0.99))
     assert after.target.hides == (halvings == 0)
     assert not state.target.hides
-    moved = after.target.now.copy()
-    fit(plan, after, stage_of(plan, 10, at=0.99))
-    assert np.array_equal(after.target.now, moved)
 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:

@@ -91,12 +91,7 @@ def encode_png(pixels: NDArray[np.uint8], compress: Compress = zlib_compress) ->
     if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in COLOUR_TYPES or pixels.size == 0:
         raise ValueError(f"pixels must be uint8 [H, W, 3 or 4], got {pixels.dtype} {list(pixels.shape)}")
     height, width, channels = pixels.shape
-    flat = pixels.reshape(height, width * channels)
-    rows = np.empty((height, 1 + width * channels), np.uint8)
-    rows[:, 0] = FILTER_UP
-    rows[0, 1:] = flat[0]
-    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
-    data = compress(rows.data)
+    data = compress(_filtered(pixels.reshape(height, width * channels)).data)
     parts = [data[start : start + MAX_CHUNK_BYTES] for start in range(0, len(data), MAX_CHUNK_BYTES)]
     header = struct.pack(">IIBBBBB", width, height, 8, COLOUR_TYPES[channels], 0, 0, 0)
     chunks = [
@@ -106,6 +101,16 @@ def encode_png(pixels: NDArray[np.uint8], compress: Compress = zlib_compress) ->
         _chunk(b"IEND", b""),
     ]
     return b"".join((MAGIC, *chunks))
+
+
+def _filtered(flat: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Filter rows [H, N]: [H, 1 + N]. They are as large as the picture, and should go once they are compressed."""
+    height, values = flat.shape
+    rows = np.empty((height, 1 + values), np.uint8)
+    rows[:, 0] = FILTER_UP
+    rows[0, 1:] = flat[0]
+    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
+    return rows
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

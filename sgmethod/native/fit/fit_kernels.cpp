@@ -317,7 +317,8 @@ SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int 
 
 template <int W>
 SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
-                            const float* visibility, float* products) {
+                            const int16_t* visibility, float* products) {
+  constexpr float kUnit = 1.0f / kVisible;
   using V = Simd<W>;
   typename V::F p0{}, p1{}, p2{}, square{};
   const auto add = [&](typename V::F weight, typename V::F seen, float* values) SG_INLINE_LAMBDA {
@@ -332,7 +333,7 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
   else
     for_weights<W>(f, floor, spans, count, picture,
                    [&](typename V::F weight, float* values, int64_t at)
-                       SG_INLINE_LAMBDA { add(weight, weight * V::load(visibility + at), values); });
+                       SG_INLINE_LAMBDA { add(weight, weight * (load_target<W>(visibility + at) * kUnit), values); });
   products[0] = V::sum(p0);
   products[1] = V::sum(p1);
   products[2] = V::sum(p2);

@@ -65,7 +65,7 @@ struct FitKernels {
   // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight, all
   // times the visibility [strips][height][kTileWidth] unless that is null.
   void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture,
-                  const float* visibility, float* products);
+                  const int16_t* visibility, float* products);
 };
 
 // Number of floats for the first rows of all column segments of a tile, which squared_error keeps to use them twice.

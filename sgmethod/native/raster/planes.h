@@ -19,8 +19,11 @@ class Planes {
   enum class Rows { kWhole, kRoom };
 
   // grids: of levels 0, 1, ...; levels below `lowest` take no memory.
-  explicit Planes(std::vector<Grid> grids, Rows rows = Rows::kRoom, int lowest = 1)
-      : grids_(std::move(grids)), rows_(rows), offsets_(offsets(lowest)), values_(offsets_.back() + 2 * kTileWidth) {}
+  // spare: memory of so many floats that nobody needs meanwhile, which is taken if it is large enough.
+  explicit Planes(std::vector<Grid> grids, Rows rows = Rows::kRoom, int lowest = 1, float* spare = nullptr,
+                  size_t spare_floats = 0)
+      : grids_(std::move(grids)), rows_(rows), offsets_(offsets(lowest)),
+        own_(floats() <= spare_floats ? 0 : floats()), values_(floats() <= spare_floats ? spare : own_.get()) {}
 
   int top() const { return static_cast<int>(grids_.size()) - 1; }
   const Grid& grid(int level) const { return grids_[static_cast<size_t>(level)]; }
@@ -34,7 +37,7 @@ class Planes {
   }
   // The red value of the sample at (x, y) on the level.
   float* at(int level, int x, int y) {
-    return values_.get() + offsets_[static_cast<size_t>(level)] +
+    return values_ + offsets_[static_cast<size_t>(level)] +
            static_cast<int64_t>(y - grid(level).y) * 3 * stride(level) + (x - grid(level).x);
   }
   // Sets rows from `first` to before `end` to zero.
@@ -43,6 +46,7 @@ class Planes {
   }
 
  private:
+  size_t floats() const { return offsets_.back() + 2 * kTileWidth; }
   std::vector<size_t> offsets(int lowest) const {
     std::vector<size_t> ends(static_cast<size_t>(lowest) + 1, 0);
     for (int level = lowest; level <= top(); ++level)
@@ -52,7 +56,8 @@ class Planes {
   std::vector<Grid> grids_;
   Rows rows_;
   std::vector<size_t> offsets_;  // [levels + 1]
-  Scratch values_;
+  Scratch own_;
+  float* const values_;
 };
 
 }  // namespace sg

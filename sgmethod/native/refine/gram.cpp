@@ -187,35 +187,36 @@ void Gram::add(int level, Planes& picture, Planes& reduced) const {
   const Band &across = across_[static_cast<size_t>(level)], &down = down_[static_cast<size_t>(level)];
   const size_t width = static_cast<size_t>(grid.width);
   const auto root_of = [&](int y) { return roots_.empty() ? nullptr : roots_[static_cast<size_t>(level)].row(0, y); };
-  Scratch halves(3 * width * static_cast<size_t>(grid.height));
-  const auto half = [&](int y, int color) { return halves.get() + (static_cast<size_t>(y) * 3 + color) * width; };
-  parallel_for(grid.height, [&](int y) {
+  // Along the rows, then down the columns, of some rows and those around them: the level's would be a large picture.
+  parallel_chunks(grid.height, kRowsTogether, [&](int first, int end, int) {
+    const int top = std::max(first - kReach, 0), bottom = std::min(end + kReach, grid.height);
+    std::vector<float> halves(3 * width * static_cast<size_t>(bottom - top));
     std::vector<float> row(width + 2 * kReach);  // zeros at both ends
-    const float* const root = root_of(y);
-    for (int color = 0; color < 3; ++color) {
-      const float* from = picture.at(level, 0, y) + color * picture.stride(level);
-      for (size_t x = 0; x < width; ++x) row[x + kReach] = kDrawn * from[x] * (root == nullptr ? 1.0f : root[x]);
-      const float* const moved[] = {&row[0], &row[1], &row[2], &row[3], &row[4]};
-      const float* const taps[] = {across.at(0, 0), across.at(1, 0), across.at(2, 0), across.at(3, 0), across.at(4, 0)};
-      weighted_sum(moved, taps, half(y, color), grid.width);
-    }
-  });
-  parallel_for(grid.height, [&](int y) {
     std::vector<float> sum(width);
-    const float* const root = root_of(y);
-    for (int color = 0; color < 3; ++color) {
-      const float* rows[kTaps];
-      float taps[kTaps];
-      for (int k = 0; k < kTaps; ++k) {
-        const int from = y + k - kReach;
-        const bool within = from >= 0 && from < grid.height;
-        rows[k] = half(within ? from : y, color);
-        taps[k] = within ? *down.at(k, y) : 0.0f;
+    const auto half = [&](int y, int color) { return &halves[(static_cast<size_t>(y - top) * 3 + color) * width]; };
+    for (int y = top; y < bottom; ++y)
+      for (int color = 0; color < 3; ++color) {
+        const float *const root = root_of(y), *from = picture.at(level, 0, y) + color * picture.stride(level);
+        for (size_t x = 0; x < width; ++x) row[x + kReach] = kDrawn * from[x] * (root == nullptr ? 1.0f : root[x]);
+        const float* const moved[] = {&row[0], &row[1], &row[2], &row[3], &row[4]};
+        const float* const taps[] = {across.at(0, 0), across.at(1, 0), across.at(2, 0), across.at(3, 0),
+                                     across.at(4, 0)};
+        weighted_sum(moved, taps, half(y, color), grid.width);
       }
-      weighted_sum(rows, taps, sum.data(), grid.width);
-      float* to = reduced.at(level, 0, y) + color * reduced.stride(level);
-      for (size_t x = 0; x < width; ++x) to[x] += sum[x] * (root == nullptr ? 1.0f : root[x]);
-    }
+    for (int y = first; y < end; ++y)
+      for (int color = 0; color < 3; ++color) {
+        const float *const root = root_of(y), *rows[kTaps];
+        float taps[kTaps];
+        for (int k = 0; k < kTaps; ++k) {
+          const int from = y + k - kReach;
+          const bool within = from >= 0 && from < grid.height;
+          rows[k] = half(within ? from : y, color);
+          taps[k] = within ? *down.at(k, y) : 0.0f;
+        }
+        weighted_sum(rows, taps, sum.data(), grid.width);
+        float* to = reduced.at(level, 0, y) + color * reduced.stride(level);
+        for (size_t x = 0; x < width; ++x) to[x] += sum[x] * (root == nullptr ? 1.0f : root[x]);
+      }
   });
 }
 

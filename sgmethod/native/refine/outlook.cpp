@@ -11,7 +11,9 @@ namespace {
 // The residual that a colour leaves, times derivatives of weights, summed over rows: as it is, times y, and times y^2.
 SG_CLONES void sum_rows(const SpanSamples& s, const float* color, float square, float floor, int rows, float y,
                         float (&sums)[3][kTileWidth]) {
-  const float *weights = s.weights, *product = s.product, *e = s.residual, *visibility = s.visibility;
+  constexpr float kUnit = 1.0f / kVisible;
+  const float *weights = s.weights, *product = s.product, *e = s.residual;
+  const int16_t* visibility = s.visibility;
   const float c0 = color[0], c1 = color[1], c2 = color[2];
   for (int row = 0; row < rows; ++row, y += 1.0f) {
     float weighted[kTileWidth];
@@ -20,7 +22,7 @@ SG_CLONES void sum_rows(const SpanSamples& s, const float* color, float square, 
       weighted[i] = r * (weights[i] > 0.0f ? weights[i] + floor : 0.0f);
     }
     if (visibility != nullptr) {
-      for (int i = 0; i < kTileWidth; ++i) weighted[i] *= visibility[i];
+      for (int i = 0; i < kTileWidth; ++i) weighted[i] *= static_cast<float>(visibility[i]) * kUnit;
       visibility += kTileWidth;
     }
     for (int i = 0; i < kTileWidth; ++i) {

@@ -20,7 +20,7 @@ struct SpanSamples {
   int64_t stride;  // from row to row
   const float* residual;
   int64_t residual_stride, color_stride;
-  const float* visibility;  // with kTileWidth values a row; or null
+  const int16_t* visibility;  // with kTileWidth values a row; or null
 };
 
 class Outlook {

@@ -46,17 +46,17 @@ class Refinement {
         state_{p, settings, exp_minus(kCutoffV2), std::sqrt(2.0f * kCutoffV2), {}, nullptr, gram_, nullptr, {}},
         all_(std::move(all)) {
     const int64_t width = width_, height = height_, strips = (width + kTileWidth - 1) / kTileWidth;
-    values_.reset(new float[strips * height * 3 * kTileWidth]);  // of which each redraw() sets all
+    floats_ = static_cast<size_t>(strips * height * 3 * kTileWidth);
+    values_.reset(new float[floats_]);  // of which each redraw() sets all
     state_.residual = {values_.get(), width_, height_};
     if (settings.visibility == nullptr) return;
-    visibility_.reset(new float[strips * height * kTileWidth]);
+    visibility_.reset(new int16_t[strips * height * kTileWidth]);
     parallel_for(static_cast<int>(strips), [&](int strip) {
       const int64_t x = int64_t{strip} * kTileWidth, columns = std::min<int64_t>(kTileWidth, width - x);
-      float* to = &visibility_[strip * height * kTileWidth];
+      int16_t* to = &visibility_[strip * height * kTileWidth];
       for (int64_t y = 0; y < height; ++y, to += kTileWidth) {
-        for (int64_t i = 0; i < columns; ++i)
-          to[i] = static_cast<float>(settings.visibility[y * width + x + i]) / kVisible;
-        std::fill(to + columns, to + kTileWidth, 0.0f);
+        std::copy_n(settings.visibility + y * width + x, columns, to);
+        std::fill(to + columns, to + kTileWidth, int16_t{0});
       }
     });
     state_.visibility = visibility_.get();
@@ -99,7 +99,7 @@ class Refinement {
   }
 
   // Updates the residual of a level for changes on levels above it since redraw(), which is less work than to draw
-  // again.
+  // again. The picture's residual, which redraw() will have to set, gives its memory to that.
   void update_residual(int level) {
     std::vector<Symbols> changed, now;
     for (size_t i = 0; i < all_.size(); ++i) {
@@ -113,7 +113,7 @@ class Refinement {
     decode(changed, g);
     for (size_t i = 3 * before; i < g.colors.size(); ++i) g.colors[i] = -g.colors[i];
     const Rasterization raster = rasterised(g);
-    Planes picture(raster.grids(), Planes::Rows::kWhole, level);
+    Planes picture(raster.grids(), Planes::Rows::kWhole, level, values_.get(), floats_);
     raster.draw_coarse(g.colors.data(), level, picture);
     gram_.add(level, picture, *reduced_);
   }
@@ -256,8 +256,9 @@ class Refinement {
   State state_;
   std::vector<Symbols> all_;
   std::vector<Symbols> drawn_;  // all_ at the last redraw()
-  std::unique_ptr<float[]> values_;  // memory of state_.residual
-  std::unique_ptr<float[]> visibility_;  // memory of state_.visibility
+  size_t floats_ = 0;
+  std::unique_ptr<float[]> values_;  // [floats_] memory of state_.residual
+  std::unique_ptr<int16_t[]> visibility_;  // memory of state_.visibility
   std::unique_ptr<Planes> reduced_;
   std::vector<int> levels_;  // of all_ at the last redraw()
   Clock::time_point until_;

@@ -59,7 +59,7 @@ struct State {
   Strips residual;  // of all Gaussians
   Planes* reduced;  // the residual reduced to coarse levels
   const Gram& gram;
-  const float* visibility;  // of each pixel, in the layout of one colour of `residual`; or null
+  const int16_t* visibility;  // of each pixel, in the layout of one colour of `residual`; or null
   Models models;
 
   Candidate decoded(const Symbols& s) const {
