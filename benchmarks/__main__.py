@@ -28,7 +28,6 @@ KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 UNSEEN = "--images {photographs}/unseen --weights {weights} --seen-bpp 0.25"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
-EQUAL = "--equal --weights {weights} --seen-bpp 0.25,0.5,1 --bpp 0.25,0.5,1"
 # By size, of 0.7 to 4 megapixels: AVIF tuned for SSIMULACRA 2 takes up to a minute for one encode of the largest.
 SEVEN = "dachshund,glass_bowls,pot_holder,parry_peak,canyon_river,aguas_claras,after_the_rain"
 WHOLE = f"--images {{photographs}}/whole --pictures {SEVEN}"
@@ -36,8 +35,7 @@ EIGHT = "--images {photographs}/unseen --most 8 --megapixels 0.4"
 # Of the photographs in LARGE, those that chose no constant.
 LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
 EIGHT_LARGE = f"--images {{photographs}}/large --most 99 --pictures {LARGE} --megapixels 4"
-THREE = "--images {photographs}/large --most 99 --pictures broken_pcb,dahlia,peony --megapixels 4"
-TWELVE = "--images {photographs}/large --most 99 --pictures dahlia,peony --megapixels 12"
+TWO_LARGE = "--images {photographs}/large --most 99 --pictures broken_pcb,dahlia --megapixels 4"
 SMOOTH, TEXTURED = "hill_fog,yellow_sky,wet_petal", "canyon_river,two_samoyeds,pot_holder"
 SIX = (
     f"--images {{photographs}}/unseen --most 99 --pictures {SMOOTH},{TEXTURED} --bpp 0.25 --tunes psnr,fidelity,visual"
@@ -64,13 +62,12 @@ FULL = {
     "rd/others": f"rd {SEEN} {RATES} --seen-bpp 0.25 --profiles '' --baselines",
     "rd/unseen": f"rd {UNSEEN} {RATES} --baselines 'avif tune=psnr 10 bits' heic webp jpegxl jpeg "
     f"+ rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits'",
-    "rd/equal-768": f"rd --images {{photographs}}/unseen --most 7 {EQUAL} --judges "
-    "--tune psnr fidelity visual visual-without-texture --baselines 'avif tune=psnr 10 bits' 'avif tune=iq 4:4:4' "
-    "'avif tune=ssimulacra2' 'avif grain' jpegxl webp jpegli",
+    "rd/equal-768": "rd --images {photographs}/unseen --most 7 --bpp 0.25,0.5,1 --equal --judges --weights {weights} "
+    "--seen-bpp 0.25,0.5,1 --tune psnr fidelity visual visual-without-texture --baselines 'avif tune=psnr 10 bits' "
+    "'avif tune=iq 4:4:4' 'avif tune=ssimulacra2' 'avif grain' jpegxl webp jpegli",
     "rd/equal-whole": f"rd {WHOLE} --equal --bpp 0.25,0.5,1 --tune fidelity visual --baselines 'avif tune=ssimulacra2'",
     "rd/equal-whole-psnr": f"rd {WHOLE} --equal --bpp 0.25,0.5,1 --tune psnr "
     "--baselines 'avif tune=psnr 10 bits' jpegxl webp jpegli",
-    "rd/equal-whole-seen": f"rd {WHOLE} {EQUAL} --tune visual --baselines 'avif tune=iq 4:4:4' 'avif grain'",
     "rd/equal-kodak": f"rd {KODAK} --equal --bpp 0.25 --tune fidelity visual --baselines 'avif tune=ssimulacra2'",
     "rd/grain": f"rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif grain'",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
@@ -84,8 +81,7 @@ FULL = {
     f"+ convergence {EIGHT} {AND_AVIF} --seconds 10",
     "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5",
     "convergence/0.4-megapixels-1-core": f"convergence {EIGHT} {ONE_CORE}",
-    "convergence/4-megapixels-1-core": f"convergence {THREE} {ONE_CORE}",
-    "convergence/12-megapixels-1-core": f"convergence {TWELVE} {ONE_CORE}",
+    "convergence/4-megapixels-1-core": f"convergence {TWO_LARGE} {ONE_CORE}",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",

@@ -14,10 +14,10 @@ from benchmarks.report.plots import Draw, style
 from benchmarks.tables import number, table
 
 SETS = {"768": "with a longer side of 768 pixels", "whole": "at their own size", "kodak": "of Kodak"}
-# The JSON of each. Where two have the same row, the later one counts, which has more figures.
+# The JSON of each. Where two have the same row, the later one counts.
 FILES = {
     "768": ("rd/equal-768",),
-    "whole": ("rd/equal-whole", "rd/equal-whole-psnr", "rd/equal-whole-seen"),
+    "whole": ("rd/equal-whole", "rd/equal-whole-psnr"),
     "kodak": ("rd/equal-kodak",),
 }
 # Codec and setting of a row, and the names of its files. Where AVIF was made in 8 and in 10 bits, a row has those bits

@@ -243,7 +243,7 @@ def _in_planes(function: np.ufunc, target: Target, by: Target | NDArray[np.int16
     def strip(first: int, end: int) -> None:
         function(target[:, first:end], by[..., first:end, :], out=out[:, first:end])
 
-    in_strips(strip, target.shape[1])
+    parallel_rows(strip, target.shape[1])
     return out
 
 
