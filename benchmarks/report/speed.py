@@ -13,7 +13,7 @@ from benchmarks.speed.growth import exponent, growth_table
 from benchmarks.tables import MISSING, number, standard_error, table
 
 SIZES = {0.4: "convergence/0.4-megapixels", 4: "convergence/4-megapixels"}
-ONE_CORE = [f"convergence/{size}-megapixels-1-core" for size in ("0.4",)]
+ONE_CORE = [f"convergence/{size}-megapixels-1-core" for size in ("0.4", "4")]
 METHODS = {
     ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
     ("rd", ""): "`rd`, tuned for PSNR",
