@@ -150,14 +150,23 @@ def draw(axes: Any, size: str, figure: str) -> None:
     axes.set(xlabel=f"bits per pixel; {count} photographs {SETS[size]}", ylabel=TITLES[figure])
 
 
+def drawn(figure: str) -> list[str]:
+    """Those of SETS whose figure was measured at more than one rate."""
+    return [
+        size
+        for size in measured()
+        if len(rates(size)) > 1 and any(one[figure] is not None for one in average(size).values())
+    ]
+
+
 def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
-    """A plot for each figure, with a panel for each of SETS at more than one rate; none before they are measured."""
+    """A plot for each figure that was measured, with a panel for each of SETS."""
     return {
         f"equal-{figure.replace('_', '-')}": (
             f"{TITLES[figure]} at equal bytes",
             "means of photographs on which nothing was chosen",
-            [partial(draw, size=size, figure=figure) for size in measured() if len(rates(size)) > 1],
+            [partial(draw, size=size, figure=figure) for size in sizes],
         )
         for figure in QUALITIES
-        if any(means[figure] is not None for size in measured() for means in average(size).values())
+        if (sizes := drawn(figure))
     }

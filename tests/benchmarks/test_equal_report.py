@@ -23,7 +23,9 @@ def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.
     ]
     without = [asdict(row) | {"lpips": None} for row in rows]  # by an earlier run, without its weights
     later = [asdict(row) for row in rows]
-    monkeypatch.setattr(results, "rows", lambda name: without if name == "rd/equal-whole" else later)
+    monkeypatch.setattr(
+        results, "rows", lambda name: without if name in ("rd/equal-whole", "rd/equal-kodak") else later
+    )
     monkeypatch.setattr(equal, "RESULTS", tmp_path)
     for cached in (equal.rows, equal.average):
         monkeypatch.setattr(equal, cached.__name__, cached.__wrapped__)
@@ -50,5 +52,6 @@ def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.
     plots = equal.plots()
     assert list(plots)[1] == "equal-ssimulacra2"
     title, of, panels = plots["equal-ssimulacra2"]
+    assert (len(panels), len(plots["equal-lpips"][2])) == (3, 2)  # no LPIPS on Kodak
     save(panels, title, of, tmp_path / "plot")
     assert "AVIF, ssimulacra2" in (tmp_path / "plot.svg").read_text()
