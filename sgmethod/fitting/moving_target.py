@@ -155,7 +155,7 @@ class ExaggeratedTarget(FitTarget):
         if self.kept is not None:  # else hidden grain would return as dots
             total *= self.kept
         total *= TARGET_WHITE
-        return np.rint(total, out=total).astype(np.int16)
+        return np.asarray(np.rint(total, out=total), np.int16)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
