@@ -8,11 +8,11 @@ owns the jobs that are submitted with it.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import hmac
 import re
 import secrets
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -84,17 +84,16 @@ class Link:
         return hmac.compare_digest(self.signature(secret).encode(), signature.encode())
 
 
-def main() -> int:
-    """Print a new key. Returns exit status 2 for an invalid name."""
-    name = sys.argv[1] if len(sys.argv) == 2 else ""
+def main() -> None:
+    """Print a new key."""
+    parser = argparse.ArgumentParser(prog="python -m service.keys", description=main.__doc__)
+    parser.add_argument("name", metavar="NAME", help="owner of the key; 1 to 64 letters, digits, or _ . -")
     key = secrets.token_urlsafe(24)
-    line = f"{name}:{digest(key)}"
+    line = f"{parser.parse_args().name}:{digest(key)}"
     if _LINE.fullmatch(line) is None:
-        print("usage: python -m service.keys NAME (1 to 64 letters, digits, or _ . -)", file=sys.stderr)
-        return 2
+        parser.error("NAME must be 1 to 64 letters, digits, or _ . -")
     print(f"key: {key}\nline for SG_API_KEYS_FILE: {line}")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -60,8 +60,10 @@ def test_keys_are_read() -> None:
 
 
 def test_a_new_key_works(tmp_path: Path) -> None:
-    made, refused = (run(sys.executable, "-m", "service.keys", name) for name in ("carol", "no name"))
-    assert (made.status, refused.status) == (0, 2)
+    names = ("carol", "no name", "--help")  # the last printed a key of that name
+    made, refused, asked = (run(sys.executable, "-m", "service.keys", name) for name in names)
+    assert (made.status, refused.status, asked.status) == (0, 2, 0)
+    assert "NAME" in asked.stdout and "key:" not in asked.stdout
     key, line = (text.partition(": ")[2] for text in made.stdout.splitlines())
     file = tmp_path / "keys"
     file.write_text(f"# customers\n{KEYS}\n{line}\n")
