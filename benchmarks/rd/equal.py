@@ -26,8 +26,6 @@ class Difference:
     gain: float  # positive or negative, as the figure is
     standard_error: float | None
     better: int  # pictures on which the first is better
-    lowest: float  # gain of any picture
-    highest: float
 
 
 def between(smaller: Row, larger: Row) -> Row:
@@ -56,7 +54,7 @@ def difference(rows: Sequence[Row], ours: str, theirs: str, bpp: float, figure: 
     better = sum(gain < 0 if figure in LESS_IS_BETTER else gain > 0 for gain in gains)
     ours_mean, theirs_mean, gain = (statistics.fmean(values) for values in (first, second, gains))
     error = standard_error(gains, grouped(images))
-    return Difference(len(images), ours_mean, theirs_mean, gain, error, better, min(gains), max(gains))
+    return Difference(len(images), ours_mean, theirs_mean, gain, error, better)
 
 
 def differences_table(rows: Sequence[Row], ours: Sequence[str], theirs: Sequence[str]) -> str:

@@ -7,14 +7,14 @@ from functools import cache, partial
 from typing import Any
 
 from benchmarks.machine import RESULTS
-from benchmarks.rd.equal import FORMS, Difference, difference
+from benchmarks.rd.equal import FORMS, Difference, cells, difference
 from benchmarks.rd.report import QUALITIES, TITLES, Means, Row, against, means
 from benchmarks.report import results
 from benchmarks.report.plots import Draw, style
 from benchmarks.tables import number, table
 
 SETS = {"768": "with a longer side of 768 pixels", "whole": "at their own size", "kodak": "of Kodak"}
-# The JSON of each. Where two have the same row, the later one counts.
+# The JSON of each, of which no two have the same row.
 FILES = {
     "768": ("rd/equal-768",),
     "whole": ("rd/equal-whole", "rd/equal-whole-psnr"),
@@ -47,9 +47,8 @@ PAIRS = (
 
 @cache
 def rows(size: str) -> tuple[Row, ...]:
-    """The rows of one of SETS, each once."""
-    found = [Row(**row) for name in FILES[size] for row in results.rows(name)]
-    return tuple({row.key: row for row in found}.values())
+    """The rows of one of SETS."""
+    return tuple(Row(**row) for name in FILES[size] for row in results.rows(name))
 
 
 @cache
@@ -111,8 +110,8 @@ def differences_table(size: str) -> str:
 
 def gain(found: Difference, form: str) -> str:
     """The difference with its standard error, and on how many pictures ours is better."""
-    error = number(found.standard_error, form)
-    return f"{number(found.gain, f'+{form}')} ± {error} ({found.better} of {found.pictures})"
+    _, _, difference, better = cells(found, form)
+    return f"{difference} ({better})"
 
 
 def figures() -> dict[str, float | None]:
@@ -123,7 +122,6 @@ def figures() -> dict[str, float | None]:
             settings = f"{ours}-{theirs}".replace(",", "").replace(" ", "-")
             mark = f"equal.{size}-{settings}-{figure}-at-{bpp:g}"
             found |= {mark: one.gain, f"{mark}-error": one.standard_error, f"{mark}-behind": -one.gain}
-            found |= {f"{mark}-lowest": one.lowest, f"{mark}-highest": one.highest}
             found[f"equal.{size}-pictures"] = one.pictures
         if rate := against(rows(size), "rd", "avif tune=psnr 10 bits"):
             found |= {f"equal.{size}-fewer": -rate.mean, f"equal.{size}-fewer-error": rate.standard_error}

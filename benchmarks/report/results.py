@@ -33,7 +33,8 @@ def sources(names: Sequence[str]) -> str:
         for name, found in ((name, load(name)) for name in names)
     ]
     dates = sorted({load(name)["date"][:10] for name in names})
-    machines = dict.fromkeys(f"{m['processor']}, {m['cores']} cores" for m in (load(name)["machine"] for name in names))
+    used = [(load(name)["machine"]["processor"], load(name)["machine"]["cores"]) for name in names]
+    machines = dict.fromkeys(f"{processor}, {cores} core{'s' * (cores != 1)}" for processor, cores in used)
     return (
         f"<sub>Data and commits: {', '.join(files)}. Measured {' to '.join(dict.fromkeys((dates[0], dates[-1])))} on "
         f"{'; '.join(machines)}. The JSON files also record the versions of all "
