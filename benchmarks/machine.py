@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -81,8 +82,8 @@ def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
 
 def threads_of(content: Mapping[str, Any]) -> int | None:
     """The number of threads that a JSON's command sets; None for one for each core."""
-    threads, is_set, _ = content.get("command", "").removeprefix("SG_THREADS=").partition(" python ")
-    return int(threads) if is_set else None
+    threads = re.match(r"SG_THREADS=(\d+) ", content.get("command", ""))
+    return int(threads[1]) if threads else None
 
 
 def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
@@ -101,6 +102,9 @@ class Record:
         self.path = path
         self.content = {"command": command(module), **origin(), "settings": settings}
         self.rows = kept_rows(path, self.content)
+        if self.rows:  # several commands may fill one JSON
+            commands = [*json.loads(path.read_text())["command"].split(" + "), self.content["command"]]
+            self.content["command"] = " + ".join(dict.fromkeys(commands))
         print(f"into {path}, which has {len(self.rows)} rows of this code, machine and settings", file=sys.stderr)
 
     def has(self, **key: object) -> bool:

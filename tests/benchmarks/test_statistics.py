@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import machine
 from benchmarks.ablation.gains import summary
 from benchmarks.ablation.report import complete, worth
 from benchmarks.bd import compared, curves
@@ -191,6 +192,17 @@ def test_a_run_goes_on_with_its_own_rows_alone(tmp_path: Path) -> None:
     ):
         assert kept_rows(path, {**where, **other}) == []
     assert kept_rows(tmp_path / "none.json", where) == []
+
+
+def test_a_run_of_several_commands_names_them_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "origin", lambda: {**origin(), "commit": "a" * 12})
+    monkeypatch.delenv("SG_THREADS", raising=False)
+    path = tmp_path / "run.json"
+    for words in (["--bpp", "1"], ["--bpp", "2"], ["--bpp", "1"]):
+        monkeypatch.setattr("sys.argv", ["rd", *words, "--out", str(path)])
+        machine.Record(path, "benchmarks.rd", {}).add({"psnr": 1})
+    first, second = "python -m benchmarks.rd --bpp 1", "python -m benchmarks.rd --bpp 2"
+    assert json.loads(path.read_text())["command"] == f"{first} + {second}"
 
 
 def test_bd_rates_of_two_tables(tmp_path: Path) -> None:
