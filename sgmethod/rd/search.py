@@ -137,8 +137,9 @@ def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
     def coarser(by: float) -> Coded:
         return _refined(plan, target, None, exact.stream.gaussians(), exact.stream.quantum * by, exact.size)
 
-    slow = deadline.attempts(3 * s.exact_pixels // problem.pixels.size)
-    quick = deadline.attempts(s.exact_tries)
+    pixels = problem.pixels.size // 3
+    slow = deadline.attempts(s.exact_pixels // pixels)
+    quick = deadline.attempts(min(s.exact_tries, s.exact_tries * s.exact_pixels // pixels))
     ways = [(partial(fewer, share), slow) for share in s.exact_shares]
     ways += [(partial(coarser, by), quick) for by in s.exact_coarser]
     while last is not exact:

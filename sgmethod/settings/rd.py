@@ -216,7 +216,7 @@ class RefineSettings:
     exact_rate: float = 0.4
     exact_pixels: int = 1 << 20
     exact_coarser: tuple[float, ...] = (2**0.5, 2**0.25)
-    exact_tries: int = 40  # limit on files with a coarser quantum
+    exact_tries: int = 40  # limit on files with a coarser quantum; it shrinks as a picture grows beyond exact_pixels
 
 
 @dataclass(frozen=True)
