@@ -32,13 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     threads = os.environ.get("SG_THREADS") if {"encode", "preview"}.intersection(argv[:1]) else "1"
     if threads:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", threads)
-    from sgmethod.cli.arguments import parse
-
-    with suppress(AttributeError):  # file names need not be valid text; stderr already escapes those
-        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    arguments = parse(argv)
-    arguments.began = began
     try:
+        arguments = _parse(argv)
+        arguments.began = began
         _check_threads()
         module = import_module(f"sgmethod.cli.{MODULES.get(arguments.run, 'commands')}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.run}")
@@ -60,6 +56,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     if ends_here:
         gc.freeze()  # saves a collection of all imported objects at exit, which takes longer than a decode
     return status
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    from sgmethod.cli.arguments import parse
+
+    with suppress(AttributeError):  # file names need not be valid text; stderr already escapes those
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    try:
+        return parse(argv)
+    except SystemExit:
+        print(end="", flush=True)  # the text of --help or --version, which nobody may read
+        raise
 
 
 def _check_threads() -> None:

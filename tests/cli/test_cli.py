@@ -313,9 +313,10 @@ def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     assert stream.getvalue() == "\rtune   [###################..\x1b[K"
 
 
-def test_stdout_is_full() -> None:
+@pytest.mark.parametrize("arguments", [("info", "picture.sg"), ("--version",)])
+def test_stdout_is_full(arguments: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as full:
-        process = start("info", "picture.sg", stdout=full, stderr=subprocess.PIPE)
+        process = start(*arguments, stdout=full, stderr=subprocess.PIPE)
         err = process.communicate()[1]
     assert process.returncode == 2
     assert re.fullmatch(r"sgmethod: .*No space left on device.*\n", err)

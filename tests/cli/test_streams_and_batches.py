@@ -54,7 +54,7 @@ def test_standard_input_and_output() -> None:
     assert names() == {"photo.png", "picture.sg"}  # none called "-"
 
 
-@pytest.mark.parametrize("arguments", [("decode", GOLDEN, "-"), ("info", GOLDEN)])
+@pytest.mark.parametrize("arguments", [("decode", GOLDEN, "-"), ("info", GOLDEN), ("--version",)])
 def test_a_closed_standard_output(arguments: tuple[str, ...]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
