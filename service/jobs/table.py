@@ -309,9 +309,12 @@ class JobTable(ABC):
             db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
     def unneeded(self, keys: Iterable[str]) -> Iterator[str]:
-        """Yield those of the storage keys that no job needs."""
+        """Yield those of the storage keys that no job needs: none if the table is new, and the files are another's."""
         for batch in stored.batches(keys):
             with self._connection() as db:
+                if stored.is_new(db):
+                    log.warning("old files stay: this job table has never had a job; is it theirs?")
+                    return
                 unneeded = stored.unneeded(db, batch)
             yield from unneeded
 

@@ -66,6 +66,15 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed
 
 
+def test_files_of_another_job_table_stay(table: JobTable, storage: Storage) -> None:
+    """As with the wrong database, or a table that was lost: no job of a new one says that they are not needed."""
+    storage.put(bitstream_key(new_job_id(), 1), b"bitstream")
+    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 0)
+    assert len(stored(storage)) == 1
+    table.remove(finished(table, storage))
+    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 2)
+
+
 def test_a_file_that_cannot_be_removed_holds_up_no_other(
     open_job_table: OpenTable, storage: Storage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
