@@ -93,6 +93,10 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
     ),
     # Version 7: a queued job with a lease is put off. Before, a released one kept its lease.
     ("UPDATE jobs SET lease_until = NULL WHERE state = 'queued'",),
+    (  # Version 8: older files are those of another table. A minute, as the clocks of table and storage may differ.
+        "CREATE TABLE birth (made_at DOUBLE PRECISION NOT NULL)",
+        "INSERT INTO birth SELECT CASE WHEN EXISTS (SELECT 1 FROM stored) THEN 0 ELSE epoch() - 60 END",
+    ),
 )
 NEWEST_VERSION = FIRST_VERSION + len(MIGRATIONS)
 

@@ -32,11 +32,6 @@ def by_state(db: Database) -> tuple[dict[str, int], int]:
     return {row["state"]: row["jobs"] for row in rows}, sum(row["bytes"] for row in rows)
 
 
-def is_new(db: Database) -> bool:
-    """Whether the table has never had a job."""
-    return db.execute("SELECT 1 FROM stored LIMIT 1").fetchone() is None
-
-
 def batches(keys: Iterable[str]) -> Iterator[list[str]]:
     """Split storage keys into lists for unneeded()."""
     rest = iter(keys)

@@ -308,13 +308,15 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
+    def made_at(self) -> float:
+        """Return when the table was made, less a minute; 0 if it had jobs before it noted that."""
+        with self._connection() as db:
+            return float(db.execute("SELECT made_at FROM birth").fetchone()["made_at"])
+
     def unneeded(self, keys: Iterable[str]) -> Iterator[str]:
-        """Yield those of the storage keys that no job needs: none if the table is new, and the files are another's."""
+        """Yield those of the storage keys that no job needs."""
         for batch in stored.batches(keys):
             with self._connection() as db:
-                if stored.is_new(db):
-                    log.warning("old files stay: this job table has never had a job; is it theirs?")
-                    return
                 unneeded = stored.unneeded(db, batch)
             yield from unneeded
 

@@ -108,8 +108,8 @@ class BucketStorage:
     def free_bytes(self) -> int | None:
         return None
 
-    def old(self, age_s: float) -> Iterator[str]:
-        oldest = datetime.now(UTC) - timedelta(seconds=age_s)
+    def old(self, age_s: float, since: float = 0) -> Iterator[str]:
+        first, until = datetime.fromtimestamp(since, UTC), datetime.now(UTC) - timedelta(seconds=age_s)
         with _as_os_errors():
             for chunk in obstore.list(self._store):
-                yield from (e["path"] for e in chunk if is_key(e["path"]) and e["last_modified"] < oldest)
+                yield from (e["path"] for e in chunk if is_key(e["path"]) and first <= e["last_modified"] < until)

@@ -87,8 +87,11 @@ class Storage(Protocol):
     def free_bytes(self) -> int | None:
         """Return the free space; None if it cannot be known. Raises OSError."""
 
-    def old(self, age_s: float) -> Iterator[str]:
-        """Yield the keys of files stored more than age_s seconds ago, and of incomplete files of that age."""
+    def old(self, age_s: float, since: float = 0) -> Iterator[str]:
+        """Yield the keys of files stored more than age_s seconds ago, and of incomplete files of that age.
+
+        since: seconds since the epoch; files stored before are left out.
+        """
 
 
 class DiskStorage:
@@ -132,13 +135,13 @@ class DiskStorage:
     def free_bytes(self) -> int | None:
         return shutil.disk_usage(self._root).free
 
-    def old(self, age_s: float) -> Iterator[str]:
-        oldest = time.time() - age_s
+    def old(self, age_s: float, since: float = 0) -> Iterator[str]:
+        until = time.time() - age_s
         for folder in FOLDERS:
             for path in (self._root / folder).iterdir():
                 key = f"{folder}/{path.name}"
                 try:
-                    if is_key(key) and path.stat().st_mtime < oldest:
+                    if is_key(key) and since <= path.stat().st_mtime < until:
                         yield key
                 except FileNotFoundError:  # another process removed it meanwhile
                     continue

@@ -36,6 +36,8 @@ def sweep(
 ) -> SweepResult:
     """Remove expired jobs and images, and files that no job needs.
 
+    A file older than the job table stays: it is of a table that was lost, or of another service.
+
     retention_s: age of finished jobs in seconds (0: keep them); source_retention_s: age of images of finished jobs.
     A file that cannot be removed, such as one under legal hold, is logged and left to the next sweep. Raises
     JobTableError, OSError.
@@ -43,7 +45,7 @@ def sweep(
     expired = table.finished(retention_s) if retention_s else []
     # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
     ended = table.finished(source_retention_s, with_image=True)
-    files = {*map(source_key, ended), *table.unneeded(storage.old(orphan_age_s))}
+    files = {*map(source_key, ended), *table.unneeded(storage.old(orphan_age_s, table.made_at()))}
     # First: on a full disk, the job table cannot be written before.
     stuck = {key for key in files if not _removed(storage, key)}
     for job_id in ended:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -66,13 +68,15 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed
 
 
-def test_files_of_another_job_table_stay(table: JobTable, storage: Storage) -> None:
-    """As with the wrong database, or a table that was lost: no job of a new one says that they are not needed."""
-    storage.put(bitstream_key(new_job_id(), 1), b"bitstream")
-    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 0)
-    assert len(stored(storage)) == 1
+def test_files_of_another_job_table_stay(table: JobTable, storage: Storage, tmp_path: Path) -> None:
+    """As with the wrong database, or a table that was lost."""
+    theirs = bitstream_key(new_job_id(), 1)
+    storage.put(theirs, b"bitstream")
+    an_hour_ago = time.time() - 3600
+    os.utime(tmp_path / theirs, (an_hour_ago, an_hour_ago))
     table.remove(finished(table, storage))
-    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 2)
+    assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 1)
+    assert stored(storage) == {theirs}
 
 
 def test_a_file_that_cannot_be_removed_holds_up_no_other(
