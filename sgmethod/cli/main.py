@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(str(error))
     except OSError as error:
         _abandon_stdout()
-        return _fail(str(error))
+        return _fail(str(error) if error.filename else error.strerror or str(error))
     if ends_here:
         gc.freeze()  # saves a collection of all imported objects at exit, which takes longer than a decode
     return status
