@@ -93,7 +93,8 @@ def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any]
 
 class Record:
     """The JSON of one run, written after every row. Rows of an earlier run with the same code, machine and settings are
-    kept, so that an interrupted run continues where it stopped. Prints the path of the JSON first.
+    kept, so that an interrupted run continues where it stopped; a JSON without such rows becomes NAME.json.before.
+    Prints the path of the JSON first.
 
     settings: what changes the meaning of the rows.
     """
@@ -105,6 +106,8 @@ class Record:
         if self.rows:  # several commands may fill one JSON
             commands = [*json.loads(path.read_text())["command"].split(" + "), self.content["command"]]
             self.content["command"] = " + ".join(dict.fromkeys(commands))
+        elif path.exists():  # it may have taken hours
+            path.replace(path.with_name(f"{path.name}.before"))
         print(f"into {path}, which has {len(self.rows)} rows of this code, machine and settings", file=sys.stderr)
 
     def has(self, **key: object) -> bool:

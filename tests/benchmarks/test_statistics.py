@@ -203,6 +203,9 @@ def test_a_run_of_several_commands_names_them_all(tmp_path: Path, monkeypatch: p
         machine.Record(path, "benchmarks.rd", {}).add({"psnr": 1})
     first, second = "python -m benchmarks.rd --bpp 1", "python -m benchmarks.rd --bpp 2"
     assert json.loads(path.read_text())["command"] == f"{first} + {second}"
+    machine.Record(path, "benchmarks.rd", {"seen": True})
+    assert len(json.loads((tmp_path / "run.json.before").read_text())["rows"]) == 3
+    assert not path.exists()
 
 
 def test_bd_rates_of_two_tables(tmp_path: Path) -> None:
