@@ -89,8 +89,8 @@ examples:
 
 
 def one_line(message: str) -> str:
-    """Join a message into one line."""
-    return " ".join(message.split())
+    """Join a message into one line, in which a file's name cannot control the terminal."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f]", lambda found: f"\\x{ord(found[0]):02x}", " ".join(message.split()))
 
 
 class _Parser(argparse.ArgumentParser):

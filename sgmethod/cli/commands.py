@@ -21,7 +21,9 @@ TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2"}
 
 def run_info(arguments: argparse.Namespace) -> int:
     """Run sgmethod info."""
-    fields = info(paths.read(arguments.input)).to_dict()
+    data = paths.read(arguments.input)
+    with paths.contents_of(arguments.input):
+        fields = info(data).to_dict()
     if arguments.json:
         print(json.dumps(fields, allow_nan=False))
     else:
@@ -81,18 +83,14 @@ def run_compare(arguments: argparse.Namespace) -> int:
 def _picture(path: str) -> NDArray[np.uint8]:
     """Read the pixels of an image file or an .sg file."""
     from sgmethod.bitstream.stream import MAGICS
-    from sgmethod.errors import ImageError
 
     data = paths.read(path)
-    if data.startswith(MAGICS):
-        pixels = decode(data)
-        if pixels.shape[2] == 3:
-            return pixels
-        paths.print_lines("note", path, ["transparency is composited over white"])
-        return composited(pixels, WHITE)
-    try:
-        pixels, notes = paths.read_pixels(data)
-    except ImageError as error:
-        raise CommandError(f"{path}: {error}") from error
+    with paths.contents_of(path):
+        if not data.startswith(MAGICS):
+            pixels, notes = paths.read_pixels(data)
+        elif (pixels := decode(data)).shape[2] == 3:
+            notes = []
+        else:
+            pixels, notes = composited(pixels, WHITE), ["transparency is composited over white"]
     paths.print_lines("note", path, notes)
     return pixels

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.terminal import silent_stderr
-from sgmethod.errors import SgError, noted
+from sgmethod.errors import BitstreamError, ImageError, SgError, noted
 from sgmethod.io.files import write_atomically
 
 if TYPE_CHECKING:
@@ -107,6 +107,15 @@ def _command_errors(verb: str, path: str) -> Iterator[None]:
     except OSError as error:
         stream = "standard input" if verb == "read" else "standard output"
         raise CommandError(f"cannot {verb} {name_of(path, stream)}: {error.strerror or error}") from error
+
+
+@contextmanager
+def contents_of(path: str) -> Iterator[None]:
+    """Turn errors in a file's contents into a CommandError that names the file."""
+    try:
+        yield
+    except (ImageError, BitstreamError) as error:
+        raise CommandError(f"{name_of(path)}: {error}") from error
 
 
 def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:

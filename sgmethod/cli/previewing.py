@@ -41,7 +41,8 @@ def run_preview(arguments: argparse.Namespace) -> int:
         print_in_turn = partial(_print_in_turn, arguments, [one.input for one in wanted], {})
         tally = Run[Conversion]().finish(outcomes(tasks_of(wanted), _preview, arguments), print_in_turn)
         return SOME_FAILED if tally.failed else 0
-    outcome = _preview(wanted[0], arguments)
+    with paths.contents_of(wanted[0].input):
+        outcome = _preview(wanted[0], arguments)
     say_notes(outcome, arguments)
     print(json.dumps(outcome.figures) if arguments.json else outcome.summary)
     return 0

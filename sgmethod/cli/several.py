@@ -51,7 +51,8 @@ def convert_one(
     """
     out = sys.stderr if STREAM in (conversion.target, *others) else sys.stdout
     for wanted in without_existing([conversion], arguments, out):
-        made = convert(wanted, arguments)
+        with paths.contents_of(wanted.input):
+            made = convert(wanted, arguments)
         say_notes(made, arguments)
         if getattr(arguments, "json", False):
             print(json.dumps(made.figures, allow_nan=False), file=out)
