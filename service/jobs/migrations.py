@@ -81,7 +81,8 @@ CREATE TABLE trace (
 );
 """
 # Statements of each later version, in the SQL that both databases share. A released entry never changes. A process of
-# the version before may be running, so an entry adds indexes, tables, and columns with a default, and removes nothing.
+# the version before may be running, so an entry adds indexes, and columns with a default, and removes nothing. It adds
+# no table, at which pg_restore --clean of an older backup would fail when all others are gone.
 MIGRATIONS: tuple[tuple[str, ...], ...] = (
     (  # Version 5: places in a long queue (without `state`, SQLite looks at each row), and the first job of each owner.
         "CREATE INDEX queue ON jobs (state, priority, number) WHERE state = 'queued'",
@@ -93,9 +94,8 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
     ),
     # Version 7: a queued job with a lease is put off. Before, a released one kept its lease.
     ("UPDATE jobs SET lease_until = NULL WHERE state = 'queued'",),
-    (  # Version 8: older files are those of another table. A minute, as the clocks of table and storage may differ.
-        "CREATE TABLE birth (made_at DOUBLE PRECISION NOT NULL)",
-        "INSERT INTO birth SELECT CASE WHEN EXISTS (SELECT 1 FROM stored) THEN 0 ELSE epoch() - 60 END",
+    (  # Version 8: older files are those of another table. A minute later, as that may have been lost just before.
+        "INSERT INTO totals SELECT 'made_at', CASE WHEN EXISTS (SELECT 1 FROM stored) THEN 0 ELSE epoch() + 60 END",
     ),
 )
 NEWEST_VERSION = FIRST_VERSION + len(MIGRATIONS)

@@ -36,7 +36,7 @@ def sweep(
 ) -> SweepResult:
     """Remove expired jobs and images, and files that no job needs.
 
-    A file older than the job table stays: it is of a table that was lost, or of another service.
+    A file older than the job table stays: it is of a table that was lost.
 
     retention_s: age of finished jobs in seconds (0: keep them); source_retention_s: age of images of finished jobs.
     A file that cannot be removed, such as one under legal hold, is logged and left to the next sweep. Raises

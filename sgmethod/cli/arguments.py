@@ -106,6 +106,10 @@ class _Parser(argparse.ArgumentParser):
             message += suggestion(choice[1], re.findall(r"[\w-]+", choice[2]))
         self.exit(BAD_INPUT, f"sgmethod: {one_line(message)} (see: {self.prog} --help)\n")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print help like other output: argparse would hide that nobody reads it."""
+        file.write(message)
+
 
 class _Version(argparse.Action):
     """The action of --version, which looks up the version only on request: that takes longer than parsing."""

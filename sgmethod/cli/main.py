@@ -27,6 +27,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status. --help, --version and wrong usage exit instead."""
     began = time.perf_counter()  # before the slow imports
     ends_here = argv is None  # the process ends after this command
+    if sys.stderr is None:  # print() would write to stdout, and the first file that is opened become descriptor 2
+        sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
     argv = sys.argv[1:] if argv is None else argv
     # Starting threads for numpy's linear algebra, which only encodes need, takes a third of a short command's time.
     threads = os.environ.get("SG_THREADS") if {"encode", "preview"}.intersection(argv[:1]) else "1"
@@ -90,5 +92,6 @@ def _abandon_stdout() -> None:
 def _fail(message: str) -> int:
     from sgmethod.cli.arguments import BAD_INPUT, one_line
 
-    print(f"sgmethod: {one_line(message)}", file=sys.stderr)
+    with suppress(OSError):  # nobody can be told
+        print(f"sgmethod: {one_line(message)}", file=sys.stderr)
     return BAD_INPUT

@@ -51,9 +51,10 @@ def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.u
 
 
 def print_lines(kind: str, path: str, texts: Iterable[str]) -> None:
-    """Print lines about a file to stderr."""
-    for text in texts:
-        print(f"sgmethod: {kind}: {one_line(name_of(path))}: {one_line(text)}", file=sys.stderr)
+    """Print lines about a file to stderr, if that can be written."""
+    with suppress(OSError):
+        for text in texts:
+            print(f"sgmethod: {kind}: {one_line(name_of(path))}: {one_line(text)}", file=sys.stderr)
 
 
 @contextmanager

@@ -54,14 +54,34 @@ def test_standard_input_and_output() -> None:
     assert names() == {"photo.png", "picture.sg"}  # none called "-"
 
 
-@pytest.mark.parametrize("arguments", [("decode", GOLDEN, "-"), ("info", GOLDEN), ("--version",)])
-def test_a_closed_standard_output(arguments: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("arguments", [("decode", GOLDEN, "-"), ("info", GOLDEN), ("--version",), ("--help",)])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_closed_standard_output(arguments: tuple[str, ...], unbuffered: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     reader, writer = os.pipe()
     os.close(reader)
     process = start(*arguments, stdout=writer, stderr=subprocess.PIPE)
     os.close(writer)
     assert process.communicate()[1] == ""
     assert process.returncode == 141
+
+
+@pytest.mark.parametrize("stderr", ["2>&-", "2>/dev/full"])
+def test_an_error_stream_that_cannot_be_written(stderr: str) -> None:
+    """Files and exit statuses are as ever, and nothing that belongs there goes elsewhere."""
+
+    def ran(*arguments: str) -> tuple[int, bytes]:
+        command = ["sh", "-c", f'"$@" {stderr}', "sh", sys.executable, "-m", "sgmethod", *arguments]
+        done = subprocess.run(command, stdout=subprocess.PIPE, check=False)
+        return done.returncode, done.stdout
+
+    status, data = ran("encode", "photo.png", "-", "--bytes", "300", "--effort", "1", "--quiet")
+    assert (status, data[:2], len(data) <= 300) == (0, b"\xd3\xc2", True)
+    PHOTO.save("other.png")
+    both = ("photo.png", "other.png", "--output-dir", "out", "--bytes", "300", "--effort", "1")
+    assert ran("encode", *both)[0] == 0
+    assert len(list(Path("out").glob("*.sg"))) == 2
+    assert ran("info", "missing.sg") == (2, b"")
 
 
 def test_no_bytes_for_a_terminal() -> None:

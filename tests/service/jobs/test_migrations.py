@@ -29,7 +29,7 @@ from tests.support.job_table import (
     state,
     what_all_say,
 )
-from tests.support.postgres_server import find_binaries
+from tests.support.postgres_server import PostgresServer, find_binaries
 from tests.support.service import RunCommand
 
 DONE, FAILED, RUNNING, WAITING, BULK = (32 * letter for letter in "abcde")
@@ -130,6 +130,20 @@ def test_check_upgrades(run_command: RunCommand, old_url: str, tmp_path: Path) -
     assert "bringing the job table from version 4 to" in result.stderr
     again = run_command("check", data_dir=tmp_path, database_url=old_url)
     assert "bringing" not in again.stderr
+
+
+@pytest.mark.thorough
+def test_a_backup_of_an_older_version_comes_back(postgres: PostgresServer, tmp_path: Path) -> None:
+    """With the commands of docs/deploy.md."""
+    url, dump, programs = postgres.new_database(), tmp_path / "jobs.dump", find_binaries()
+    assert programs is not None
+    restore(url, tmp_path)
+    subprocess.run([programs / "pg_dump", "--format=custom", "--schema=sgmethod", "--file", dump, url], check=True)
+    open_table(url, tmp_path, LONG_S).close()
+    back = ["--clean", "--if-exists", "--exit-on-error", f"--dbname={url}", dump]
+    subprocess.run([programs / "pg_restore", *back], check=True)
+    with closing(open_table(url, tmp_path, LONG_S)) as table:
+        assert state(table, WAITING) == "queued"
 
 
 @pytest.mark.thorough

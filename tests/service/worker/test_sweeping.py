@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,6 +25,19 @@ from tests.support.job_table import IMAGE, LONG_S, REFUSED, OpenTable, change, c
 from tests.support.processes import failing, wait_until
 
 AT_ONCE_S = -5.0
+HOUR_S = 3600
+
+
+@pytest.fixture
+def open_job_table(open_job_table: OpenTable) -> OpenTable:
+    """Opens a table that is an hour old."""
+
+    def opener(lease_s: float, **options: Any) -> JobTable:
+        table = open_job_table(lease_s, **options)
+        change(table, f"UPDATE totals SET amount = amount - {HOUR_S} WHERE name = 'made_at'")
+        return table
+
+    return opener
 
 
 @pytest.fixture
@@ -72,8 +86,8 @@ def test_files_of_another_job_table_stay(table: JobTable, storage: Storage, tmp_
     """As with the wrong database, or a table that was lost."""
     theirs = bitstream_key(new_job_id(), 1)
     storage.put(theirs, b"bitstream")
-    an_hour_ago = time.time() - 3600
-    os.utime(tmp_path / theirs, (an_hour_ago, an_hour_ago))
+    just_before = time.time() - HOUR_S - 1
+    os.utime(tmp_path / theirs, (just_before, just_before))
     table.remove(finished(table, storage))
     assert sweep(table, storage, retention_s=0, orphan_age_s=AT_ONCE_S) == SweepResult(0, 1)
     assert stored(storage) == {theirs}
