@@ -95,10 +95,10 @@ class Kernels:
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         native.keep_in_range(GRID_REACH, width, height, *gaussians.arrays)
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
         d, f = descent, descent.frame
         visibility, by_eye, coarse = _weights(d.visibility)
-        native.rd_steps(
+        return native.rd_steps(
             target=d.target,
             cutoff=f.cutoff,
             pyramid=f.pyramid,

@@ -186,8 +186,11 @@ class Backend(Protocol):
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
-        """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between."""
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
+        """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between.
+
+        Returns the mean squared error before each step, as gradients() weighs it, or nothing, if that takes time.
+        """
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         """Gaussians as a decoder will see them, with colour 0 if they round to nothing."""
@@ -235,12 +238,14 @@ class StepwiseBackend(Backend, Protocol):
 
 def step_by_step(
     backend: StepwiseBackend, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]
-) -> None:
+) -> list[float]:
     """Take steps by the other functions of a backend, which may be its method `steps`."""
-    d = descent
+    d, errors = descent, []
     for rate in rates:
-        _, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
+        error, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
         if d.price > 0:
             backend.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
         backend.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
         backend.keep_in_range(gaussians, d.width, d.height)
+        errors.append(error)
+    return errors

@@ -124,7 +124,7 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
     for path in outputs:
         if path == STREAM:
             if sys.stdout is None or sys.stdout.isatty():
-                raise CommandError("standard output is a terminal: name a file, or redirect it with > or |")
+                raise CommandError("standard output is a terminal or closed: name a file, or redirect it with > or |")
         else:
             with _command_errors("write", path):
                 _check_writable(Path(path))

@@ -197,14 +197,16 @@ class AtlasBackend:
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         self.backend.keep_in_range(gaussians, width, height)
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
+        errors: list[float] = []
         size = self.islands.width, self.islands.height
         in_atlas = replace(descent, price=descent.price / self.share, width=size[0], height=size[1])
         for rate in rates:  # one by one: how many come together depends on the time they take, and the file must not
             moving = self._in_atlas(gaussians)
-            self.backend.steps(moving, moments, in_atlas, [rate])
+            errors += self.backend.steps(moving, moments, in_atlas, [rate])
             gaussians.means[:] = moved(moving.means, self.islands.to_picture)
             self.backend.keep_in_range(gaussians, descent.width, descent.height)
+        return errors
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         return self.backend.rounded(gaussians, coding)

@@ -257,7 +257,7 @@ def rd_steps(
     visibility: NDArray[np.int16] | None = None,
     by_eye: bool = True,
     coarse: float = 0.0,
-) -> None:
+) -> list[float]:
     """Take a step for each of the rates: Backend.steps (sgmethod/backend/protocol.py)."""
 
 class RdParameters:

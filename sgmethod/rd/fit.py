@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 from sgmethod.fitting.deadline import cosine
 from sgmethod.rd.plan import Plan, Stage, State
@@ -16,6 +17,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
     weight = s.settling_weight if stage.at >= stage.times.settling_from else s.rate_weight
     price = weight * state.bit_price
+    errors: list[list[float]] = [[]]  # before each step, by target
 
     error = partial(plan.error, gaussians, state.quantum)
 
@@ -28,12 +30,17 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
             missing = plan.finest.missing(gaussians, half=state.target.half)
             state = replace(state, target=state.target.moved(missing))
             level = replace(level, target=state.target.now)
+            errors.append([])
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
-        plan.finest.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
+        descent = plan.descent(level, state.quantum, price, state.step_length)
+        errors[-1] += plan.finest.backend.steps(gaussians, moments, descent, rates)
         steps += len(rates)
         all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
         plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
-    return replace(state, gaussians=gaussians, moments=moments, steps=steps)
+    # Whether it comes apart must not depend on how many steps are taken together, which takes their time into account.
+    comes_apart = any(after > stage.times.apart * before for one in errors for before, after in pairwise(one))
+    step_length = s.stable_length if comes_apart else state.step_length
+    return replace(state, gaussians=gaussians, moments=moments, steps=steps, step_length=step_length)
 
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:

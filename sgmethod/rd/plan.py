@@ -124,9 +124,13 @@ class Plan:
             error = _where(level.visibility.half.values > 0, error)
         return led(state.target.now, error, level.visibility.coarse, shrink, into)
 
-    def descent(self, level: Level, quantum: float, price: float) -> Descent:
-        """Describe what steps on a level minimise. price: squared error of the whole picture that a bit costs."""
+    def descent(self, level: Level, quantum: float, price: float, step_length: float = 1.0) -> Descent:
+        """Describe what steps on a level minimise.
+
+        price: squared error of the whole picture that a bit costs; step_length: factor on the longest step.
+        """
         price, optimiser = price / self.problem.pixels.size, self.settings.fit.optimiser
+        optimiser = replace(optimiser, newton_steps=step_length * optimiser.newton_steps)
         return Descent(level.frame, level.target, level.visibility, quantum, price, *self.problem.size, optimiser)
 
     def error(self, gaussians: Gaussians, quantum: float | None = None) -> float:
@@ -274,7 +278,7 @@ class State:
 
     moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: estimated
     size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing; is_enough:
-    see RateControl.is_enough(); aim: of the search, once no run follows it.
+    see RateControl.is_enough(); step_length: factor on the longest step; aim: of the search, once no run follows it.
     """
 
     gaussians: Gaussians
@@ -285,6 +289,7 @@ class State:
     size: int = 0
     saturated_price: float = np.inf
     is_enough: bool = False
+    step_length: float = 1.0
     aim: Aim | None = None
 
     @property

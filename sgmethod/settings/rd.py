@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from sgmethod.settings.shared import STRUCTURE, OptimiserSettings, StartSettings
@@ -39,6 +40,9 @@ class Times:
     # Before a file is made, the price of a bit falls from this stage on: it has decided which Gaussians stay, and would
     # only keep their colours too faint.
     settling_from: float = 0.97
+    # A fit comes apart if one step multiplies its error by this, as where many wide Gaussians overlap: its steps are
+    # shorter from the next stage on.
+    apart: float = math.inf
 
 
 # Effort 1: few growths, no surplus, and smaller pictures for longer.
@@ -63,6 +67,7 @@ ROUND = Times(
     excess_from=0.0,
     excess_until=0.6,
     few_until=0.0,
+    apart=1.25,  # it has no time to recover, as the first run has, where long steps gain more than they lose
 )
 
 
@@ -142,6 +147,7 @@ class FitSettings:
     optimiser: OptimiserSettings = NEWTON_ADAM
     rate_weight: float = 1.7  # price of a bit, in multiples of its theoretical price
     settling_weight: float = 0.5  # the same from Times.settling_from on
+    stable_length: float = 0.5  # factor on the longest step of a fit that came apart (Times.apart)
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ class BatchedTensors(Tensors):
             self._threads -= 1
             self._take_if_all_ask()
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
-        """As Backend does. Raises SgError once the fits are abandoned, and errors of the whole batch."""
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
+        """As Backend does, and returns nothing. Raises SgError once fits are abandoned, and errors of a whole batch."""
         asked = _PendingSteps(gaussians, moments, descent, tuple(rates))
         with self._condition:
             self._asked.append(asked)
@@ -69,6 +69,7 @@ class BatchedTensors(Tensors):
                 self._condition.wait(POLLED_S)
         if asked.error is not None:
             raise asked.error
+        return []
 
     def _take_if_all_ask(self) -> None:
         if not self._asked or len(self._asked) < self._threads:

@@ -51,8 +51,8 @@ class Tensors(Kernels):
         drawn, backward = self._drawn(gaussians, frame)
         return to_numpy(backward(drawn)[2])
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
-        step_by_step(self, gaussians, moments, descent, rates)
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
+        return step_by_step(self, gaussians, moments, descent, rates)
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Tensor, Backward]:
         """Draw Gaussians: a picture [3, height, width], and the function that backpropagates a gradient by it."""

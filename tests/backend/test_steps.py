@@ -68,8 +68,8 @@ def test_steps_together_are_those_one_by_one(frame: Frame, kind: str) -> None:
     wanted: list[np.ndarray] = []
     for steps, out in ((KERNELS.steps, found), (partial(step_by_step, KERNELS), wanted)):
         gaussians, moments = before.copy(), Moments.none(700)
-        steps(gaussians, moments, descent, [1.0, 0.7, 0.5])
-        out += [*gaussians.arrays, moments.first, moments.second, moments.bias]
+        errors = steps(gaussians, moments, descent, [1.0, 0.7, 0.5])
+        out += [*gaussians.arrays, moments.first, moments.second, moments.bias, np.array(errors)]
     assert all(np.array_equal(a, b) for a, b in zip(found, wanted, strict=True))
     assert not np.array_equal(found[0], before.means)
 

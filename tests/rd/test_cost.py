@@ -92,9 +92,9 @@ class Weighing(Kernels):
     def __init__(self) -> None:
         self.stepping = self.refining = 0
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
         self.stepping = max(self.stepping, tracemalloc.get_traced_memory()[0])
-        super().steps(gaussians, moments, descent, rates)
+        return super().steps(gaussians, moments, descent, rates)
 
     def refine(self, *given: Any) -> bytes:
         self.refining = max(self.refining, tracemalloc.get_traced_memory()[0])

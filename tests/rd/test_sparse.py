@@ -34,9 +34,9 @@ class Watched(Kernels):
     def __init__(self) -> None:
         self.pixels: list[int] = []
 
-    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
         self.pixels.append(descent.frame.width * descent.frame.height)
-        super().steps(gaussians, moments, descent, rates)
+        return super().steps(gaussians, moments, descent, rates)
 
 
 @pytest.mark.parametrize("number", [1, 30])

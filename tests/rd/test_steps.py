@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sgmethod import Budget, decode, encode
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Descent, Moments
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
 from sgmethod.fitting.moving_target import ExaggeratedTarget
@@ -15,6 +18,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd.densify import densify, prune_to_limit
 from sgmethod.rd.fit import fit
 from sgmethod.rd.steer import steer
+from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
 from tests.rd.short import asked, short, stage_of
 from tests.support.pictures import photo
@@ -40,6 +44,31 @@ def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> 
     after = fit(plan, state, stage_of(plan, 100, at=0.99))
     assert after.target.hides == (halvings == 0)
     assert not state.target.hides
+
+
+class Swinging(Kernels):
+    """Kernels whose steps multiply the error, or so they say, and that note how long a step may be."""
+
+    def __init__(self, growth: float) -> None:
+        self.growth = growth
+        self.lengths: list[float] = []
+
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
+        super().steps(gaussians, moments, descent, rates)
+        before, self.lengths = len(self.lengths), [*self.lengths, *len(rates) * [descent.settings.newton_steps]]
+        return [self.growth**k for k in range(before, len(self.lengths))]
+
+
+@pytest.mark.parametrize(("growth", "in_the_round"), [(1.2, {2.0}), (1.3, {2.0, 1.0})])
+def test_a_round_that_comes_apart_goes_on_with_shorter_steps(growth: float, in_the_round: set[float]) -> None:
+    """One of a photograph of 4 megapixels took 6 points of SSIMULACRA 2; a first run has time to recover."""
+    backend, settings = Swinging(growth), short(60)
+    given = asked(CROP, BUDGET, settings=settings, backend=backend)
+    given.encode()
+    first = given.begun()[0].lengths[0]
+    assert set(backend.lengths[:first]) == {2.0}
+    assert set(backend.lengths[first:]) == in_the_round
+    assert backend.lengths == sorted(backend.lengths, reverse=True)
 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:

@@ -1,4 +1,5 @@
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <tuple>
 #include <utility>
@@ -36,7 +37,7 @@ void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors,
   });
 }
 
-void steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
+std::vector<double> steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
            const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height, RowsOut<2> means,
            RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
            std::optional<Visibility> visibility, bool by_eye, float coarse) {
@@ -55,8 +56,8 @@ void steps(Target target, float cutoff, bool pyramid, float spacing, float quant
                             width,
                             height};
   const Unlocked unlocked;
-  sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, rows(means, factors, colors),
-               {first.data(), second.data(), bias.data()});
+  return sg::rd_steps(descent, rates.data(), static_cast<int>(rates.size()), n, rows(means, factors, colors),
+                      {first.data(), second.data(), bias.data()});
 }
 
 int64_t quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,

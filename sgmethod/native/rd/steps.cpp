@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "core/platform.h"
 #include "core/scratch.h"
@@ -67,7 +68,9 @@ void add_rate_gradient(float quantum, float weight, int first, int last, const C
                  grad.factors + 3 * i, grad.colors + 3 * i);
 }
 
-void rd_steps(const Descent& d, const float* rates, int steps, int n, const MutableGaussians& p, const Averages& a) {
+std::vector<double> rd_steps(const Descent& d, const float* rates, int steps, int n, const MutableGaussians& p,
+                             const Averages& a) {
+  std::vector<double> errors;
   const auto count = static_cast<size_t>(n);
   Scratch gradients(8 * count), placed(d.spacing == 1 ? 0 : 5 * count);
   const MutableGaussians by{gradients.get(), gradients.get() + 2 * count, gradients.get() + 5 * count};
@@ -83,7 +86,7 @@ void rd_steps(const Descent& d, const float* rates, int steps, int n, const Muta
       means = at, factors = at + 2 * count;
     }
     const Rasterization raster(means, factors, n, d.canvas, -1, kMaxPairs);
-    squared_error(raster, p.colors, d.target, by, d.visibility, d.seen, coarse);
+    errors.push_back(squared_error(raster, p.colors, d.target, by, d.visibility, d.seen, coarse));
     parallel_chunks(n, kBlock, [&](int first, int last, int) {
       for (int i = 2 * first; i < 2 * last; ++i) by.means[i] *= samples;
       for (int i = 3 * first; i < 3 * last; ++i) by.factors[i] *= samples;
@@ -92,6 +95,7 @@ void rd_steps(const Descent& d, const float* rates, int steps, int n, const Muta
       keep_in_range(d.reach, d.width, d.height, first, last, p);
     });
   }
+  return errors;
 }
 
 }  // namespace sg

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "core/constants.h"
 #include "fit/optimiser.h"
@@ -28,8 +29,8 @@ struct Descent {
 void add_rate_gradient(float quantum, float weight, int first, int last, const ConstGaussians& p,
                        const MutableGaussians& grad);
 
-// A step for each of the rates [steps], factors on all rates of the settings.
-void rd_steps(const Descent& descent, const float* rates, int steps, int n, const MutableGaussians& p,
-              const Averages& averages);
+// A step for each of the rates [steps], factors on all rates of the settings. Returns the mean squared error before each.
+std::vector<double> rd_steps(const Descent& descent, const float* rates, int steps, int n, const MutableGaussians& p,
+                             const Averages& averages);
 
 }  // namespace sg
