@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -17,8 +18,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
     weight = s.settling_weight if stage.at >= stage.times.settling_from else s.rate_weight
     price = weight * state.bit_price
-    errors: list[list[float]] = [[]]  # before each step, by target
-
+    moves = 0  # of the target
+    errors = defaultdict[tuple[int, float], list[float]](list)  # before each step, by target and weight of coarse ones
     error = partial(plan.error, gaussians, state.quantum)
 
     def while_target_rests() -> int:
@@ -30,15 +31,16 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
             missing = plan.finest.missing(gaussians, half=state.target.half)
             state = replace(state, target=state.target.moved(missing))
             level = replace(level, target=state.target.now)
-            errors.append([])
+            moves += 1
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         descent = plan.descent(level, state.quantum, price, state.step_length)
-        errors[-1] += plan.finest.backend.steps(gaussians, moments, descent, rates)
+        coarse = level.visibility.coarse if level.visibility else 0.0
+        errors[moves, coarse] += plan.finest.backend.steps(gaussians, moments, descent, rates)
         steps += len(rates)
         all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
         plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
     # Whether it comes apart must not depend on how many steps are taken together, which takes their time into account.
-    comes_apart = any(after > stage.times.apart * before for one in errors for before, after in pairwise(one))
+    comes_apart = any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one))
     step_length = s.stable_length if comes_apart else state.step_length
     return replace(state, gaussians=gaussians, moments=moments, steps=steps, step_length=step_length)
 
