@@ -87,7 +87,13 @@ def histogram(so_far: Mapping[str, float], name: str) -> Iterator[tuple[float, f
 
 def totals(db: Database) -> Mapping[str, float]:
     """Return all totals by name. Those that are still zero are missing."""
-    return {row["name"]: row["amount"] for row in db.execute("SELECT name, amount FROM totals").fetchall()}
+    rows = db.execute("SELECT name, amount FROM totals WHERE name <> 'made_at'").fetchall()
+    return {row["name"]: row["amount"] for row in rows}
+
+
+def made_at(db: Database) -> float:
+    """Return when the table was made, plus a minute; 0 if it had jobs before it noted that."""
+    return float(db.execute("SELECT amount FROM totals WHERE name = 'made_at'").fetchone()["amount"])
 
 
 def take_delivery(db: Database, address: str) -> Delivery | None:

@@ -309,9 +309,9 @@ class JobTable(ABC):
             db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
     def made_at(self) -> float:
-        """Return when the table was made, plus a minute; 0 if it had jobs before it noted that."""
+        """Return when the table was made, as outcomes.made_at() has it."""
         with self._connection() as db:
-            return float(outcomes.totals(db)["made_at"])
+            return outcomes.made_at(db)
 
     def unneeded(self, keys: Iterable[str]) -> Iterator[str]:
         """Yield those of the storage keys that no job needs."""
