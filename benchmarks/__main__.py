@@ -28,6 +28,7 @@ KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 UNSEEN = "--images {photographs}/unseen --weights {weights} --seen-bpp 0.25"
 RATES, QUALITIES = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70"
+OTHERS = "'avif tune=psnr 10 bits' heic webp jpegxl jpeg"
 # By size, of 0.7 to 4 megapixels: AVIF tuned for SSIMULACRA 2 takes up to a minute for one encode of the largest.
 SEVEN = "dachshund,glass_bowls,pot_holder,parry_peak,canyon_river,aguas_claras,after_the_rain"
 WHOLE = f"--images {{photographs}}/whole --pictures {SEVEN}"
@@ -58,18 +59,20 @@ SMALL = {
     "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
 }
 FULL = {
-    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25",
+    "rd/kodak": f"rd {SEEN} {RATES} --seen-bpp 0.25 --tune psnr visual",
     "rd/others": f"rd {SEEN} {RATES} --seen-bpp 0.25 --profiles '' --baselines",
-    "rd/unseen": f"rd {UNSEEN} {RATES} --baselines 'avif tune=psnr 10 bits' heic webp jpegxl jpeg "
-    f"+ rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif tune=iq 4:4:4' 'avif tune=iq 10 bits'",
+    "rd/unseen": f"rd {UNSEEN} --bpp 0.25 --tune psnr visual --baselines {OTHERS} 'avif tune=iq 4:4:4' "
+    "'avif tune=iq 10 bits' 'avif grain'",
+    "rd/unseen-rates": f"rd {UNSEEN} --bpp 0.1,0.15,0.4 --tune psnr visual --baselines {OTHERS}",
     "rd/equal-768": "rd --images {photographs}/unseen --most 7 --bpp 0.25,0.5,1 --equal --judges --weights {weights} "
     "--seen-bpp 0.25,0.5,1 --tune psnr fidelity visual visual-without-texture --baselines 'avif tune=psnr 10 bits' "
     "'avif tune=iq 4:4:4' 'avif tune=ssimulacra2' 'avif grain' jpegxl webp jpegli",
-    "rd/equal-whole": f"rd {WHOLE} --equal --bpp 0.25,0.5,1 --tune fidelity visual --baselines 'avif tune=ssimulacra2'",
+    "rd/equal-whole": f"rd {WHOLE} --equal --bpp 0.25,0.5,1 --tune fidelity --baselines 'avif tune=ssimulacra2'",
+    "rd/equal-whole-eye": f"rd {WHOLE} --weights {{weights}} --seen-bpp 0.25,0.5,1 --equal --bpp 0.25,0.5,1 "
+    "--tune visual --baselines 'avif tune=iq 4:4:4' 'avif grain'",
     "rd/equal-whole-psnr": f"rd {WHOLE} --equal --bpp 0.25,0.5,1 --tune psnr "
     "--baselines 'avif tune=psnr 10 bits' jpegxl webp jpegli",
     "rd/equal-kodak": f"rd {KODAK} --equal --bpp 0.25 --tune fidelity visual --baselines 'avif tune=ssimulacra2'",
-    "rd/grain": f"rd {UNSEEN} --bpp 0.25 --profiles '' --baselines 'avif grain'",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
     "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",

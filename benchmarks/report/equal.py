@@ -17,7 +17,7 @@ SETS = {"768": "with a longer side of 768 pixels", "whole": "at their own size",
 # The JSON of each, of which no two have the same row.
 FILES = {
     "768": ("rd/equal-768",),
-    "whole": ("rd/equal-whole", "rd/equal-whole-psnr"),
+    "whole": ("rd/equal-whole", "rd/equal-whole-eye", "rd/equal-whole-psnr"),
     "kodak": ("rd/equal-kodak",),
 }
 # Codec and setting of a row, and the names of its files. Where AVIF was made in 8 and in 10 bits, a row has those bits

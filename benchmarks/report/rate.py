@@ -66,7 +66,7 @@ QUOTED |= {"lottery-codec": "LotteryCodec"}
 # The headline: photographs on which nothing was chosen, and Kodak's beside them; against whom, and over which rates.
 UNSEEN, KODAK = "rd/unseen", "rd/kodak"
 # The JSON of each set; some have other codecs alone, whose files ours leave as they are.
-FILES = {UNSEEN: (UNSEEN, "rd/grain"), KODAK: (KODAK, "rd/effort", "rd/others", "rd/avif")}
+FILES = {UNSEEN: (UNSEEN, "rd/unseen-rates"), KODAK: (KODAK, "rd/effort", "rd/others", "rd/avif")}
 HEADLINE_SETS = {UNSEEN: "held-out photographs", KODAK: "Kodak"}
 HEADLINE_AGAINST = {"avif tune=psnr 10 bits": "AVIF, 10 bits", "heic": "HEIC", "webp": "WebP"}
 HEADLINE_RATES = {
