@@ -94,8 +94,8 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
     ),
     # Version 7: a queued job with a lease is put off. Before, a released one kept its lease.
     ("UPDATE jobs SET lease_until = NULL WHERE state = 'queued'",),
-    (  # Version 8: older files are those of another table. A minute later, as that may have been lost just before.
-        "INSERT INTO totals SELECT 'made_at', CASE WHEN EXISTS (SELECT 1 FROM stored) THEN 0 ELSE epoch() + 60 END",
+    (  # Version 8: older files are those of another table.
+        "INSERT INTO totals SELECT 'made_at', CASE WHEN EXISTS (SELECT 1 FROM stored) THEN 0 ELSE epoch() END",
     ),
 )
 NEWEST_VERSION = FIRST_VERSION + len(MIGRATIONS)

@@ -92,7 +92,7 @@ def totals(db: Database) -> Mapping[str, float]:
 
 
 def made_at(db: Database) -> float:
-    """Return when the table was made, plus a minute; 0 if it had jobs before it noted that."""
+    """Return when the table was made; 0 if it had jobs before it noted that."""
     return float(db.execute("SELECT amount FROM totals WHERE name = 'made_at'").fetchone()["amount"])
 
 
