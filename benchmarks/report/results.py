@@ -12,7 +12,7 @@ from benchmarks.tables import number
 
 Row = dict[str, Any]
 LINKS = "../../benchmarks/results"  # from docs/results
-# Commits whose encoder makes the files of this version: what was measured again came out the same.
+# Commits whose encoder makes the files of this version, but where a round comes apart (notebook, optimiser.md).
 SAME_FILES = ("86c86bb1d67f", "e5deed7f08e6", "5f690937f91c")
 # What does not depend on the encoder: other codecs, kernels, and the service, which is loaded with a few files.
 WITHOUT_FILES = ("gpu", "rd/avif", "rd/others", "service/")
