@@ -91,11 +91,6 @@ def totals(db: Database) -> Mapping[str, float]:
     return {row["name"]: row["amount"] for row in rows}
 
 
-def made_at(db: Database) -> float:
-    """Return when the table was made; 0 if it had jobs before it noted that."""
-    return float(db.execute("SELECT amount FROM totals WHERE name = 'made_at'").fetchone()["amount"])
-
-
 def take_delivery(db: Database, address: str) -> Delivery | None:
     """Take the delivery to the address that is due for longest; None if there is none, or another worker took it.
 

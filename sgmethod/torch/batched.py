@@ -58,7 +58,10 @@ class BatchedTensors(Tensors):
             self._take_if_all_ask()
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
-        """As Backend does, and returns nothing. Raises SgError once fits are abandoned, and errors of a whole batch."""
+        """As Backend does, but returns no errors before steps.
+
+        Raises SgError once the fits are abandoned, and errors of the whole batch.
+        """
         asked = _PendingSteps(gaussians, moments, descent, tuple(rates))
         with self._condition:
             self._asked.append(asked)

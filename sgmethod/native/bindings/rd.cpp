@@ -38,9 +38,9 @@ void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors,
 }
 
 std::vector<double> steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
-           const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height, RowsOut<2> means,
-           RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
-           std::optional<Visibility> visibility, bool by_eye, float coarse) {
+                          const sg::AdamSettings& settings, Numbers rates, float reach, float width, float height,
+                          RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second,
+                          RowsOut<2> bias, std::optional<Visibility> visibility, bool by_eye, float coarse) {
   const int n = gaussians(means, factors, colors, first, second, bias);
   const int across = side(target, 2), down = side(target, 1);
   const sg::Descent descent{{0, 0, across, down, cutoff, pyramid},

@@ -29,7 +29,8 @@ struct Descent {
 void add_rate_gradient(float quantum, float weight, int first, int last, const ConstGaussians& p,
                        const MutableGaussians& grad);
 
-// A step for each of the rates [steps], factors on all rates of the settings. Returns the mean squared error before each.
+// A step for each of the rates [steps], factors on all rates of the settings. Returns the mean squared error before
+// each.
 std::vector<double> rd_steps(const Descent& descent, const float* rates, int steps, int n, const MutableGaussians& p,
                              const Averages& averages);
 
