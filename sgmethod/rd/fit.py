@@ -12,8 +12,8 @@ from sgmethod.rd.plan import Plan, Stage, State
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
-    """Take the steps of a stage."""
-    state = _without_grain(plan, state, stage)
+    """Take the steps of a stage, but undo them if the fit comes apart: later ones are shorter."""
+    begun = state = _without_grain(plan, state, stage)
     s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
     weight = s.settling_weight if stage.at >= stage.times.settling_from else s.rate_weight
@@ -40,9 +40,9 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
         plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
     # Whether it comes apart must not depend on how many steps are taken together, which takes their time into account.
-    comes_apart = any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one))
-    step_length = s.stable_length if comes_apart else state.step_length
-    return replace(state, gaussians=gaussians, moments=moments, steps=steps, step_length=step_length)
+    if any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one)):
+        return replace(begun, steps=steps, step_length=s.stable_length)
+    return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
