@@ -36,13 +36,15 @@ EIGHT = "--images {photographs}/unseen --most 8 --megapixels 0.4"
 # Of the photographs in LARGE, those that chose no constant.
 LARGE = "broken_pcb,christmas_table,dahlia,fir_tip,lying_dog,peony,red_lake,two_samoyeds"
 EIGHT_LARGE = f"--images {{photographs}}/large --most 99 --pictures {LARGE} --megapixels 4"
-TWO_LARGE = "--images {photographs}/large --most 99 --pictures broken_pcb,dahlia --megapixels 4"
+TWO_LARGE = "--images {photographs}/large --most 99 --pictures broken_pcb,dahlia --megapixels"
 SMOOTH, TEXTURED = "hill_fog,yellow_sky,wet_petal", "canyon_river,two_samoyeds,pot_holder"
 SIX = (
     f"--images {{photographs}}/unseen --most 99 --pictures {SMOOTH},{TEXTURED} --bpp 0.25 --tunes psnr,fidelity,visual"
 )
 BUT_AVIF = "--methods 'rd,rd visual,rd fidelity,paper,jpeg,webp,jpegxl,avif visual'"
-AND_AVIF = "--methods 'avif,rd until,rd fidelity until'"
+BUT_UNTIL = "--methods 'rd,rd visual,rd fidelity,paper,jpeg,webp,jpegxl,avif,avif visual'"
+BUT_PAPER = "--methods 'rd,rd visual,rd fidelity,jpeg,webp,jpegxl,avif,avif visual'"
+AND_AVIF = "--methods avif"
 ONE_CORE = "--few --limits 4 --cores 1 --methods 'rd,rd visual,rd fidelity,avif,avif visual,rd until,rd fidelity until'"
 NO_BASELINES = "--methods 'rd,rd visual,paper'"
 # The JSON of each command, and the command, or several that write to it.
@@ -82,9 +84,11 @@ FULL = {
     "perceptual/photographs": "perceptual --images {photographs}/measured --weights {weights} --bpp 0.25",
     "convergence/0.4-megapixels": f"convergence {EIGHT} --few {BUT_AVIF} --seconds 10 --paper-limits 3 "
     f"+ convergence {EIGHT} {AND_AVIF} --seconds 10",
-    "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5",
+    "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5 "
+    f"{BUT_UNTIL}",
+    "convergence/12-megapixels": f"convergence {TWO_LARGE} 12 --few --limits 4 {BUT_PAPER}",
     "convergence/0.4-megapixels-1-core": f"convergence {EIGHT} {ONE_CORE}",
-    "convergence/4-megapixels-1-core": f"convergence {TWO_LARGE} {ONE_CORE}",
+    "convergence/4-megapixels-1-core": f"convergence {TWO_LARGE} 4 {ONE_CORE}",
     "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",

@@ -9,7 +9,7 @@ again with each effort. rd visual, rd fidelity and avif visual: tuned for the ey
 Other codecs: each speed or effort at the best quality within the budget. Seconds include the search for a file of that
 size, ours and theirs; the search of another codec begins at the quality of its next quicker setting, which does not
 count. encode_s is the encode that the search ends with, alone. mib: the peak of memory of an encode or search, over
-what the process had before all of them.
+what the process had before it.
 rd until, rd fidelity until: into the bytes of AVIF at speed 4, the lowest effort that has its PSNR, or SSIMULACRA 2;
 the table at the end compares their times.
 --seconds: for paper, where no limit is shorter. --few: some settings of each other codec, three efforts of rd.
@@ -136,8 +136,6 @@ class Run:
     def all_of(self, picture: str, megapixels: float, pixels: Pixels) -> None:
         """Measure every method on one picture."""
         o, budget = self.options, Budget("bpp", self.options.bpp)
-        forget_peak()
-        before = peak_bytes() / 2**20
         # What the first of a process takes counts nowhere, and of rd what the first of a size takes.
         encode(pixels, bpp=o.bpp, tune="psnr")
         encode(pixels[:WARMED_ON, :WARMED_ON], gaussians=50, profile="paper", time_limit_s=0.1)
@@ -145,9 +143,9 @@ class Run:
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
             key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
             if method in o.methods and not self.record.has(**key):
-                forget_peak()
+                before = forget_peak()
                 row = measure()
-                self.record.add({**key, **row, "mib": row["mib"] - before})
+                self.record.add({**key, **row, "mib": row["mib"] - before / 2**20})
 
         for profile in OURS:
             limits = o.limits if profile == "rd" else o.paper_limits

@@ -130,8 +130,7 @@ def of_large(scene: str, megapixels: float, max_bytes: int, photographs: Path) -
     """Figures of a large scene, measured in this process."""
     pixels = large(scene, megapixels, photographs)
     encode(drawn()["gradient"], bytes=100)  # the first of a process loads what others find there
-    forget_peak()
-    before, began = peak_bytes(), time.process_time()
+    before, began = forget_peak(), time.process_time()
     s = encode(pixels, bytes=max_bytes).stats
     return {
         **{"gaussians": s.gaussians, "bytes": s.bytes, "psnr": min(s.psnr, EXACT_DB)},
