@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import json
 import os
@@ -17,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from sgmethod.backend.protocol import release_memory
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 
@@ -129,11 +129,15 @@ class Record:
 def command(module: str) -> str:
     """The command line without --out, after SG_THREADS if it is set. A path is replaced by its last part in capitals,
     because its place on this machine means nothing elsewhere."""
-    words = [Path(word).name.upper() if "/" in word else word for word in sys.argv[1:]]
+    words = [Path(word).name.upper() if "/" in word and not _is_result(word) else word for word in sys.argv[1:]]
     if "--out" in words:
         del words[words.index("--out") : words.index("--out") + 2]
     threads = os.environ.get("SG_THREADS")
     return (f"SG_THREADS={threads} " if threads else "") + shlex.join(["python", "-m", *module.split(), *words])
+
+
+def _is_result(name: str) -> bool:
+    return (RESULTS / f"{name}.json").exists()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -156,10 +160,9 @@ def peak_bytes(process: int | str = "self") -> int:
 def forget_peak() -> int:
     """Let peak_bytes() of this process begin anew, at the memory in use now, and return that.
 
-    What was freed goes back to the system first: a task would else run in what an earlier one left, and seem to need
-    nothing.
+    First return freed memory to the system: otherwise a task reuses what an earlier one freed, and seems to need none.
     """
-    ctypes.CDLL(None).malloc_trim(0)
+    release_memory()
     Path("/proc/self/clear_refs").write_text("5")
     return peak_bytes()
 

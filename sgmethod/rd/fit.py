@@ -12,7 +12,7 @@ from sgmethod.rd.plan import Plan, Stage, State
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
-    """Take the steps of a stage, but undo them if the fit comes apart: later ones are shorter."""
+    """Take the steps of a stage. If the fit comes apart, undo them and shorten later ones."""
     begun = state = _without_grain(plan, state, stage)
     s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
@@ -41,7 +41,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
     # Whether it comes apart must not depend on how many steps are taken together, which takes their time into account.
     if any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one)):
-        return replace(begun, steps=steps, step_length=s.stable_length)
+        # The target that has moved stays: it lies in the memory of the one before, and will move again.
+        return replace(begun, target=state.target, steps=steps, step_length=s.stable_length * state.step_length)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
