@@ -11,6 +11,7 @@ python -m benchmarks.ablation     the paper's ablations, and what its start and 
 python -m benchmarks.robustness   hard pictures (stiff), extreme Gaussians and bad starts (extremes), under rules
 python -m benchmarks.service      the service under load, attacked, and killed at random (chaos)
 python -m benchmarks.scenes       what easy and hard scenes need, and what each saving saves
+python -m benchmarks.again        published files of ours, made once more and compared
 python -m benchmarks.report       tables and plots of docs/results and README.md from the JSON
 
 benchmarks.page_samples and .page_wall make the pictures of the service's page again, and .page_previews those of the

@@ -1,6 +1,6 @@
 """Encode again what published rows say of our files: does today's encoder make the same ones?
 
-    python -m benchmarks.again rd/kodak convergence/4-megapixels ... --images KODAK --photographs PHOTOGRAPHS [--most 24]
+    python -m benchmarks.again rd/kodak convergence/4-megapixels --images KODAK --photographs PHOTOGRAPHS [--most 24]
 
 Of each JSON of rd or convergence, at most --most rows of ours without a time limit, drawn by chance. A row is alike if
 bytes and PSNR are. Files differ between instruction sets, by the last bits of each step, so each is made with the one
@@ -28,7 +28,7 @@ from sgmethod import decode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.native import ISAS
-from sgmethod.profiles import TUNES
+from sgmethod.profiles import DEFAULT_EFFORT, TUNES
 
 SAME_DB = 1e-6
 SG_ISA = dict(zip(ISA_NAMES, ISAS, strict=True))  # its value for the name in a JSON
@@ -52,13 +52,13 @@ def made(row: Row, bpp: float | None) -> Made | None:
     if "codec" in row:
         set_as = row["effort"], row["quality"] is not None
         ours = [Sg("rd", tune, texture, *set_as) for tune in TUNES for texture in (True, False) if row["effort"]]
-        codec = next((one for one in ours if one.name == row["codec"]), None)
-        return codec and Made(codec, row["max_bpp"] or row["quality"], row["image"], None)
+        found = [Made(one, row["max_bpp"] or row["quality"], row["image"], None) for one in ours]
+        return next((one for one in found if one.codec.name == row["codec"]), None)
     effort = re.fullmatch(r"(?:effort (\d))?", row["setting"])
     tune = TUNED.get(row["method"], "psnr" if row["method"] == OURS[0] else None)
     if bpp is None or effort is None or tune is None:
         return None
-    codec = Sg("rd", tune, **({"effort": int(effort[1])} if effort[1] else {}))
+    codec = Sg("rd", tune, effort=int(effort[1] or DEFAULT_EFFORT))
     return Made(codec, bpp, row["picture"], row["megapixels"])
 
 
@@ -98,8 +98,8 @@ def main() -> None:
         every = [(one, row) for row in published["rows"] if (one := how(row))]
         # Every second or twelfth row would all be of one codec or rate.
         for one, row in random.Random(0).sample(every, min(options.most, len(every))):
-            aim = {"quality" if one.codec.one_quality else "bpp": one.aim}
-            key = {"result": name, "commit": published["commit"], "codec": one.codec.name, "picture": one.picture, **aim}
+            key = {"result": name, "commit": published["commit"], "codec": one.codec.name, "picture": one.picture}
+            key |= {"quality" if one.codec.one_quality else "bpp": one.aim}
             if not record.has(**key):
                 record.add({**key, **alone(again, one, images, row)})
     for name in dict.fromkeys(row["result"] for row in record.rows):
