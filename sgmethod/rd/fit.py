@@ -12,7 +12,8 @@ from sgmethod.rd.plan import Plan, Stage, State
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
-    """Take the steps of a stage. If the fit comes apart, undo them and shorten later ones."""
+    """Take the steps of a stage, and take them again with shorter ones the first time that the fit comes apart."""
+    began_at = stage.pace.done, stage.pace.progress
     begun = state = _without_grain(plan, state, stage)
     s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
@@ -40,9 +41,11 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
         plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
     # Whether it comes apart must not depend on how many steps are taken together, which takes their time into account.
-    if any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one)):
+    comes_apart = any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one))
+    if comes_apart and state.step_length > s.stable_length:
+        stage.pace.done, stage.pace.progress = began_at
         # The target that has moved stays: it lies in the memory of the one before, and will move again.
-        return replace(begun, target=state.target, steps=steps, step_length=s.stable_length * state.step_length)
+        return fit(plan, replace(begun, target=state.target, steps=steps, step_length=s.stable_length), stage)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 

@@ -79,7 +79,7 @@ class Plan:
     def all_steps(self, done: int) -> int:
         """Expected steps of the encode, given those done: rounds for a missed quality count once they have begun."""
         expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1])
-        return expected if done <= expected else sum(self.lengths)
+        return expected if done <= expected else max(sum(self.lengths), done)  # a stage may be taken again
 
     def begin(self, gaussians: Gaussians) -> State:
         """Return the state before the first step."""

@@ -40,8 +40,8 @@ class Times:
     # Before a file is made, the price of a bit falls from this stage on: it has decided which Gaussians stay, and would
     # only keep their colours too faint.
     settling_from: float = 0.97
-    # A fit comes apart if one step multiplies its error by this, as where many wide Gaussians overlap: the steps of
-    # that stage are undone, and later ones are shorter.
+    # A fit comes apart if one step multiplies its error by this, as where many wide Gaussians overlap: it then takes
+    # that stage's steps again, shorter, as all later ones.
     apart: float = math.inf
 
 
