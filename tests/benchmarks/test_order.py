@@ -1,11 +1,13 @@
-"""Files that are worse though they had more time or more bytes, by hand."""
+"""Checks of robustness: of order, on rows by hand, and that bad starts reach the fit."""
 
 from __future__ import annotations
 
 import pytest
 
+from benchmarks.robustness.fits import PLACED_BY
 from benchmarks.robustness.order import EFFORT, SIZE, Row, checks, judged, spread
 from sgmethod.profiles import Tune
+from sgmethod.start.placement import place_by_structure
 
 
 def row(figure: float, *, bpp: float = 0.25, effort: int = 5, seed: int = 0, tune: Tune = "psnr") -> Row:
@@ -26,3 +28,8 @@ def test_spread_is_over_seeds_alone() -> None:
     rows = [row(30.0), row(31.0, seed=1), row(40.0, bpp=1), row(40.2, bpp=1, seed=1), row(99.0, effort=9)]
     assert spread(rows, "psnr") == pytest.approx(((0.5 + 0.02) / 2) ** 0.5)
     assert spread(rows, "visual") == 0
+
+
+def test_bad_starts_spoil_what_each_profile_calls() -> None:
+    """Under its former name they spoiled nothing, and the failures were counted as the encoder's."""
+    assert all(vars(module)["place_by_structure"] is place_by_structure for module in PLACED_BY.values())
