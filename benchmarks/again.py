@@ -3,8 +3,8 @@
     python -m benchmarks.again rd/kodak convergence/4-megapixels --images KODAK --photographs PHOTOGRAPHS [--most 24]
 
 Of each JSON of rd or convergence, at most --most rows of ours without a time limit, drawn by chance. A row is alike if
-bytes and PSNR are. Files differ between instruction sets, by the last bits of each step, so each is made with the one
-that its JSON names. Pages mark results that are not alike.
+bytes and PSNR are. Files differ between processors, by the last bits of each step; at least the instruction set is the
+one that a JSON names. Pages say how many are alike or, if not all are, the mean difference in PSNR.
 """
 
 from __future__ import annotations

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+import statistics
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 from benchmarks.machine import RESULTS, threads_of
-from benchmarks.tables import number
+from benchmarks.tables import number, standard_error
 
 Row = dict[str, Any]
 LINKS = "../../benchmarks/results"  # from docs/results
 # Commits whose encoder makes the files of this version, but where a round comes apart (notebook, optimiser.md).
-SAME_FILES = ("86c86bb1d67f", "e5deed7f08e6", "5f690937f91c")
+SAME_FILES = ("5f690937f91c", "b1fce0073842", "453c9ee34699", "08be4e916414")
 # What does not depend on the encoder: other codecs, kernels, and the service, which is loaded with a few files.
 WITHOUT_FILES = ("gpu", "rd/avif", "rd/others", "service/")
 
@@ -44,11 +45,19 @@ def sources(names: Sequence[str]) -> str:
 
 
 def _origin(name: str) -> str:
-    """The threads and the commit of a JSON, and whether its files may differ from today's."""
+    """The threads and the commit of a JSON, and whether today's encoder makes its files."""
     found = load(name)
     words = ["by one thread"] * (threads_of(found) == 1) + [found["commit"]]
-    is_earlier = found["commit"] not in SAME_FILES and not name.startswith(WITHOUT_FILES)
-    return ", ".join(words + ["earlier encoder"] * is_earlier)
+    again = [row for row in rows("again") if (row["result"], row["commit"]) == (name, found["commit"])]
+    if again and all(row["alike"] for row in again):
+        words.append(f"{len(again)} files made again are alike")
+    elif again:
+        more = [row["psnr"] - row["published"]["psnr"] for row in again]
+        error = standard_error(more) or 0.0
+        words.append(f"{len(again)} files made again have {statistics.fmean(more):+.3f} ± {error:.3f} dB")
+    elif found["commit"] not in SAME_FILES and not name.startswith(WITHOUT_FILES):
+        words.append("earlier encoder")
+    return ", ".join(words)
 
 
 def seconds(value: float) -> str:

@@ -12,7 +12,7 @@ from benchmarks.report.results import Row, load, rows, seconds
 from benchmarks.speed.growth import exponent, growth_table
 from benchmarks.tables import MISSING, number, standard_error, table
 
-SIZES = {0.4: "convergence/0.4-megapixels", 4: "convergence/4-megapixels"}
+SIZES = {0.4: "convergence/0.4-megapixels", 4: "convergence/4-megapixels", 12: "convergence/12-megapixels"}
 ONE_CORE = [f"convergence/{size}-megapixels-1-core" for size in ("0.4", "4")]
 METHODS = {
     ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
@@ -26,10 +26,17 @@ METHODS = {
     ("webp", "6"): "WebP, method 6",
     ("jpeg", "0"): "JPEG",
 }
+COSTS = METHODS | {
+    ("rd fidelity", "effort 1"): "`rd`, effort 1, tuned for fidelity",
+    ("rd fidelity", ""): "`rd`, tuned for fidelity",
+    ("avif visual", "6"): "AVIF of 10 bits, `tune=iq`, speed 6",
+    ("avif visual", "4"): "AVIF of 10 bits, `tune=iq`, speed 4",
+}
 SECONDS = {0.4: (0.1, 0.25, 0.5, 1, 3, 10), 4: (1, 3, 10, 30)}
 WITHIN = {
     "rd": "`rd`, tuned for PSNR",
     "rd visual": "`rd`, tuned for the eye (the default)",
+    "rd fidelity": "`rd`, tuned for fidelity",
     "paper": "`paper`",
     "avif": "AVIF of 10 bits, `tune=psnr`",
     "avif visual": "AVIF of 10 bits, `tune=iq`",
@@ -41,7 +48,7 @@ REACHED: dict[float, dict[str, tuple[float, ...]]] = {
     0.4: {"psnr": (30, 31, 32, 32.5, 33), "ssimulacra2": (30, 35, 40, 45, 50)},
     4: {"psnr": (39, 40, 41, 41.5), "ssimulacra2": (60, 65, 70, 72, 75)},
 }
-FIGURES = ("seconds", "encode_s", "decode_ms", "psnr", "ssimulacra2", "bytes")  # of which some have no encode_s
+FIGURES = ("seconds", "encode_s", "mib", "decode_ms", "psnr", "ssimulacra2", "bytes")  # of which some have no encode_s
 UNITS = {"psnr": "{:g} dB", "ssimulacra2": "SSIMULACRA 2 {:g}"}
 DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, tuned for PSNR, by effort or time limit", "rd visual": "rd, tuned for the eye, by effort"}
@@ -85,6 +92,20 @@ def sizes_table() -> str:
     return table(" | ".join(["method", *titles]), lines)
 
 
+def costs_table(megapixels: float) -> str:
+    """A line for each method at one size, the quickest first: seconds with the search for a size, and of one encode of
+    another codec; quality, bytes, and memory where it was measured. Means over the pictures."""
+    found = {name: m for key, name in COSTS.items() if (m := at(megapixels, *key))}
+    titles = "method | with its search, s | one encode, s | PSNR, dB | SSIMULACRA 2 | bytes"
+    has_memory = all("mib" in m for m in found.values())
+    lines = []
+    for name, m in sorted(found.items(), key=lambda item: item[1]["seconds"]):
+        times = seconds(m["seconds"]), seconds(m["encode_s"]) if "encode_s" in m else MISSING
+        memory = [number(m["mib"], ",.0f")] if has_memory else []
+        lines.append([name, *times, f"{m['psnr']:.1f}", f"{m['ssimulacra2']:.1f}", f"{m['bytes']:,.0f}", *memory])
+    return table(titles + " | memory, MiB" * has_memory, lines)
+
+
 def until() -> str:
     """A line for each size and figure: seconds until AVIF's quality at AVIF's bytes, on one core."""
     return until_table([row for name in ONE_CORE for row in rows(name)])
@@ -111,9 +132,11 @@ def figures() -> dict[str, float]:
         found[f"speed.avif-{end}"], found[f"speed.avif-once-{end}"] = avif["seconds"], avif["encode_s"]
         found[f"speed.avif-psnr-{end}"] = avif["psnr"]
         found[f"speed.decode-{end}"] = visual["decode_ms"]
-        eye = {"rd": visual, "avif-visual": at(size, "avif visual", "6"), "jpegxl": at(size, "jpegxl", "7")}
+        eye = {"rd": visual, "fidelity": at(size, "rd fidelity", "")}
+        eye |= {"avif-visual": at(size, "avif visual", "6"), "jpegxl": at(size, "jpegxl", "7")}
         for name, one in eye.items():
             found[f"speed.{name}-ssimulacra2-{end}"] = one["ssimulacra2"] if one else math.nan
+            found[f"speed.{name}-seconds-{end}"] = one["seconds"] if one else math.nan
         for name, other in (("jpeg", at(size, "jpeg", "0")), ("avif", avif)):
             assert other
             found[f"speed.{name}-decode-{end}"] = other["decode_ms"]
@@ -151,6 +174,8 @@ def draw(axes: Any, megapixels: float) -> None:
     lows = []
     for k, method in enumerate(DRAWN):
         points = sorted((m["seconds"], m["psnr"], m["psnr_error"]) for m in every_setting(megapixels, method))
+        if not points:
+            continue
         look = {"linestyle": "none"} if method in ("webp", "jpeg") else {}
         seconds_, db, error = zip(*points, strict=True)
         axes.errorbar(seconds_, db, error, capsize=2, **style(k) | look | {"label": LABELS.get(method, method)})
