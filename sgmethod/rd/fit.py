@@ -38,14 +38,15 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         coarse = level.visibility.coarse if level.visibility else 0.0
         errors[moves, coarse] += plan.finest.backend.steps(gaussians, moments, descent, rates)
         steps += len(rates)
-        all_steps, tries = plan.all_steps(steps), plan.rate.usual_tries
+        all_steps, tries = plan.all_steps(steps, state.retaken), plan.rate.usual_tries
         plan.session.recorder.report("joint", steps, all_steps, error, size, state.size, tries)
     # Whether it comes apart must not depend on how many steps are taken together, which takes their time into account.
     comes_apart = any(after > stage.times.apart * before for one in errors.values() for before, after in pairwise(one))
     if comes_apart and state.step_length > s.stable_length:
         stage.pace.done, stage.pace.progress = began_at
         # The target that has moved stays: it lies in the memory of the one before, and will move again.
-        return fit(plan, replace(begun, target=state.target, steps=steps, step_length=s.stable_length), stage)
+        began = replace(begun, target=state.target, steps=steps, step_length=s.stable_length)
+        return fit(plan, replace(began, retaken=steps - begun.steps), stage)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 

@@ -76,10 +76,13 @@ class Plan:
         further = self.rate.further_rounds
         return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
 
-    def all_steps(self, done: int) -> int:
-        """Expected steps of the encode, given those done: rounds for a missed quality count once they have begun."""
-        expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1])
-        return expected if done <= expected else max(sum(self.lengths), done)  # a stage may be taken again
+    def all_steps(self, done: int, retaken: int = 0) -> int:
+        """Expected steps of the encode, given those done: rounds for a missed quality count once they have begun.
+
+        retaken: those that were taken again, which come on top.
+        """
+        expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1]) + retaken
+        return expected if done <= expected else sum(self.lengths) + retaken
 
     def begin(self, gaussians: Gaussians) -> State:
         """Return the state before the first step."""
@@ -278,7 +281,8 @@ class State:
 
     moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: estimated
     size of the file in bytes; saturated_price: price of a bit at which growth last found next to nothing; is_enough:
-    see RateControl.is_enough(); step_length: factor on the longest step; aim: of the search, once no run follows it.
+    see RateControl.is_enough(); step_length: factor on the longest step; retaken: steps that were taken again;
+    aim: of the search, once no run follows it.
     """
 
     gaussians: Gaussians
@@ -290,6 +294,7 @@ class State:
     saturated_price: float = np.inf
     is_enough: bool = False
     step_length: float = 1.0
+    retaken: int = 0
     aim: Aim | None = None
 
     @property

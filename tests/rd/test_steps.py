@@ -80,7 +80,8 @@ def test_steps_that_come_apart_are_taken_again() -> None:
     stage = stage_of(plan, 100)
     after = fit(plan, state, replace(stage, times=replace(stage.times, apart=1.25)))
     assert backend.lengths[taken:] == 100 * [2.0] + 100 * [1.0]
-    assert (after.step_length, after.steps) == (0.5, state.steps + 200)
+    assert (after.step_length, after.steps, after.retaken) == (0.5, state.steps + 200, 100)
+    assert plan.all_steps(after.steps, after.retaken) == plan.all_steps(after.steps - 100) + 100
     target = after.target.moved(plan.finest.missing(after.gaussians, half=True))
     assert isinstance(target, ExaggeratedTarget)
     assert target.added is not None
