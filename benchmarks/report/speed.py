@@ -132,8 +132,12 @@ def figures() -> dict[str, float]:
         found[f"speed.avif-{end}"], found[f"speed.avif-once-{end}"] = avif["seconds"], avif["encode_s"]
         found[f"speed.avif-psnr-{end}"] = avif["psnr"]
         found[f"speed.decode-{end}"] = visual["decode_ms"]
-        eye = {"rd": visual, "fidelity": at(size, "rd fidelity", "")}
-        eye |= {"avif-visual": at(size, "avif visual", "6"), "jpegxl": at(size, "jpegxl", "7")}
+        eye = {
+            "rd": visual,
+            "fidelity": at(size, "rd fidelity", ""),
+            "avif-visual": at(size, "avif visual", "6"),
+            "jpegxl": at(size, "jpegxl", "7"),
+        }
         for name, one in eye.items():
             found[f"speed.{name}-ssimulacra2-{end}"] = one["ssimulacra2"] if one else math.nan
             found[f"speed.{name}-seconds-{end}"] = one["seconds"] if one else math.nan

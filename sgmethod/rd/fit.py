@@ -45,8 +45,9 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     if comes_apart and state.step_length > s.stable_length:
         stage.pace.done, stage.pace.progress = began_at
         # The target that has moved stays: it lies in the memory of the one before, and will move again.
-        began = replace(begun, target=state.target, steps=steps, step_length=s.stable_length)
-        return fit(plan, replace(began, retaken=steps - begun.steps), stage)
+        retaken = steps - begun.steps
+        again = replace(begun, target=state.target, steps=steps, step_length=s.stable_length, retaken=retaken)
+        return fit(plan, again, stage)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
