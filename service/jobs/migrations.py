@@ -13,7 +13,7 @@ from service.jobs.statements import Database
 
 log = logging.getLogger(__name__)
 
-FIRST_VERSION = 4
+FIRST_VERSION = 8  # that of 1.0.0; nobody has the tables of its release candidates
 # The tables of this version, which stay as they are: MIGRATIONS has what came later. {number}: the type of an automatic
 # row number, which depends on the database. The table `stored` counts jobs and their bytes by owner and state; each
 # database adds triggers that update it.
@@ -65,10 +65,14 @@ CREATE TABLE jobs (
     file_bytes      BIGINT NOT NULL DEFAULT 0,
     stopped         INTEGER NOT NULL DEFAULT 0,
     losses          INTEGER NOT NULL DEFAULT 0,
+    client          TEXT NOT NULL DEFAULT '',
     UNIQUE (owner, idempotency_key)
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
 CREATE INDEX jobs_by_owner ON jobs (owner, number);
+CREATE INDEX queue ON jobs (state, priority, number) WHERE state = 'queued';
+CREATE INDEX queue_by_owner ON jobs (owner, priority DESC, number) WHERE state = 'queued';
+CREATE INDEX queue_by_client ON jobs (client) WHERE state = 'queued';
 CREATE TABLE served (
     owner TEXT PRIMARY KEY,
     at    DOUBLE PRECISION NOT NULL
@@ -79,25 +83,12 @@ CREATE TABLE trace (
     point TEXT NOT NULL,
     PRIMARY KEY (job, place)
 );
+INSERT INTO totals VALUES ('made_at', epoch());
 """
 # Statements of each later version, in the SQL that both databases share. A released entry never changes. A process of
 # the version before may be running, so an entry adds indexes, and columns with a default, and removes nothing. It adds
 # no table, at which pg_restore --clean of an older backup would fail when all others are gone.
-MIGRATIONS: tuple[tuple[str, ...], ...] = (
-    (  # Version 5: places in a long queue (without `state`, SQLite looks at each row), and the first job of each owner.
-        "CREATE INDEX queue ON jobs (state, priority, number) WHERE state = 'queued'",
-        "CREATE INDEX queue_by_owner ON jobs (owner, priority DESC, number) WHERE state = 'queued'",
-    ),
-    (  # Version 6: whose jobs wait, which clients without API keys share too.
-        "ALTER TABLE jobs ADD COLUMN client TEXT NOT NULL DEFAULT ''",
-        "CREATE INDEX queue_by_client ON jobs (client) WHERE state = 'queued'",
-    ),
-    # Version 7: a queued job with a lease is put off. Before, a released one kept its lease.
-    ("UPDATE jobs SET lease_until = NULL WHERE state = 'queued'",),
-    (  # Version 8: older files are those of another table.
-        "INSERT INTO totals SELECT 'made_at', CASE WHEN EXISTS (SELECT 1 FROM stored) THEN 0 ELSE epoch() END",
-    ),
-)
+MIGRATIONS: tuple[tuple[str, ...], ...] = ()
 NEWEST_VERSION = FIRST_VERSION + len(MIGRATIONS)
 
 

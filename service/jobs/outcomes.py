@@ -69,7 +69,7 @@ def _observe(db: Database, name: str, seconds: float) -> None:
 
 
 def total_of(name: str) -> str:
-    """Return the name of a histogram's sum. The bare name is that of a sum of 1.0.0rc2, which counted no values."""
+    """Return the name of a histogram's sum."""
     return f"{name}_sum"
 
 

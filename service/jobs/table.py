@@ -309,7 +309,7 @@ class JobTable(ABC):
             db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
     def made_at(self) -> float:
-        """Return when the table was made; 0 if it had jobs before it noted that."""
+        """Return when the table was made."""
         with self._connection() as db:
             return float(db.execute("SELECT amount FROM totals WHERE name = 'made_at'").fetchone()["amount"])
 

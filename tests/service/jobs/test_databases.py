@@ -135,7 +135,7 @@ def test_nothing_reads_the_whole_table_or_queue(path: Path) -> None:
 def test_a_table_of_a_later_version_in_postgresql(url: str, jobs: PostgresJobTable) -> None:
     with psycopg.connect(url) as db:
         db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
-    with pytest.raises(JobTableError, match="has version 99, and this service reads versions 4 to"):
+    with pytest.raises(JobTableError, match="has version 99, and this service reads versions 8 to"):
         PostgresJobTable(url, settings())
     assert jobs.queued() == 0
 
@@ -144,7 +144,7 @@ def test_a_table_of_a_later_version_in_sqlite(path: Path) -> None:
     SqliteJobTable(path, settings()).close()
     with closing(sqlite3.connect(path)) as file:
         file.execute("PRAGMA user_version = 99")
-    with pytest.raises(JobTableError, match="has version 99, and this service reads versions 4 to"):
+    with pytest.raises(JobTableError, match="has version 99, and this service reads versions 8 to"):
         SqliteJobTable(path, settings())
 
 
