@@ -6,13 +6,11 @@ means, and a test compares names and defaults.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, MutableMapping
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
 from typing import ClassVar
-from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -25,14 +23,13 @@ from sgmethod.native import native
 from sgmethod.threads import MAX_THREADS
 
 MIN_SECRET_LENGTH = 32
-MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 MAX_SECONDS = 86_400.0  # small enough for the system and both databases
 MAX_RETENTION_S = 100 * 365 * 86_400.0  # so that the expiry is a valid date
 MIN_DECODE_BYTES = 512 << 20
 MAX_WORKERS = 64  # processes of one machine
 IDLE_BYTES = 190_000_000  # memory of a web process, a worker and the sandbox without work: docs/deploy.md, Memory
 MIN_FREE_UPLOADS = 4  # with less space than this many of the largest uploads, the disk counts as full
-WEBHOOK, ORIGIN = r"https?://[^/,\s][^,\s]*", r"https?://[^/,\s*]+"
+ORIGIN = r"https?://[^/,\s*]+"
 OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS", "SG_ISA"})  # the client's, and the kernels'
 
 SECRETS = ("SG_", "AWS_", "PG")  # names of the service's, the bucket's and the database's variables begin so
@@ -110,10 +107,8 @@ class Settings(BaseSettings):
     source_retention_s: float = Field(default=3600.0, ge=0, le=MAX_RETENTION_S)
     quota_bytes_per_key: int = Field(default=0, ge=0)  # 0 for no limit
 
-    # Links and webhooks.
+    # Links.
     link_secret: SecretStr = SecretStr("")
-    webhook_urls: str = Field(default="", pattern=rf"^(|{WEBHOOK}(,\s*{WEBHOOK})*)$", repr=False)
-    webhook_secret: SecretStr = SecretStr("")
 
     # Proxies and browsers.
     host_names: str = Field(default="", pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$")
@@ -143,8 +138,6 @@ class Settings(BaseSettings):
         _ = self.key_names
         if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
             raise ValueError(f"SG_LINK_SECRET must have at least {MIN_SECRET_LENGTH} characters")
-        if self.webhook_urls and len(self.webhook_key) < MIN_WEBHOOK_KEY_BYTES:
-            raise ValueError("SG_WEBHOOK_URLS needs SG_WEBHOOK_SECRET: whsec_ and at least 24 bytes in base64")
         return self
 
     @field_validator("max_pixels")
@@ -160,19 +153,6 @@ class Settings(BaseSettings):
     def _proxies_are_addresses(cls, text: str) -> str:
         for word in listed(text):
             ip_network(word)
-        return text
-
-    @field_validator("webhook_urls")
-    @classmethod
-    def _webhooks_can_be_sent(cls, text: str) -> str:
-        try:
-            for parts in map(urlsplit, listed(text)):
-                _ = parts.port
-                if parts.username is not None:
-                    raise ValueError
-                (parts.hostname or "").encode("idna")
-        except ValueError:  # its message may hold a password
-            raise ValueError("an address has a user, or a host or a port that cannot be one") from None
         return text
 
     @cached_property
@@ -210,19 +190,6 @@ class Settings(BaseSettings):
     def job_timeout_s(self) -> float:
         """Seconds until a running encode is killed. Starting and finishing it takes time, too, on a busy machine."""
         return 2 * self.max_time_limit_s
-
-    @property
-    def webhook_addresses(self) -> tuple[str, ...]:
-        return tuple(listed(self.webhook_urls))
-
-    @property
-    def webhook_key(self) -> bytes:
-        """The key that signs webhooks; empty unless the secret is well formed."""
-        kind, _, encoded = self.webhook_secret.get_secret_value().rpartition("_")
-        try:
-            return base64.b64decode(encoded, validate=True) if kind == "whsec" else b""
-        except ValueError:
-            return b""
 
     @property
     def encode_threads(self) -> int:

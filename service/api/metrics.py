@@ -48,7 +48,6 @@ class _TableFigures(Collector):
         since = {worker: max(0.0, seconds) for worker, seconds in counts.workers.items()}
         yield _gauges("sgmethod_worker_seen_seconds", seen, "worker", since.items())
         silent = "Since any worker was heard from; +Inf if none is there."
-        waited = "Since the job ended whose webhook has been waiting for longest."
         for name, words, value in (
             ("stored_bytes", "Bytes of images and bitstreams.", counts.stored_bytes),
             (
@@ -57,8 +56,6 @@ class _TableFigures(Collector):
                 max(0.0, counts.waiting_s or 0.0),
             ),
             ("workers_silent_seconds", silent, math.inf if counts.silent_s is None else max(0.0, counts.silent_s)),
-            ("webhooks_waiting", "Webhooks to be delivered.", counts.deliveries),
-            ("oldest_webhook_waits_seconds", waited, max(0.0, counts.delivery_waits_s)),
         ):
             yield GaugeMetricFamily(f"sgmethod_{name}", words, value)
         yield from _totals(counts.totals)

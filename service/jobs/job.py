@@ -158,16 +158,13 @@ class Counts:
     """Counts over the table. Times are in seconds, by the table's own clock.
 
     jobs: by state; waiting_s: how long the oldest queued job has waited, None if none waits; stored_bytes: of images
-    and bitstreams; workers: seconds since each last reported, by name; deliveries: webhooks to be delivered;
-    delivery_waits_s: age of the oldest of them; totals: see outcomes.py.
+    and bitstreams; workers: seconds since each last reported, by name; totals: see outcomes.py.
     """
 
     jobs: Mapping[JobState, int]
     waiting_s: float | None
     stored_bytes: int
     workers: Mapping[str, float]
-    deliveries: int
-    delivery_waits_s: float
     totals: Mapping[str, float]
 
     @property

@@ -29,15 +29,6 @@ CREATE TABLE workers (
     name    TEXT PRIMARY KEY,
     seen_at DOUBLE PRECISION NOT NULL
 );
-CREATE TABLE deliveries (
-    job      TEXT NOT NULL,
-    address  TEXT NOT NULL,
-    body     TEXT NOT NULL,
-    ended_at DOUBLE PRECISION NOT NULL,
-    due_at   DOUBLE PRECISION NOT NULL,
-    PRIMARY KEY (job, address)
-);
-CREATE INDEX deliveries_by_time ON deliveries (address, due_at);
 CREATE TABLE totals (
     name   TEXT PRIMARY KEY,
     amount DOUBLE PRECISION NOT NULL

@@ -10,9 +10,7 @@ COUNTS = """
 SELECT epoch() - (
         SELECT coalesce(lease_until, created_at) FROM jobs
         WHERE state = 'queued' AND coalesce(lease_until, 0) <= epoch() ORDER BY number LIMIT 1
-    ) AS waiting_s,
-    (SELECT count(*) FROM deliveries) AS deliveries,
-    coalesce(epoch() - (SELECT min(ended_at) FROM deliveries), 0) AS delivery_waits_s
+    ) AS waiting_s
 """
 INSERT = """
 INSERT INTO jobs (id, owner, client, priority, idempotency_key, fingerprint, request, image, image_bytes, created_at)

@@ -6,7 +6,6 @@ sqlite.py and postgres.py contain the differences: connections, transactions and
 from __future__ import annotations
 
 import json
-import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
@@ -29,11 +28,8 @@ from service.jobs.job import (
     job_of,
     row_of,
 )
-from service.jobs.outcomes import Delivery
 from service.jobs.statements import Database
 from service.settings import Settings
-
-log = logging.getLogger(__name__)
 
 # What happens to a job through no fault of its own.
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
@@ -220,11 +216,6 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute(sql.REGISTER, (worker,))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGET_AFTER_S,))
-            expired = db.execute(
-                "DELETE FROM deliveries WHERE ended_at < epoch() - ?", (outcomes.RETRY_FOR_S,)
-            ).rowcount
-            if expired:
-                log.error("gave up on %d webhooks", expired)
 
     def unregister(self, worker: str) -> None:
         """Forget a worker that has stopped on request."""
@@ -253,7 +244,7 @@ class JobTable(ABC):
         with self._transaction() as db:
             job = self._change(db, claim, sql.DONE, text, result.size_bytes, int(self.keeps_sources))
             if job is not None:
-                outcomes.conclude(db, job, self._settings.webhook_addresses)
+                outcomes.conclude(db, job)
                 return True
             # A commit that succeeded may be reported as failed; then the repeated call must succeed.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.id,)).fetchone()
@@ -276,8 +267,7 @@ class JobTable(ABC):
         if job is not None and not again:
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
-            put_off = again and error == IMAGE_LOST
-            outcomes.conclude(db, job, self._settings.webhook_addresses, put_off=put_off)
+            outcomes.conclude(db, job, put_off=again and error == IMAGE_LOST)
         return job
 
     @property
@@ -294,19 +284,6 @@ class JobTable(ABC):
     def _change(db: Database, claim: Job, assignments: str, *values: Any) -> Job | None:
         """Update the claimed job under its fencing token; None if the token is stale."""
         return _update(db, assignments, sql.CLAIMED, *values, claim.id, claim.attempt)
-
-    def due_delivery(self, address: str) -> Delivery | None:
-        """Take a webhook that the caller has to send now, if one is due.
-
-        Unless delivered() is called, it is due again after a pause, which doubles each time. register() gives up after
-        three days.
-        """
-        with self._connection() as db:
-            return outcomes.take_delivery(db, address)
-
-    def delivered(self, delivery: Delivery) -> None:
-        with self._transaction() as db:
-            db.execute("DELETE FROM deliveries WHERE job = ? AND address = ?", (delivery.job_id, delivery.address))
 
     def made_at(self) -> float:
         """Return when the table was made."""

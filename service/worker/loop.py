@@ -23,7 +23,6 @@ from service.settings import Settings
 from service.storage.files import Storage, source_key
 from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
 from service.worker.sweeping import SweepResult, pause_s, sweep
-from service.worker.webhooks import POLL_S, send_next
 
 log = logging.getLogger(__name__)
 
@@ -60,9 +59,6 @@ class Worker:
             PeriodicThread("reporting", self._register, REGISTER_S, stop, unregister),
             PeriodicThread("touching a file", self._touch, TOUCH_S, stop),
         ]
-        for address in settings.webhook_addresses:
-            send = functools.partial(send_next, self._table, address, settings.webhook_key)
-            threads.append(PeriodicThread("webhooks", send, POLL_S, stop))
         for thread in threads:
             thread.start()
         while not stop.requested:

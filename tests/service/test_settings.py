@@ -23,7 +23,7 @@ from tests.support.service import RunCommand, environment_of
 COMPUTED = {
     "workers": "cores / 4, at least 1",
     "job_memory_bytes": "8 GiB, or less: what the machine or container has beyond 190 MB",
-    **dict.fromkeys(("api_keys_file", "link_secret", "webhook_secret"), ""),
+    **dict.fromkeys(("api_keys_file", "link_secret"), ""),
 }
 
 
@@ -106,7 +106,6 @@ BAD = {
     "SG_TRUSTED_PROXIES": ("proxy.example", "10.0.0.1/8"),
     "SG_CORS_ORIGINS": ("a.example", "*,https://a.example"),
     **{"SG_HOST_NAMES": ("https://a.example",), "SG_ROOT_PATH": ("sg/",)},
-    "SG_WEBHOOK_URLS": ("http://a.example:99999/", f"http://{'a' * 70}.example/", "http://ann:pw@a.example/"),
 }
 
 

@@ -29,13 +29,12 @@ UP = 'up{job="sgmethod"}'
 STORAGE, LAYER = 'sgmethod_refusals_total{reason="storage"}', 'sgmethod_sandbox_layer_up{layer="seccomp"}'
 TABLE_UP, FREE = "sgmethod_job_table_up", "sgmethod_free_bytes"
 QUEUE, SILENT = "sgmethod_oldest_job_waits_seconds", "sgmethod_workers_silent_seconds"
-WEBHOOK = "sgmethod_oldest_webhook_waits_seconds"
 FINISHED, FAILED, RETRIED, PUT_OFF = (
     f"sgmethod_jobs_{name}_total" for name in ("finished", "failed", "retried", "put_off")
 )
 IN_ORDER = {
     **{UP: "1x120", TABLE_UP: "1x120", LAYER: "1x120", FREE: "5e9x120", STORAGE: "0x120"},
-    **{QUEUE: "30x120", SILENT: "1x120", WEBHOOK: "0x120"},
+    **{QUEUE: "30x120", SILENT: "1x120"},
     **{FINISHED: "0+60x120", FAILED: "0+1x120", RETRIED: "0x120", PUT_OFF: "0x120"},  # a few are refused by the codec
 }
 # What is different when an alert fires; None: it is not there. A burst is seen from the first minute on.
@@ -47,7 +46,6 @@ TROUBLE: dict[str, list[dict[str, str | None]]] = {
     "SgmethodJobsFail": [{FAILED: "0+10x120"}, {FAILED: "0x118 0 20", FINISHED: "0x120"}],
     "SgmethodEncodesCrash": [{RETRIED: "0x110 0+1x10"}],
     "SgmethodImagesMissing": [{PUT_OFF: "0x115 0+1x5"}],
-    "SgmethodWebhooksWait": [{WEBHOOK: "0+60x120"}],
     "SgmethodSandboxLayerMissing": [{LAYER: "0x120"}],
     "SgmethodDiskAlmostFull": [{FREE: "5e8x120"}],
     "SgmethodFaults": [{STORAGE: "0x118 0 20"}],

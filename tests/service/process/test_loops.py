@@ -19,7 +19,7 @@ from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 
 def test_rounds_go_on() -> None:
-    """As those that sweep, report and send webhooks."""
+    """As those that sweep and report."""
     until, done = StopSignal(), threading.Event()
     thread = PeriodicThread("testing", failing(done.set, RuntimeError("unexpected")), 0.01, until)
     thread.start()
