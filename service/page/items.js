@@ -43,7 +43,7 @@ export class Item {
 
   /** changed: called with the item after each change. */
   constructor(name, changed) {
-    Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
+    Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [] });
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
     this.size = this.opened = this.soFar = null; // soFar: { tag, image }
   }
@@ -165,7 +165,6 @@ export class Item {
         Object.assign(this, { job, trace: job.trace });
         return void (await this.setFile(sg));
       }
-      this.watched = true;
       await this.#look(job);
       if (job.state === "queued") {
         this.stopping = false; // it starts again
@@ -195,7 +194,7 @@ export class Item {
       await decoder.ask("open", { key, bytes });
       const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
       decoder.ask("close", { key });
-      this.update({ soFar: { tag, image }, size: [image.width, image.height], grown: true });
+      this.update({ soFar: { tag, image }, size: [image.width, image.height] });
       before?.close();
     } catch {
       return;

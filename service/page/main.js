@@ -1,7 +1,6 @@
 // The page: its pictures, and its buttons.
 
 import { fillContents } from "./viewer/contents.js";
-import { openGpu } from "./viewer/gpu.js";
 import { fillTable, measure } from "./viewer/comparisons.js";
 import { Tools } from "./viewer/tools.js";
 import { Viewer } from "./viewer/viewer.js";
@@ -61,8 +60,6 @@ function refresh(item) {
     fillLines(item);
     if (original && !item.isMeasured) measure(item, () => changed(item));
     item.isMeasured = Boolean(original);
-    if (item.watched && !item.grown) tools.unfold(file);
-    item.watched = false;
   }
   const hasNothing = !viewer.left && !viewer.right && item.state in TITLES;
   $("stage").hidden = $("tools").hidden = hasNothing;
@@ -262,7 +259,7 @@ $("snippet").addEventListener("click", () => take(copyHtml));
 $("show-wall").addEventListener("click", async () => (await import("./wall/wall.js")).showWall($("wall")));
 addEventListener("hashchange", begin);
 
-/** Start after the empty page has been painted, which WebGL and workers would delay. */
+/** Start after the empty page has been painted, which workers would delay. */
 requestAnimationFrame(() =>
   setTimeout(() => {
     begin();
@@ -271,7 +268,5 @@ requestAnimationFrame(() =>
       const { width } = await thumbnails.ask("open", { key: 0, bytes });
       return thumbnails.ask("draw", { key: 0, scale: THUMBNAIL_WIDTH / width });
     });
-    viewer.gpu = openGpu();
-    viewer.redraw();
   }),
 );

@@ -37,7 +37,6 @@ OPTIONS = (
     "--headless=new",
     "--no-sandbox",
     "--disable-gpu",
-    "--enable-unsafe-swiftshader",  # WebGL without a graphics processor
     "--disable-dev-shm-usage",
     "--window-size=1000,1000",
 )
@@ -106,10 +105,8 @@ class Page(ABC):
         return bool(self.on(selector, lambda element: element.is_displayed()))
 
     def complaints(self) -> list[str]:
-        """Return the console's errors since the last call, without those about WebGL in software and about reading the
-        canvas, which only tests do.
-        """
-        return [line for line in self._console() if "WebGL" not in line and "getImageData" not in line]
+        """Return the console's errors since the last call, without those about reading the canvas, which only tests do."""
+        return [line for line in self._console() if "getImageData" not in line]
 
     def says(self, words: str, where: str = "#status") -> None:
         """Wait until an element says so."""

@@ -4,7 +4,6 @@ import { countInPart } from "../sgmethod/file.js";
 import { $ } from "../parts.js";
 import { count, size } from "../words.js";
 
-const UNFOLD_MS = 1400;
 const overlays = () => [...document.querySelectorAll("[name=overlay]")];
 
 export class Tools {
@@ -64,21 +63,6 @@ export class Tools {
     $("prefix-words").textContent = part < 1 ? `${size(this.#bytesInPart())}, ${gaussians}` : `all ${gaussians}`;
     $("prefix").setAttribute("aria-valuetext", $("prefix-words").textContent);
     viewer.redraw();
-  }
-
-  /** Play a file that has just been made, from its first bytes to its last. */
-  unfold(file) {
-    if (!file || !this.#viewer.gpu || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
-    const began = performance.now();
-    const frame = (now) => {
-      const part = Math.min(Math.max(now - began, 0) / UNFOLD_MS, 1);
-      if (file !== this.#file) return;
-      $("prefix").value = Math.max(1, 100 * part * part);
-      this.#showPrefix();
-      if (part < 1) requestAnimationFrame(frame);
-      else this.changed();
-    };
-    requestAnimationFrame(frame);
   }
 
   #showOverlay() {

@@ -20,7 +20,6 @@ export class Viewer {
 
   constructor(stage, canvas, divider, draw) {
     Object.assign(this, { stage, canvas, divider, moved() {} });
-    this.gpu = null;
     this.overlays = null; // the module, once one is wanted
     this.context = canvas.getContext("2d", { alpha: false });
     this.size = [1, 1];
@@ -168,19 +167,12 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    const hard = !this.smooth && zoom > 1; // enlarged from its own pixels
-    if (fromGaussians && this.gpu && !this.gpu.lost && !file.alpha && !hard) {
-      const corner = [-x / zoom, -y / zoom];
-      const drawn = this.gpu.draw(file, count, corner, zoom, canvas.width, canvas.height, this.textured);
-      context.drawImage(drawn, 0, 0);
-    } else {
-      this.#smoothen();
-      const part = this.#part;
-      if (!partial) context.drawImage(this.right, x, y, w, h);
-      if (fromGaussians) {
-        if (part) context.drawImage(part.image, x + part.x * zoom, y + part.y * zoom, part.w * zoom, part.h * zoom);
-        this.#wantPart(x, y);
-      }
+    this.#smoothen();
+    const part = this.#part;
+    if (!partial) context.drawImage(this.right, x, y, w, h);
+    if (fromGaussians) {
+      if (part) context.drawImage(part.image, x + part.x * zoom, y + part.y * zoom, part.w * zoom, part.h * zoom);
+      this.#wantPart(x, y);
     }
     const view = { zoom, x: -x / zoom, y: -y / zoom, left: seam, right: canvas.width, height: canvas.height };
     if (this.overlay === "ellipses" && file) this.overlays.drawEllipses(context, file, count, view);

@@ -6,11 +6,10 @@ import re
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import sgmethod
 from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
-from tests.support.browser import Chromium, bytes_of
+from tests.support.browser import Chromium
 from tests.support.data import golden
 from tests.support.pictures import page_of_text
 from tests.support.processes import wait_until
@@ -190,34 +189,3 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     page.give("drop", OTHER, "other.sg")
     page.says("Drawn by the service", "#note")
     assert not page.is_seen("#contents")
-
-
-def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) -> NDArray[np.int64]:
-    """The whole picture of a file, [H, W, 3]."""
-    width, height = sgmethod.open(data).pixels(scale=scale).shape[1::-1]
-    levels = page.run(f"""
-        return (async () => {{
-            const {{ openGpu }} = await import("/static/viewer/gpu.js");
-            const {{ readFile }} = await import("/static/sgmethod/file.js");
-            const file = readFile({bytes_of(data)});
-            const [width, height] = [{width}, {height}];
-            const context = new OffscreenCanvas(width, height).getContext("2d", {{ willReadFrequently: true }});
-            const drawn = openGpu().draw(file, file.count, [0, 0], {scale}, width, height, {str(textured).lower()});
-            context.drawImage(drawn, 0, 0);
-            const {{ data }} = context.getImageData(0, 0, width, height);
-            return [...data].map((level) => String.fromCharCode(level)).join("");
-        }})();
-    """)
-    pixels = np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(height, width, 4)
-    return pixels[..., :3].astype(int)
-
-
-@pytest.mark.parametrize(("data", "scale"), [(COFFEE, 2), (TEXTURED, 1), (TEXTURED, 2.5), (TEXTURED, 7)])
-def test_webgl_draws_what_the_decoder_does(page: Chromium, web: Service, data: bytes, scale: float) -> None:
-    page.open_blank(web)
-    for textured in (False, True):
-        wanted = sgmethod.open(data).pixels(scale=scale, texture=textured)
-        difference = np.abs(drawn_by_webgl(page, data, scale, textured) - wanted)
-        # WebGL draws no pyramid, which is a little off; the worst seen are 5 levels, 0.34 in the mean.
-        assert difference.max() <= 8
-        assert difference.mean() < 0.5
