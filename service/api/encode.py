@@ -154,7 +154,7 @@ async def _ended(context: Context, job: Job, deadline: float) -> Job | None:
         await asyncio.sleep(pause_s)
         if time.monotonic() >= deadline or context.stopping():
             return None
-        seen = await context.read(context.table.glance, job.id)
+        seen = await context.read(context.table.get, job.id)
         if seen is None:
             raise ProblemError(409, "the job was removed before it was done")
         job = seen

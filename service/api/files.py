@@ -123,7 +123,7 @@ def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryI
     try:
         file = context.storage.open(result.bitstream_key)
     except FileNotFoundError as error:
-        if context.table.glance(job.id) is None:
+        if context.table.get(job.id) is None:
             raise no_such_job() from None
         raise _damaged(job, error) from error
     # Clients keep an answer for a year, and a part of a damaged file may be drawn.

@@ -37,7 +37,8 @@ class LinksQuery(Parameters):
 async def status(job: KnownJob, context: UseContext, response: Response) -> models.JobView:
     """Return state, queue position, progress, trace and the result or error."""
     response.headers.update(NEVER_STORED)
-    return models.with_trace(job, await context.read(context.table.trace, job.id), context.settings)
+    position = await context.read(context.table.position, job) if job.state == "queued" else None
+    return models.with_trace(job, position, await context.read(context.table.trace, job.id), context.settings)
 
 
 async def jobs(
@@ -83,7 +84,7 @@ async def stop(job: KnownJob, context: UseContext, response: Response) -> models
     view = models.accepted(job, context.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})
     if job.state != "done" and not await context.write(context.table.stop, job.id):
-        now = await context.read(context.table.glance, job.id)
+        now = await context.read(context.table.get, job.id)
         if now is None:
             raise no_such_job()
         if now.state != "done":

@@ -75,10 +75,9 @@ class ImageView(BaseModel):
 
 
 class JobSummary(AcceptedView):
-    """A job without its trace."""
+    """A job without its position and trace."""
 
     state: JobState
-    position: int | None = Field(description="position in the queue, from 1, while queued")
     budget: BudgetView
     profile: str
     tune: str = Field(description='"psnr", "fidelity" or "visual"')
@@ -103,8 +102,9 @@ class JobSummary(AcceptedView):
 
 
 class JobView(JobSummary):
-    """A job with its trace."""
+    """A job with its position and trace."""
 
+    position: int | None = Field(description="position in the queue, from 1, while queued")
     progress: float = Field(description="estimated progress, 0 to 1; never decreases")
     seconds_left: float | None = Field(description="estimate while the job is running, once there is one")
     trace: list[dict[str, Figure]] = Field(
@@ -154,20 +154,19 @@ def expires_at(job: Job, settings: Settings) -> float | None:
 
 
 def summary(job: Job, settings: Settings) -> JobSummary:
-    """Return the job without its trace."""
+    """Return the job without its position and trace."""
     return JobSummary.model_validate(_members(job, settings))
 
 
-def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
-    """Return the job with its trace and progress."""
+def with_trace(job: Job, position: int | None, trace: Sequence[JsonObject], settings: Settings) -> JobView:
+    """Return the job with its position, trace and progress."""
     # The greatest share, since a second try at a PSNR begins anew.
     progress = 1.0 if job.state == "done" else max((point.get("share", 0.0) for point in trace), default=0.0)
     left_s = None
     if job.state == "running" and job.started_at is not None:
         left_s = seconds_left(trace, time.time() - job.started_at, job.request.time_limit_s)
-    return JobView.model_validate(
-        {**_members(job, settings), "progress": progress, "seconds_left": left_s, "trace": trace}
-    )
+    figures = {"position": position, "progress": progress, "seconds_left": left_s, "trace": trace}
+    return JobView.model_validate({**_members(job, settings), **figures})
 
 
 def _members(job: Job, settings: Settings) -> JsonObject:

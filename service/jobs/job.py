@@ -108,8 +108,7 @@ class EncodeResult:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: order of acceptance; position: place in the queue from 1, ignoring that owners take turns, None unless
-    queued and looked up; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed;
+    number: order of acceptance; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed;
     losses: attempts that lost their worker; stopped: whether the running attempt is to end early, with what it has.
     """
 
@@ -118,7 +117,6 @@ class Job:
     owner: Annotated[str | None, BeforeValidator(lambda name: name or None)]  # '' in the table
     priority: Priority
     state: JobState
-    position: int | None
     request: Json[EncodeRequest]
     image: Json[SourceImage]
     attempt: int
@@ -136,7 +134,7 @@ _jobs = TypeAdapter(Job)
 
 
 def job_of(row: Any) -> Job:
-    """Return a row with its position as a Job. Fields that a later version has added to its JSON are ignored."""
+    """Return a row as a Job. Fields that a later version has added to its JSON are ignored."""
     return _jobs.validate_python(dict(row))
 
 

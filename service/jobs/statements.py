@@ -14,26 +14,13 @@ SELECT epoch() - (
 """
 INSERT = """
 INSERT INTO jobs (id, owner, client, priority, idempotency_key, fingerprint, request, image, image_bytes, created_at)
-VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *, NULL AS position
+VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, epoch()) RETURNING *
 """
 QUEUED = "SELECT CAST(coalesce(sum(jobs), 0) AS BIGINT) AS jobs FROM stored WHERE state = 'queued'"
 QUEUED_BY = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND client = ?"
-SELECT_JOB = "SELECT *, NULL AS position FROM jobs"
-# With positions, which take longer to find with each job that waits. Each is counted from that of the job before, since
-# to count from the front of the queue for each of a page takes 0.1 s when thousands wait.
-SELECT_JOBS = """
-WITH chosen AS (
-    SELECT jobs.*, lag(number, 1, 0) OVER (PARTITION BY state, priority ORDER BY number) AS previous
-    FROM (SELECT * FROM jobs {where} ORDER BY number DESC LIMIT ?) AS jobs
-)
-SELECT chosen.*, CASE WHEN state = 'queued' THEN CAST(
-    CASE priority WHEN 'bulk' THEN (
-        SELECT count(*) FROM jobs WHERE state = 'queued' AND priority = 'interactive'
-    ) ELSE 0 END + sum((
-        SELECT count(*) FROM jobs AS waiting WHERE chosen.state = 'queued' AND waiting.state = 'queued'
-        AND waiting.priority = chosen.priority AND waiting.number > chosen.previous AND waiting.number <= chosen.number
-    )) OVER (PARTITION BY state, priority ORDER BY number)
-AS BIGINT) END AS position FROM chosen ORDER BY number DESC
+POSITION = """
+SELECT (SELECT count(*) FROM jobs WHERE state = 'queued' AND priority > ?)
+    + (SELECT count(*) FROM jobs WHERE state = 'queued' AND priority = ? AND number <= ?) AS position
 """
 # Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at. A client,
 # which may be somebody's address, is forgotten once its job runs. A queued job with a lease is put off until then.
@@ -50,7 +37,7 @@ WHERE state = 'queued' AND number = (
     LEFT JOIN served ON served.owner = stored.owner
     WHERE stored.state = 'queued' AND stored.jobs > 0
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
-) RETURNING *, NULL AS position
+) RETURNING *
 """
 REGISTER = "INSERT INTO workers VALUES (?, epoch()) ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at"
 SEEN = "SELECT name, epoch() - seen_at AS seconds FROM workers"

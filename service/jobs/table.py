@@ -115,11 +115,10 @@ class JobTable(ABC):
         found = self._found("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner, 1)
         return found[0] if found else None
 
-    def glance(self, job_id: str) -> Job | None:
-        """Return the job without its position, which takes longer to find with each job that waits."""
+    def position(self, job: Job) -> int:
+        """Return the place of a queued job, from 1, ignoring that owners take turns."""
         with self._connection() as db:
-            row = db.execute(f"{sql.SELECT_JOB} WHERE id = ?", (job_id,)).fetchone()
-        return None if row is None else job_of(row)
+            return int(db.execute(sql.POSITION, (job.priority, job.priority, job.number)).fetchone()["position"])
 
     def queued(self) -> int:
         with self._connection() as db:
@@ -149,9 +148,10 @@ class JobTable(ABC):
         return self._found(where, *chosen.values(), limit)
 
     def _found(self, where: str, *values: Any) -> list[Job]:
-        """Return the newest jobs with their positions, newest first. values: of `where`, and how many jobs."""
+        """Return the newest jobs, newest first. values: of `where`, and how many jobs."""
         with self._connection() as db:
-            return [job_of(row) for row in db.execute(sql.SELECT_JOBS.format(where=where), values).fetchall()]
+            rows = db.execute(f"SELECT * FROM jobs {where} ORDER BY number DESC LIMIT ?", values)
+            return [job_of(row) for row in rows.fetchall()]
 
     def trace(self, job_id: str) -> list[dict[str, Any]]:
         """Return the trace points of the job's latest attempt, oldest first."""
@@ -162,7 +162,7 @@ class JobTable(ABC):
     def remove(self, job_id: str) -> Job | None:
         """Delete a job in any state, and return it. A worker that runs it loses its claim."""
         with self._transaction() as db:
-            row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *, NULL AS position", (job_id,)).fetchone()
+            row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *", (job_id,)).fetchone()
             if row is not None and row["state"] not in FINAL_STATES:
                 outcomes.count(db, "cancelled")
         return None if row is None else job_of(row)
@@ -312,13 +312,13 @@ class JobTable(ABC):
 
 def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
     """Return the job after an update, or None if no job matches."""
-    row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *, NULL AS position", values).fetchone()
+    row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *", values).fetchone()
     return None if row is None else job_of(row)
 
 
 def _first(db: Database, owner: str | None, idempotency_key: str | None, fingerprint: str | None = None) -> Job | None:
     """Return the owner's job with this key; each owner has their own keys."""
-    query = f"{sql.SELECT_JOB} WHERE owner = ? AND idempotency_key = ?"
+    query = "SELECT * FROM jobs WHERE owner = ? AND idempotency_key = ?"
     row = db.execute(query, (owner or "", idempotency_key)).fetchone()
     if row is not None and fingerprint not in (None, row["fingerprint"]):
         raise KeyReusedError("this Idempotency-Key was already used for a different request")

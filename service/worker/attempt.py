@@ -172,7 +172,7 @@ class Attempt:
         if self._showing is not None:
             self._showing.join(PREVIEW_ENDS_S)
             self._storage.delete(preview_key(self.claim.id, self.claim.attempt))
-        job = self._table.glance(self.claim.id)
+        job = self._table.get(self.claim.id)
         if job is None or job.result is None or job.result.bitstream_key != self.key:
             self._storage.delete(self.key)
         if job is None or (job.state in FINAL_STATES and not self._table.keeps_sources):

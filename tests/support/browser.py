@@ -105,7 +105,7 @@ class Page(ABC):
         return bool(self.on(selector, lambda element: element.is_displayed()))
 
     def complaints(self) -> list[str]:
-        """Return the console's errors since the last call, without those about reading the canvas, which only tests do."""
+        """Return the console's errors since the last call, without those about reading the canvas, as tests do."""
         return [line for line in self._console() if "getImageData" not in line]
 
     def says(self, words: str, where: str = "#status") -> None:
