@@ -6,7 +6,6 @@ encodes. docs/design.md follows one request through them.
 
 The packages and modules; each imports only from those above it:
 
-    alive           whether a worker of this host is alive
     errors          errors that several packages share
     keys            API keys, and links that work without a key
     logs            what the processes write to standard error

@@ -1,4 +1,4 @@
-"""The commands of `python -m service`: serve, web, worker and check; alive is answered before these are imported."""
+"""The commands of `python -m service`: serve, web, worker and check."""
 
 from __future__ import annotations
 
@@ -80,7 +80,6 @@ def _parser() -> argparse.ArgumentParser:
     serve = commands.add_parser("serve", help="run the web process and workers, and restart any that die")
     web = commands.add_parser("web", help="run only the web process")
     worker = commands.add_parser("worker", help="run a single worker")
-    commands.add_parser("alive", help="exit with status 0 if a worker of this host, or container, is alive")
     check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
     runs = (serve, _serve), (web, _web), (worker, _worker), (check, _check)
     for command, run in runs:
@@ -123,15 +122,16 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
         run_web(settings, Sandbox(requests), absent, listen)
 
 
-def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
+def _worker(settings: Settings, arguments: argparse.Namespace) -> int:
     from service.worker.loop import Worker
 
     stop = StopSignal()
     stop.on_signals()
     with _sandbox(settings, arguments) as requests:
         table = open_job_table(settings)
-        Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()
+        ended_well = Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()
         table.close()
+    return 0 if ended_well else TROUBLE
 
 
 def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractContextManager[socket.socket]:

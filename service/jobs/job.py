@@ -108,8 +108,9 @@ class EncodeResult:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: order of acceptance; attempt: the latest, with which its worker claims the job; crashes: attempts that crashed;
-    losses: attempts that lost their worker; stopped: whether the running attempt is to end early, with what it has.
+    number: order of acceptance; attempt: the latest, with which its worker claims the job; crashes: attempts that
+    crashed; losses: attempts that lost their worker; stopped: whether the running attempt is to end early, with what it
+    has.
     """
 
     number: int

@@ -13,7 +13,6 @@ import socket
 import time
 from typing import BinaryIO
 
-from service.alive import TOUCH_S, touch
 from service.jobs.job import Job, JobError
 from service.jobs.table import IMAGE_LOST, JobTable
 from service.process.loops import PeriodicThread, StopSignal, log_errors
@@ -32,6 +31,7 @@ RETRY_AFTER_S = 5.0  # for a job whose image cannot be read, so that others go f
 THREADS_END_S = 1.0  # part of the grace time; a sweep may be cut short anywhere, and unregistering may fail
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 BEGINS_SOON_S = 5.0  # after which this worker no longer reports that it is alive
+GIVES_UP_S = 60.0  # after which it ends, for whoever started it to start another
 
 
 class Worker:
@@ -49,38 +49,38 @@ class Worker:
         self._owed_since: float | None = None  # since when the sandbox has begun no task, though it was given some
         self._storage_is_checked = True
 
-    def run(self) -> None:
-        """Claim and work until stopping is requested; sweep meanwhile."""
+    def run(self) -> bool:
+        """Claim and work until stopping is requested; sweep meanwhile. False: it gave up, since no job begins."""
         log.info("worker %s: ready, threads: %d", self._name, self._settings.encode_threads)
         settings, stop = self._settings, self._stop
         unregister = functools.partial(self._table.unregister, self._name)
         threads = [
             PeriodicThread("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
             PeriodicThread("reporting", self._register, REGISTER_S, stop, unregister),
-            PeriodicThread("touching a file", self._touch, TOUCH_S, stop),
         ]
         for thread in threads:
             thread.start()
-        while not stop.requested:
+        while not stop.requested and self._owed_s < GIVES_UP_S:
             idle_s = PAUSE_AFTER_TROUBLE_S
             with log_errors("running a job"):
                 idle_s = 0.0 if self.run_one() else self._table.poll_s
             stop.wait(idle_s)
-        for thread in threads[:2]:
+        gave_up = not stop.requested
+        if gave_up:
+            log.error("worker %s: ends, since no job has begun for %.0f s", self._name, self._owed_s)
+            stop.request()
+        for thread in threads:
             thread.join(THREADS_END_S)
+        return not gave_up
 
     @property
-    def works(self) -> bool:
-        """Whether jobs that this worker claims begin. A worker that waits for the database or the storage works."""
-        return self._owed_since is None or time.monotonic() - self._owed_since < BEGINS_SOON_S
+    def _owed_s(self) -> float:
+        """Seconds without a job that began, though some were claimed. One that waits for the database owes nothing."""
+        return 0.0 if self._owed_since is None else time.monotonic() - self._owed_since
 
     def _register(self) -> None:
-        if self.works:
+        if self._owed_s < BEGINS_SOON_S:
             self._table.register(self._name)
-
-    def _touch(self) -> None:
-        if self.works:
-            touch(self._settings.data_dir)
 
     def _sweep(self) -> None:
         settings = self._settings

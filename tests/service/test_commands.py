@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 import pytest
 
 import service.settings
 from service import checking
-from service.alive import touch
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
 from service.commands import _for_whom, _where
@@ -130,49 +126,6 @@ def test_for_whom_the_service_is(tmp_path: Path, host: str, settings: dict[str, 
     """It printed on 127.0.0.1 that it was open to everyone. With names, a proxy passes others on."""
     with socket.create_server((host, 0)) as listener:
         assert _for_whom(Settings(data_dir=tmp_path, **settings), listener) == words  # type: ignore[arg-type]
-
-
-def test_a_worker_of_this_host_is_alive(
-    run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Containers ask whether their own one is; others do not count, and no database is asked."""
-    shared, data = tmp_path / "tmp", tmp_path / "data"
-    shared.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(shared))
-
-    def status(data_dir: Path = data) -> int:
-        result = run_command("alive", data_dir=data_dir, database_url="postgresql://nobody@127.0.0.1:1/x")
-        assert ("no worker of" in result.stderr) == (result.status != 0)
-        return result.status
-
-    assert status() == 1
-    assert list(shared.iterdir()) == []  # a look makes nothing
-    link, open_to_all = (shared / f"sgmethod-{os.geteuid()}-{number}" for number in range(2))
-    link.symlink_to(tmp_path)  # of strangers, who may have come first
-    open_to_all.mkdir()
-    open_to_all.chmod(0o777)
-    touch(data)
-    touch(data)
-    (folder,) = {*shared.iterdir()} - {link, open_to_all}
-    (ours,) = folder.iterdir()
-    assert (status(), status(tmp_path / "of another service")) == (0, 1)
-    for shift_s, expected in ((-20, 1), (20, 1), (0, 0)):
-        os.utime(ours, 2 * (time.time() + shift_s,))
-        assert status() == expected
-    ours.rename(f"{ours}0")  # of another host
-    assert status() == 1
-    assert not data.exists()
-
-
-def test_a_health_check_is_cheap() -> None:
-    """It imported the kernels, pydantic and the database, and set that up: 1.1 s of processor time every 15 s."""
-    script = (
-        "import sys; sys.argv = ['service', 'alive']; from service.__main__ import main; main(); print(*sys.modules)"
-    )
-    ran = run(sys.executable, "-c", script)
-    imported = {name.partition(".")[0] for name in ran.stdout.split()}
-    assert "service" in imported
-    assert not imported & {"sgmethod", "numpy", "pydantic", "psycopg", "sqlite3", "asyncio"}
 
 
 def test_a_database_out_of_reach_is_one_clear_line(
