@@ -19,8 +19,7 @@ from sgmethod.cli import paths
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.paths import STREAM
-from sgmethod.cli.terminal import Ticker, redraw
-from sgmethod.cli.throughput import Throughput
+from sgmethod.cli.terminal import Ticker, redraw, remaining, throughput_text
 from sgmethod.many.manifest import Manifest
 from sgmethod.many.processes import usual_jobs
 from sgmethod.many.run import Finished, Run, Tally, Task, caught, finish_locally
@@ -87,7 +86,7 @@ def convert_all(
     """
     beside = sys.stderr if getattr(arguments, "json", False) else sys.stdout  # with --json, stdout has nothing else
     kept = without_existing(conversions, arguments, beside)
-    run = Run[Conversion](manifest, getattr(arguments, "resume", False))
+    run = Run[Conversion](manifest, getattr(arguments, "resume", False), len(kept))
     wanted = list(run.rest(tasks_of(kept)))
     report = _Report([one.row.input for one in wanted], arguments)
     arguments.on_progress = report.advance if report.shows_progress else None
@@ -116,7 +115,7 @@ class _Report:
         self._whole, self._arguments, self._json = len(pictures), arguments, getattr(arguments, "json", False)
         self._shown = not arguments.quiet and os.isatty(2)
         says_throughput = self._shown or not (arguments.quiet or self._json)
-        self._throughput, self._throughput_text = Throughput(pictures) if says_throughput else None, ""
+        self._says_throughput, self._throughput_text = says_throughput, ""
         self._left, self._jobs = Counter(pictures), jobs_of(arguments, pictures)
         self.shows_progress = self._shown and self._jobs == 1  # of a single picture, made in this process
         self._began: dict[str, float] = {}
@@ -146,8 +145,8 @@ class _Report:
         if not self._left[outcome.input]:
             del self._left[outcome.input]
         self._share = 0.0
-        if self._throughput:
-            self._throughput_text = f", {self._throughput.after(outcome, tally)}"
+        if self._says_throughput:
+            self._throughput_text = f", {throughput_text(tally.per_second)}{remaining(tally.seconds_left)}"
         if self._shown:
             redraw(sys.stderr, "")  # or the next line would follow it
         say_notes(outcome, self._arguments)

@@ -113,3 +113,10 @@ def remaining(left_s: float | None) -> str:
     if left_s < 120:
         return f", {left_s:.0f} s left"
     return f", {left_s / 60:.0f} min left" if left_s < 7200 else f", {left_s / 3600:.0f} h left"
+
+
+def throughput_text(per_second: float) -> str:
+    """Format a throughput as seconds a picture or, if they take less than one, as pictures a second."""
+    if 0 < per_second < 1:
+        return f"{1 / per_second:.3g} s a picture"
+    return f"{per_second:{'.3g' if per_second < 100 else ',.0f'}} pictures/s"

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import subprocess
+import threading
 import time
 from argparse import Namespace
 from collections.abc import Callable
@@ -292,3 +293,22 @@ def test_pillows_warnings_are_not_printed(jobs: str) -> None:
         encode("odd.tiff", effort=1)
     arguments = ["odd.tiff", "odder.tiff", "--output-dir", "out", "--jobs", jobs, "--effort", "1"]
     assert start("encode", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE).communicate()[1] == ""
+
+
+@pytest.mark.parametrize("command", ["encode", "preview"])
+def test_pipes_into_a_folder(run: Run, command: str) -> None:
+    """As from <(cat a.png) of a shell: each can be read once, and by no other process."""
+    png = io.BytesIO()
+    PHOTO.resize((32, 24)).save(png, "PNG")
+    ends = [os.pipe() for _ in range(2)]
+    for _, writer in ends:
+        os.write(writer, png.getvalue())  # fits into the pipe's buffer
+        os.close(writer)
+    os.mkfifo("named.png")
+    threading.Thread(target=Path("named.png").write_bytes, args=(png.getvalue(),), daemon=True).start()
+    names = [*(f"/dev/fd/{reader}" for reader, _ in ends), "named.png"]
+    ran = run(command, *names, "--output-dir", "out", "--bytes", "100", "--jobs", "2")
+    assert (ran.status, ran.err) == (0, "")
+    assert {path.name for path in Path("out").glob("*.sg")} == {*(f"{reader}.sg" for reader, _ in ends), "named.sg"}
+    for reader, _ in ends:
+        os.close(reader)

@@ -20,7 +20,7 @@ from PIL import Image
 
 from sgmethod import decode
 from sgmethod.cli import encoding, naming
-from sgmethod.cli.terminal import bar, remaining
+from sgmethod.cli.terminal import bar, remaining, throughput_text
 from sgmethod.client import RemoteEncoded
 from sgmethod.errors import ImageError
 from sgmethod.io.pictures import SUFFIXES, picture_file
@@ -269,6 +269,11 @@ def test_seconds_left() -> None:
         assert drawn("joint", share, waited_s).endswith("  8.5 s")
     assert [remaining(seconds) for seconds in (None, 0.2, 119, 120, 32400)] == [
         *("", ", 0 s left", ", 119 s left", ", 2 min left", ", 9 h left")
+    ]
+    assert [throughput_text(rate) for rate in (0.0895, 0.999, 2.5)] == [
+        "11.2 s a picture",
+        "1 s a picture",
+        "2.5 pictures/s",
     ]
 
 
