@@ -67,7 +67,7 @@ FULL = {
     "'avif tune=iq 10 bits' 'avif grain'",
     "rd/unseen-rates": f"rd {UNSEEN} --bpp 0.1,0.15,0.4 --tune psnr visual --baselines {OTHERS}",
     "rd/equal-768": "rd --images {photographs}/unseen --most 7 --bpp 0.25,0.5,1 --equal --judges --weights {weights} "
-    "--seen-bpp 0.25,0.5,1 --tune psnr fidelity visual visual-without-texture --baselines 'avif tune=psnr 10 bits' "
+    "--seen-bpp 0.25,0.5,1 --tune psnr fidelity visual --baselines 'avif tune=psnr 10 bits' "
     "'avif tune=iq 4:4:4' 'avif tune=ssimulacra2' 'avif grain' jpegxl webp jpegli",
     "rd/equal-whole": f"rd {WHOLE} --equal --bpp 0.25,0.5,1 --tune fidelity --baselines 'avif tune=ssimulacra2'",
     "rd/equal-whole-eye": f"rd {WHOLE} --weights {{weights}} --seen-bpp 0.25,0.5,1 --equal --bpp 0.25,0.5,1 "

@@ -51,7 +51,7 @@ def made(row: Row, bpp: float | None) -> Made | None:
     """
     if "codec" in row:
         set_as = row["effort"], row["quality"] is not None
-        ours = [Sg("rd", tune, texture, *set_as) for tune in TUNES for texture in (True, False) if row["effort"]]
+        ours = [Sg("rd", tune, *set_as) for tune in TUNES if row["effort"]]
         found = [Made(one, row["max_bpp"] or row["quality"], row["image"], None) for one in ours]
         return next((one for one in found if one.codec.name == row["codec"]), None)
     effort = re.fullmatch(r"(?:effort (\d))?", row["setting"])

@@ -32,7 +32,6 @@ def encode(
     psnr: AnyFloat | None = None,
     gaussians: AnyInt | None = None,
     tune: Tune | None = None,
-    texture: bool = True,
     effort: AnyInt = DEFAULT_EFFORT,
     settings: Settings | None = None,
     seed: AnyInt = 0,
@@ -58,10 +57,9 @@ def encode(
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp, but at most 50,000 bytes.
     profile: "rd" or "paper".
-    tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" invents nothing, and stays as
-    close to the picture as can be seen; "psnr" has the least squared error. Budgets in dB and other profiles support
-    only "psnr".
-    texture: False leaves out the noise that stands in for grain when tuned "visual"; other tunings have none.
+    tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same
+    without the noise that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles
+    support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
     settings: all parameters of the method, for experiments; replaces profile and effort.
     seed: random seed. Without a time limit, the same call gives the same file on the same machine.
@@ -79,7 +77,7 @@ def encode(
     clock, limit_s = Clock(stop), checked_time_limit(time_limit_s)
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = only_budget(budget, kinds | {"gaussians": gaussians})
-    asked = EncodeArguments.checked(only, profile, tune, effort, settings, seed, texture)
+    asked = EncodeArguments.checked(only, profile, tune, effort, settings, seed)
     pixels = read_input(image, keep_alpha=asked.profile == "rd")
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)

@@ -6,8 +6,6 @@ import sys
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
 from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, default_budget
@@ -20,7 +18,7 @@ MAX_SEED = 2**63 - 1  # a seed of torch is below 2^64, and each stage of a codeb
 
 @dataclass(frozen=True)
 class EncodeArguments:
-    """The checked arguments of an encode. effort: None if the caller gave settings; texture: see encode()."""
+    """The checked arguments of an encode. effort: None if the caller gave settings."""
 
     budget: Budget
     profile: Profile
@@ -28,7 +26,6 @@ class EncodeArguments:
     effort: int | None
     settings: Settings
     seed: int
-    texture: bool
 
     @classmethod
     def checked(
@@ -39,23 +36,20 @@ class EncodeArguments:
         effort: AnyInt,
         settings: Settings | None,
         seed: AnyInt,
-        texture: bool = True,
     ) -> EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
         seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
         profile = checked_profile(profile) if settings is None else profile_of(settings)
         tuned_for = tuning(tune, profile, budget)
-        if not isinstance(texture, bool | np.bool_):
-            raise BudgetError(f"texture must be True or False, got {texture!r}")
         if settings is not None:
-            return cls(budget, profile, tuned_for, None, settings, seed, bool(texture))
+            return cls(budget, profile, tuned_for, None, settings, seed)
         effort = checked_effort(effort)
-        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed, bool(texture))
+        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed)
 
     @property
-    def has_texture(self) -> bool:
-        """Whether texture may replace grain: SSIMULACRA 2, which is what a quality means, counts it as an error."""
-        return self.texture and self.budget.kind != "quality"
+    def objective(self) -> Tune:
+        """What the fit is tuned for. SSIMULACRA 2, which is what a quality means, counts texture as an error."""
+        return "fidelity" if self.tune == "visual" and self.budget.kind == "quality" else self.tune
 
     def with_default_for(self, pixels: Pixels) -> EncodeArguments:
         """Replace the default budget by what it is for a picture [H, W, C]."""

@@ -50,12 +50,10 @@ from benchmarks.rd.report import Row, bd_rates
 from sgmethod import info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
-from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 Codec = Sg | Baseline
 Metric = Callable[[Pixels, Pixels], dict[str, Any]]  # of a picture and its source, by field of a row
-PLAIN = "visual-without-texture"
-OURS: dict[str, tuple[Tune, bool]] = {**{tune: (tune, True) for tune in TUNES}, PLAIN: ("visual", False)}
 DECODES = 5  # the median of their times is reported
 
 
@@ -111,7 +109,7 @@ def compared(codec: Codec, made: File, source: Source, metrics: Sequence[Metric]
 
 def codecs_of(options: argparse.Namespace) -> list[Codec]:
     """The codecs that are asked for."""
-    tuned = [Sg("rd", *OURS[name], effort=options.effort) for name in options.tune]
+    tuned = [Sg("rd", name, effort=options.effort) for name in options.tune]
     if options.quality:
         return [replace(ours, one_quality=True) for ours in tuned]
     codecs: list[Codec] = []
@@ -139,7 +137,7 @@ def main() -> None:
     parser.add_argument("--bpp", type=numbers, default=[0.15, 0.25, 0.4], help="each an upper limit for every file")
     parser.add_argument("--quality", type=numbers, help="in place of --bpp: quanta, halved by each 16 points")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
-    parser.add_argument("--tune", nargs="+", choices=OURS, default=TUNES, help=f"of profile rd; all but {PLAIN}")
+    parser.add_argument("--tune", nargs="+", choices=TUNES, default=TUNES, help="of profile rd")
     parser.add_argument(
         "--baselines", nargs="*", choices=BASELINES, help="the usual ones, with one setting each, where none is named"
     )

@@ -32,13 +32,12 @@ class File:
 class Sg:
     """One profile of this project.
 
-    tune, texture, effort: of profile rd; one_quality: what is aimed at is not bits per pixel but one quantum for all
+    tune, effort: of profile rd; one_quality: what is aimed at is not bits per pixel but one quantum for all
     pictures, given as a quality: 16 points halve it.
     """
 
     profile: Profile
     tune: Tune = "psnr"
-    texture: bool = True
     effort: int = DEFAULT_EFFORT
     one_quality: bool = False
 
@@ -47,7 +46,6 @@ class Sg:
         """The profile, and every setting that is not the usual one."""
         parts = {
             self.tune: self.tune != "psnr",
-            "without texture": not self.texture,
             f"effort {self.effort}": self.effort != DEFAULT_EFFORT,
             "one quality": self.one_quality,
         }
@@ -59,12 +57,7 @@ class Sg:
         if self.one_quality:
             data = self._at_quantum(pixels, 3.2 * 2 ** (-aim / 16))
         else:
-            tuned: dict[str, Any] = {
-                "tune": self.tune,
-                "texture": self.texture,
-                "effort": self.effort,
-                "profile": self.profile,
-            }
+            tuned: dict[str, Any] = {"tune": self.tune, "effort": self.effort, "profile": self.profile}
             data = encode(pixels, bpp=aim, **tuned).data
         return File(data, time.perf_counter() - began)
 
@@ -75,7 +68,7 @@ class Sg:
     def _at_quantum(self, pixels: Pixels, quantum: float) -> bytes:
         """The file of a fixed quantum, which is no budget."""
         settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
-        objective = Objective.from_pixels(pixels, self.tune, settings.objective, texture=self.texture)
+        objective = Objective.from_pixels(pixels, self.tune, settings.objective)
         rate, deadline = (
             RateControl(settings.rate, size, quantum),
             Deadline.from_limit(clock, None, size, settings.deadline),

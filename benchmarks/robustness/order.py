@@ -65,7 +65,7 @@ class Check:
 
 def measure(picture: str, pixels: Pixels, tune: Tune, bpp: float, effort: int, seed: int) -> Row:
     """Encode a picture [H, W, 3] once."""
-    data = encode(pixels, bpp=bpp, tune=tune, effort=effort, seed=seed, texture=False).data
+    data = encode(pixels, bpp=bpp, tune=tune, effort=effort, seed=seed).data
     figure = (psnr if tune == "psnr" else ssimulacra2)(decode(data), pixels)
     assert figure is not None
     return Row(picture, tune, bpp, effort, seed, len(data), round(figure, 4))

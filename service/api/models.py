@@ -26,7 +26,6 @@ EXAMPLE_JOB: dict[str, Any] = {
     "budget": {"kind": "bpp", "value": 0.3},
     "profile": "rd",
     "tune": "visual",
-    "texture": True,
     "effort": 5,
     "time_limit_s": 60.0,
     "priority": "interactive",
@@ -81,7 +80,6 @@ class JobSummary(AcceptedView):
     budget: BudgetView
     profile: str
     tune: str = Field(description='"psnr", "fidelity" or "visual"')
-    texture: bool = Field(description="whether noise may stand in for grain, if tuned visual")
     effort: int = Field(description="1 (fastest) to 9 (best file)")
     time_limit_s: float
     priority: Priority

@@ -76,11 +76,8 @@ class EncodeOptions(BaseModel):
     )
     tune: str | SkipJsonSchema[None] = Field(
         default=None,
-        description="visual looks best, fidelity invents nothing, psnr has the least squared error",
+        description="visual looks best, fidelity is that without synthesised grain, psnr has the least squared error",
         json_schema_extra={"enum": list(profiles.TUNES)},
-    )
-    texture: bool = Field(
-        default=True, description="false leaves out the noise that stands in for grain when tuned visual"
     )
     effort: int = Field(
         default=profiles.DEFAULT_EFFORT,
@@ -132,7 +129,7 @@ class EncodeOptions(BaseModel):
         if allowed is not None and allowed < min_bytes:
             detail = f"a file of profile {profile} takes at least {min_bytes} bytes, the budget is {allowed}"
             raise ProblemError(422, detail)
-        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort, self.texture)
+        return EncodeRequest(budget.kind, budget.value, profile, seconds, tune, self.effort)
 
 
 OPTIONS = tuple(EncodeOptions.model_fields)

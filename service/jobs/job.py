@@ -52,7 +52,6 @@ class EncodeRequest:
     time_limit_s: float
     tune: SkipValidation[Tune] = "psnr"
     effort: int = DEFAULT_EFFORT
-    texture: bool = True
 
 
 @dataclass(frozen=True)

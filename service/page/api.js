@@ -49,8 +49,7 @@ export const jobPath = (id) => `jobs/${id}`;
 /** The options of an encode that differ from the service's defaults. timeLimit: in seconds. */
 export function choices({ kind, tune, effort, timeLimit }) {
   const fields = [];
-  if (kind !== "psnr" && tune === "plain") fields.push(["texture", false]);
-  else if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]);
+  if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]);
   if ((effort ?? USUAL.effort) !== USUAL.effort) fields.push(["effort", effort]);
   if (timeLimit) fields.push(["time_limit_s", timeLimit]);
   return fields;

@@ -56,8 +56,7 @@ export function fillLines(item) {
   if (item.budget) {
     const fields = [[item.budget.kind, item.budget.value], ...choices(item.budget)];
     const form = fields.map(([name, text]) => `-F ${name}=${text}`).join(" ");
-    const inPython = { tune: (text) => `"${text}"`, texture: () => "False" };
-    const named = fields.map(([name, text]) => `${name}=${inPython[name]?.(text) ?? text}`).join(", ");
+    const named = fields.map(([name, text]) => `${name}=${name === "tune" ? `"${text}"` : text}`).join(", ");
     $("curl").textContent = `curl ${key}-F image=@${source} ${form} '${service}encode?wait=50' -o ${file}`;
     $("python").textContent = `import sgmethod\nsgmethod.encode("${source}", ${named}).save("${file}")`;
   } else {

@@ -159,7 +159,7 @@ export class Item {
       if (this.state === "cancelled") return;
       if (job.state === "failed") throw new Error(`It could not be encoded: ${job.error.detail}`);
       const { kind, value } = job.budget;
-      this.budget ??= { kind, value, tune: job.texture ? job.tune : "plain", effort: job.effort, timeLimit: null };
+      this.budget ??= { kind, value, tune: job.tune, effort: job.effort, timeLimit: null };
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
         Object.assign(this, { job, trace: job.trace });

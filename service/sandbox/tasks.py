@@ -205,7 +205,6 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
             Budget(request.budget_kind, request.budget_value),
             request.profile,
             tune=request.tune,
-            texture=request.texture,
             effort=request.effort,
             time_limit_s=request.time_limit_s,
             on_progress=lambda point: answer.send(frames.TracePoint(**frames.finite(point.to_dict()))),

@@ -191,11 +191,8 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tune",
         choices=TUNES,
-        help=f"visual looks best, fidelity invents nothing, psnr has the least squared error (default: {DEFAULT_TUNE}; "
-        "with --psnr: psnr)",
-    )
-    parser.add_argument(
-        "--no-texture", dest="texture", action="store_false", help="leave out the noise that stands in for grain"
+        help="visual looks best, fidelity is that without synthesised grain, psnr has the least squared error "
+        f"(default: {DEFAULT_TUNE}; with --psnr: psnr)",
     )
     parser.add_argument(
         "--effort",

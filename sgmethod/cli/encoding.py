@@ -113,7 +113,6 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
     """Options other than budget and profile, the same here and on a server."""
     return {
         "tune": arguments.tune,
-        "texture": arguments.texture,
         "effort": arguments.effort,
         "time_limit_s": arguments.time_limit,
     }

@@ -38,7 +38,6 @@ class Options(TypedDict, total=False):
     """Options of an encode, as in sgmethod.encode(). priority: "bulk" waits for jobs that are "interactive"."""
 
     tune: Tune | None
-    texture: bool
     effort: AnyInt
     time_limit_s: AnyFloat | None
     priority: Priority
@@ -192,8 +191,6 @@ class Client:
 
 def _query(budget: Budget | None, profile: Profile, options: Options) -> Json:
     wanted: Json = {"profile": profile, "effort": DEFAULT_EFFORT, "priority": "interactive", **options}
-    if wanted.get("texture"):  # the default, and a field that a service of 1.0.0rc2 refuses
-        del wanted["texture"]
     if budget is not None:
         wanted[budget.kind] = budget.value
     return {name: value for name, value in wanted.items() if value is not None}

@@ -28,16 +28,14 @@ GREY = 128.0
 class Objective:
     """The error that one picture's encode minimises.
 
-    pixels: [H, W, 3]; tune: as in encode(), and "psnr" for alpha planes, previews and torch.fit(); has_texture: whether
-    texture may replace grain; is_alpha: the picture is an alpha plane, which may overshoot; shown: the weights due to
-    alpha alone; visibility: weights of the pixels' errors in the fit, None if all are equal; visible_share: of each
-    Gaussian's energy by these.
+    pixels: [H, W, 3]; tune: as in encode(), and "psnr" for alpha planes, previews and torch.fit(); is_alpha: the
+    picture is an alpha plane, which may overshoot; shown: the weights due to alpha alone; visibility: weights of the
+    pixels' errors in the fit, None if all are equal; visible_share: of each Gaussian's energy by these.
     """
 
     pixels: Pixels
     settings: ObjectiveSettings
     tune: Tune = "psnr"
-    has_texture: bool = False
     is_alpha: bool = False
     shown: Visibility | None = None
     visibility: Visibility | None = None
@@ -45,13 +43,13 @@ class Objective:
 
     @classmethod
     def from_pixels(
-        cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, *, texture: bool, alpha: Pixels | None = None
+        cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, alpha: Pixels | None = None
     ) -> Objective:
-        """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque. texture: as in encode()."""
+        """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque."""
         shown = None if alpha is None else visibility.of_alpha(alpha)
         visible = shown if tune == "psnr" else visibility.of_detail(pixels, settings.visibility, shown)
         share = None if visible is None else VisibleShare(visible)
-        return cls(pixels, settings, tune, texture and tune == "visual", False, shown, visible, share)
+        return cls(pixels, settings, tune, False, shown, visible, share)
 
     @classmethod
     def from_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
@@ -71,17 +69,17 @@ class Objective:
     @property
     def replaces_grain(self) -> bool:
         """Whether texture may replace grain: not in strips thinner than the blocks in which it is measured."""
-        return self.has_texture and min(self.pixels.shape[:2]) >= texture.BLOCK
+        return self.tune == "visual" and min(self.pixels.shape[:2]) >= texture.BLOCK
 
     def under(self, pixels: Pixels, alpha: Pixels) -> Objective:
         """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
-        return Objective.from_pixels(pixels, self.tune, self.settings, texture=self.has_texture, alpha=alpha)
+        return Objective.from_pixels(pixels, self.tune, self.settings, alpha)
 
     def moving_target(self, target: Target, spacing: int, background: int) -> FitTarget:
         """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
             return OvershootingTarget.from_target(target, background, self.settings.moving)
-        if self.tune == "visual" and min(self.pixels.shape[:2]) >= texture.BLOCK and spacing < COARSE_SIDE:
+        if self.for_eye and min(self.pixels.shape[:2]) >= texture.BLOCK and spacing < COARSE_SIDE:
             return ExaggeratedTarget.from_target(target, self.settings.moving, hides=not self.replaces_grain)
         return FitTarget(target, target)
 

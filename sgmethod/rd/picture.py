@@ -30,7 +30,7 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     has_alpha = channels == 4
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, height * width, settings.deadline)
     colours = np.ascontiguousarray(pixels[..., :3])
-    objective = Objective.from_pixels(colours, asked.tune, settings.objective, texture=asked.has_texture)
+    objective = Objective.from_pixels(colours, asked.objective, settings.objective)
     rate = rate_of(asked.budget, (width, height), settings, has_alpha=has_alpha)
     problem = Problem(objective, rate.is_short(objective, has_alpha=has_alpha))
     session = Session(deadline, recorder, asked.seed)

@@ -71,7 +71,7 @@ class ExactFit:
         rate = GaussianCount(RD.rate, pixels[..., 0].size, self.quantum, max_gaussians=self.gaussians)
         steps = self.steps or round(EXACT.share_of_steps * first_run(RD, rate))
         settings = exact_schedule(steps)
-        problem = Problem(Objective.from_pixels(pixels, "psnr", settings.objective, texture=False))
+        problem = Problem(Objective.from_pixels(pixels, "psnr", settings.objective))
         session = Session(Deadline.from_limit(clock), _Shares(clock, total=steps, on_step=on_step), self.seed)
         whole = whole_of(problem, backend)
         pyramid = Pyramid.from_whole(whole, settings.pyramid, rate.expected_gaussians())

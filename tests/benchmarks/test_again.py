@@ -22,7 +22,7 @@ CONVERGENCE = {"method": "rd", "setting": "", "picture": "fog", "megapixels": 4.
     ("row", "how"),
     [
         (RD, Made(Sg("rd"), 0.25, "fog.png", None)),
-        (RD | {"codec": "rd visual without texture"}, Made(Sg("rd", "visual", False), 0.25, "fog.png", None)),
+        (RD | {"codec": "rd fidelity"}, Made(Sg("rd", "fidelity"), 0.25, "fog.png", None)),
         (RD | {"codec": "rd effort 9", "effort": 9}, Made(Sg("rd", effort=9), 0.25, "fog.png", None)),
         (
             RD | {"codec": "rd one quality", "max_bpp": None, "quality": 40},

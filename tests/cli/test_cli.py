@@ -65,7 +65,6 @@ def test_encode_and_decode(run: Run) -> None:
     ("line", "view"),
     [
         ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", {"scale": 2.5, "region": (3, 5, 20, 11), "prefix": 0.5}),
-        ("--no-texture", {"texture": False}),
         ("--width 20 --height 9", {"width": 20, "height": 9}),
         ("--height 111", {"height": 111}),
         ("--region 4,6,10,20 --width 40", {"region": (4, 6, 10, 20), "width": 40}),
@@ -88,7 +87,7 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
         given = ["--profile", "paper", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
-        named = {"tune": None, "texture": True, "effort": 5, "seed": 7, "measure": False}
+        named = {"tune": None, "effort": 5, "seed": 7, "measure": False}
         given_budget, options = calls.pop()
         assert 0 < options.pop("time_limit_s") <= 5  # counted from the start of the command
         assert (given_budget, options) == ((budget, "paper"), named)

@@ -288,7 +288,7 @@ def test_files_are_compared_without_their_texture() -> None:
     stream, smooth = container.parse(data), decode(data, texture=False)
     assert isinstance(stream, StreamV2)
     assert psnr(decode(data), smooth) < EXACT_DB
-    objective = Objective.from_pixels(smooth, "visual", RD.objective, texture=True)
+    objective = Objective.from_pixels(smooth, "visual", RD.objective)
     assert Coded(stream, objective).psnr == EXACT_DB
 
 
@@ -328,14 +328,12 @@ def test_strengths_fit_the_blocks_through_the_decoders_interpolation(cells: tupl
 def test_strips_thinner_than_a_block_get_none(thin: int) -> None:
     """A long one would be padded to many times its size."""
     for size in ((thin, 100), (100, thin)):
-        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual", RD.objective, texture=True)
+        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual", RD.objective)
         target = objective.moving_target(np.zeros((3, *size), np.int16), 1, 0)
         assert (objective.replaces_grain, target.hides) == (thin == BLOCK, thin != BLOCK)
 
 
-@pytest.mark.parametrize(
-    ("options", "has_texture"), [({}, True), ({"texture": False}, False), ({"tune": "fidelity"}, False)]
-)
+@pytest.mark.parametrize(("options", "has_texture"), [({}, True), ({"tune": "fidelity"}, False)])
 def test_texture_can_be_left_out_of_a_file(options: dict[str, Any], has_texture: bool) -> None:
     grass = np.random.default_rng(0).normal(100, 25, (96, 96, 1)).clip(0, 255).astype(np.uint8).repeat(3, 2)
     file = encode(grass, bpp=0.3, effort=2, **options).data

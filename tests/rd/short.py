@@ -87,7 +87,7 @@ def asked(
     backend: Backend = KERNELS,
 ) -> Asked:
     clock = Clock()
-    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective, texture=True)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
     rate = rate_of(budget, pixels.shape[1::-1], settings)
     session = Session(deadline or Deadline.from_limit(clock), Recorder(clock))
     return Asked(Problem(objective, rate.is_short(objective, has_alpha=False)), settings, rate, session, backend)

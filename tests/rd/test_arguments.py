@@ -106,7 +106,6 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(PIXELS, tune="best"), BudgetError, "unknown tune"),
         (lambda: sgmethod.encode(PIXELS, psnr=20, tune="visual"), BudgetError, "a budget in dB"),
         (lambda: sgmethod.encode(PIXELS, psnr=20, tune="fidelity"), BudgetError, "a budget in dB"),
-        (lambda: sgmethod.encode(PIXELS, texture="no"), BudgetError, "texture must be True or False"),
         (lambda: sgmethod.encode(PIXELS, profile="paper", tune="visual"), BudgetError, "profile paper"),
         (lambda: sgmethod.encode(PIXELS, profile="paper", quality="web"), BudgetError, "cannot aim at a quality"),
         (lambda: sgmethod.encode(PIXELS, profile="paper", effort=6), BudgetError, "only profile rd has an effort"),

@@ -161,7 +161,7 @@ def test_a_round_is_worth_its_time_to_the_eye() -> None:
     """By some seeds of small pictures, a round is 8 points worse or 7 better. It gains 1.1 ± 0.3 points on average."""
 
     def score(pixels: np.ndarray, bpp: float, seed: int, effort: int) -> float:
-        drawn = decode(encode(pixels, bpp=bpp, seed=seed, effort=effort, texture=False).data)
+        drawn = decode(encode(pixels, bpp=bpp, seed=seed, effort=effort, tune="fidelity").data)
         return ssimulacra2(drawn, pixels) or 0
 
     cases = [(photo(name), bpp) for name in ("kodim04-crop", "kodim05-crop", "kodim23-crop") for bpp in (0.5, 1.0)]

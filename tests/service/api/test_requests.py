@@ -208,7 +208,6 @@ def test_an_image_as_the_body(web: Service) -> None:
     assert web.job(post("?bytes=1.5k").json()["id"])["budget"] == {"kind": "bytes", "value": 1500}
     assert web.job(post("?bpp=1&tune=psnr").json()["id"])["tune"] == "psnr"
     assert web.job(post("?bpp=1&tune=fidelity").json()["id"])["tune"] == "fidelity"
-    assert unasked["texture"] and not web.job(post("?bpp=1&texture=false").json()["id"])["texture"]
     assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
     assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1}

@@ -123,7 +123,7 @@ def test_other_codecs(real: Sandbox, kind: Any) -> None:
         ("bytes", 300, {"effort": 9}),
         ("psnr", 25.0, {"tune": "psnr"}),
         ("quality", 50, {"tune": "visual"}),
-        ("gaussians", 20, {"tune": "visual", "texture": False}),
+        ("gaussians", 20, {"tune": "visual"}),
         ("bpp", 1.0, {"tune": "fidelity"}),
     ],
 )
@@ -135,7 +135,7 @@ def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, 
         *_, result = messages_of(real, what, saved(image))
         assert isinstance(result, Result), result
         assert result.figures.bytes == len(result.file)
-        how = {name: getattr(request, name) for name in ("tune", "texture", "effort", "time_limit_s")}
+        how = {name: getattr(request, name) for name in ("tune", "effort", "time_limit_s")}
         same = sgmethod.encode(saved(image), sgmethod.Budget(kind, value), "rd", **how, measure=True)
         assert result.file == same.data
         assert result.figures.psnr == same.stats.to_dict()["psnr"]

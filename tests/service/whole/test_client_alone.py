@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -187,23 +186,3 @@ def test_the_command_line_reports_retries(
             names = [str(tmp_path / name) for name in ("in.png", "out.sg")]
             assert cli.main(["encode", *names, "--server", address, *extra]) == 2
             assert capfd.readouterr().err.splitlines() == [*lines, f"sgmethod: {refused}"]
-
-
-class Older(Other):
-    """A service of 1.0.0rc2: it refuses fields that it does not know."""
-
-    known = frozenset({"profile", "effort", "priority", "wait"})  # and more, none of which is asked for below
-    refused: frozenset[str]
-
-    def do_POST(self) -> None:
-        type(self).refused = frozenset(parse_qs(urlsplit(self.path).query)) - self.known
-        super().do_POST()
-
-
-def test_an_older_service_is_sent_no_newer_field_at_its_default(tmp_path: Path) -> None:
-    names = [str(tmp_path / name) for name in ("in.png", "out.sg")]
-    (tmp_path / "in.png").write_bytes(SMALL)
-    with other(handler=Older) as address:
-        for extra, refused in (([], set()), (["--no-texture"], {"texture"})):
-            assert cli.main(["encode", *names, "--server", address, "--quiet", *extra]) == 2
-            assert Older.refused == refused
