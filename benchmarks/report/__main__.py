@@ -31,8 +31,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "headline": rate.headline_table,
     "headline-eye": rate.eye_table,
     "quoted": rate.quoted_table,
-    **{f"equal-{size}": partial(equal.means_table, size) for size in equal.SETS},
-    **{f"equal-{size}-differences": partial(equal.differences_table, size) for size in equal.SETS},
+    **{f"equal-{size}": partial(equal.means_table, size) for size in equal.FILES},
+    **{f"equal-{size}-differences": partial(equal.differences_table, size) for size in equal.FILES},
     "speed": speed.sizes_table,
     "within-small": partial(speed.within_table, 0.4),
     "within-large": partial(speed.within_table, 4),
@@ -155,7 +155,7 @@ def main() -> None:
     else:
         for path in changed:
             write_text(path, texts[path])
-        for name, (title, of, panels) in (PLOTS | equal.plots()).items():
+        for name, (title, of, panels) in PLOTS.items():
             save(panels, title, of, ROOT / "docs" / "plots" / name)
     if errors:
         sys.exit("\n".join(errors))

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import cache, partial
-from typing import Any
+from collections.abc import Iterator
+from functools import cache
 
 from benchmarks.machine import RESULTS
 from benchmarks.rd.equal import FORMS, Difference, cells, difference
 from benchmarks.rd.report import QUALITIES, TITLES, Means, Row, against, means
 from benchmarks.report import results
-from benchmarks.report.plots import Draw, style
 from benchmarks.tables import number, table
 
-SETS = {"768": "with a longer side of 768 pixels", "whole": "at their own size", "kodak": "of Kodak"}
-# The JSON of each, of which no two have the same row.
+# The JSON of each set of photographs, of which no two have the same row.
 FILES = {
     "768": ("rd/equal-768",),
     "whole": ("rd/equal-whole", "rd/equal-whole-eye", "rd/equal-whole-psnr"),
@@ -47,7 +44,7 @@ PAIRS = (
 
 @cache
 def rows(size: str) -> tuple[Row, ...]:
-    """The rows of one of SETS."""
+    """The rows of one of FILES."""
     return tuple(Row(**row) for name in FILES[size] for row in results.rows(name))
 
 
@@ -129,42 +126,5 @@ def figures() -> dict[str, float | None]:
 
 
 def measured() -> list[str]:
-    """Those of SETS that have been measured."""
+    """Those of FILES that have been measured."""
     return [size for size, names in FILES.items() if all((RESULTS / f"{name}.json").exists() for name in names)]
-
-
-def draw(axes: Any, size: str, figure: str) -> None:
-    """A figure against bits per pixel."""
-    for k, codec in enumerate(CODECS):
-        files = [(bpp, file_of(size, codec, bpp)) for bpp in rates(size)]
-        found = [(bpp, average(size)[name, bpp]) for bpp, name in files if name]
-        points = [(bpp, m[figure]) for bpp, m in found if m[figure] is not None and not m["above"]]
-        if points:
-            axes.plot(*zip(*points, strict=True), **style(k) | {"label": ", ".join(codec)})
-    axes.set_xscale("log")
-    axes.minorticks_off()
-    axes.set_xticks(rates(size), [f"{bpp:g}" for bpp in rates(size)])
-    count = len({row.image for row in rows(size)})
-    axes.set(xlabel=f"bits per pixel; {count} photographs {SETS[size]}", ylabel=TITLES[figure])
-
-
-def drawn(figure: str) -> list[str]:
-    """Those of SETS whose figure was measured at more than one rate."""
-    return [
-        size
-        for size in measured()
-        if len(rates(size)) > 1 and any(one[figure] is not None for one in average(size).values())
-    ]
-
-
-def plots() -> dict[str, tuple[str, str, Sequence[Draw]]]:
-    """A plot for each figure that was measured, with a panel for each of SETS."""
-    return {
-        f"equal-{figure.replace('_', '-')}": (
-            f"{TITLES[figure]} at equal bytes",
-            "means of photographs on which nothing was chosen",
-            [partial(draw, size=size, figure=figure) for size in sizes],
-        )
-        for figure in QUALITIES
-        if (sizes := drawn(figure))
-    }

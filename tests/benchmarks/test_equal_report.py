@@ -1,4 +1,4 @@
-"""The page's tables and plots of codecs at equal bytes, from figures by hand."""
+"""The page's tables of codecs at equal bytes, from figures by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.rd.report import Row
 from benchmarks.report import equal, results
-from benchmarks.report.plots import save
 
 
 def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,7 +26,7 @@ def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(equal, "RESULTS", tmp_path)
     for cached in (equal.rows, equal.average):
         monkeypatch.setattr(equal, cached.__name__, cached.__wrapped__)
-    assert equal.plots() == {}  # nothing was measured
+    assert equal.figures() == {}  # nothing was measured
     (tmp_path / "rd").mkdir()
     for name in sum(equal.FILES.values(), ()):
         (tmp_path / f"{name}.json").touch()
@@ -47,9 +46,3 @@ def test_a_row_has_the_files_of_one_setting(tmp_path: Path, monkeypatch: pytest.
     figures = equal.figures()
     assert figures["equal.768-visual-iq-film-grain-lpips-at-0.5"] == pytest.approx(0.01)
     assert figures["equal.whole-pictures"] == 2
-    plots = equal.plots()
-    assert list(plots)[1] == "equal-ssimulacra2"
-    title, of, panels = plots["equal-ssimulacra2"]
-    assert (len(panels), len(plots["equal-lpips"][2])) == (3, 2)  # no LPIPS on Kodak
-    save(panels, title, of, tmp_path / "plot")
-    assert "AVIF, ssimulacra2" in (tmp_path / "plot.svg").read_text()
