@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.convergence import OURS, TUNED
-from benchmarks.machine import ISA_NAMES, RESULTS, RUNS, Record
+from benchmarks.machine import ISA_NAMES, RESULTS, RUNS, Record, rows_of
 from benchmarks.pictures import Pixels, pictures_in, sized
 from benchmarks.rd.codecs import Sg
 from benchmarks.speed.sizes import alone
@@ -95,7 +95,7 @@ def main() -> None:
         assert folder
         images = options.images if folder[1] == "KODAK" else options.photographs / folder[1].lower()
         how = partial(made, bpp=published["settings"].get("bpp"))
-        every = [(one, row) for row in published["rows"] if (one := how(row))]
+        every = [(one, row) for row in rows_of(published) if (one := how(row))]
         # Every second or twelfth row would all be of one codec or rate.
         for one, row in random.Random(0).sample(every, min(options.most, len(every))):
             key = {"result": name, "commit": published["commit"], "codec": one.codec.name, "picture": one.picture}

@@ -21,6 +21,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from benchmarks.machine import rows_of
 from benchmarks.rd.report import Point, bd_rate, shared
 from benchmarks.tables import mean, number, standard_error, table
 
@@ -30,7 +31,7 @@ Curves = dict[str, dict[str, list[Point]]]  # by codec and picture
 def curves(path: Path, figure: str) -> Curves:
     """Read a table. Exits with a message where it has no such columns."""
     with path.open(newline="") as file:
-        rows: Iterable[dict[str, Any]] = json.load(file)["rows"] if path.suffix == ".json" else [*csv.DictReader(file)]
+        rows: Iterable[dict[str, Any]] = rows_of(json.load(file)) if path.suffix == ".json" else [*csv.DictReader(file)]
     found: Curves = {}
     for line, row in enumerate(rows, start=2):
         try:

@@ -78,7 +78,7 @@ def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
     content = json.loads(path.read_text())
     same = all(content.get(name) == where[name] for name in ("machine", "settings") if name in where)
     same = same and threads_of(content) == threads_of(where)
-    return list(content["rows"]) if same and same_code(content["commit"], where["commit"]) else []
+    return rows_of(content) if same and same_code(content["commit"], where["commit"]) else []
 
 
 def threads_of(content: Mapping[str, Any]) -> int | None:
@@ -147,8 +147,22 @@ def write_text(path: Path, text: str) -> None:
 
 
 def one_a_line(content: Mapping[str, Any]) -> str:
-    """JSON with each field on a line, and each record of a list of records: a new measurement changes few lines."""
-    return "{\n" + ",\n".join(f"{json.dumps(name)}: {_lines(value)}" for name, value in content.items()) + "\n}\n"
+    """JSON with each field on a line, and each column of "rows". Rows with the same names are a table; "at" is their
+    places among all rows."""
+    tables: dict[tuple[str, ...], dict[str, list[Any]]] = {}
+    for at, row in enumerate(content["rows"]):
+        table = tables.setdefault(tuple(row), {name: [] for name in ("at", *row)})
+        for name, value in {"at": at, **row}.items():
+            table[name].append(value)
+    fields = {name: _lines(value) for name, value in content.items()}
+    fields["rows"] = _lines([*tables.values()], columns=True)
+    return "{\n" + ",\n".join(f"{json.dumps(name)}: {text}" for name, text in fields.items()) + "\n}\n"
+
+
+def rows_of(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The rows of a JSON, in their order."""
+    every = [dict(zip(table, of, strict=True)) for table in content["rows"] for of in zip(*table.values(), strict=True)]
+    return [{name: row[name] for name in row if name != "at"} for row in sorted(every, key=lambda row: row["at"])]
 
 
 def peak_bytes(process: int | str = "self") -> int:
@@ -167,10 +181,16 @@ def forget_peak() -> int:
     return peak_bytes()
 
 
-def _lines(value: Any) -> str:
+def _lines(value: Any, columns: bool = False) -> str:
+    """A field. A list of records has each of them on a line, or each column of a record."""
     if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
-        return "[\n" + ",\n".join(json.dumps(one, allow_nan=False) for one in value) + "\n]"
+        return "[\n" + ",\n".join(_record(one, ",\n " if columns else ", ") for one in value) + "\n]"
     return json.dumps(value, allow_nan=False)
+
+
+def _record(values: Mapping[str, Any], between: str) -> str:
+    fields = [f"{json.dumps(name)}: {json.dumps(value, allow_nan=False)}" for name, value in values.items()]
+    return "{" + between.join(fields) + "}"
 
 
 def _short(value: object) -> str:

@@ -21,7 +21,7 @@ import torch
 from benchmarks.ablation import gains, paper
 from benchmarks.ablation.report import summary
 from benchmarks.arguments import run_part, some_of
-from benchmarks.machine import RUNS, Record
+from benchmarks.machine import RUNS, Record, rows_of
 from benchmarks.pictures import add_options, named_in
 
 
@@ -60,7 +60,7 @@ def show() -> None:
     """Print tables of JSON files: one of all that gains measured, and one of each other file."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation show", description=show.__doc__)
     parser.add_argument("json", type=Path, nargs="+")
-    files = {path: json.loads(path.read_text())["rows"] for path in parser.parse_args().json}
+    files = {path: rows_of(json.loads(path.read_text())) for path in parser.parse_args().json}
     fits = [row for rows in files.values() for row in rows if row["table"] in gains.TABLES]
     if fits:
         print(gains.summary(fits))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from benchmarks.machine import RESULTS, threads_of
+from benchmarks.machine import RESULTS, rows_of, threads_of
 from benchmarks.tables import number, standard_error
 
 Row = dict[str, Any]
@@ -36,7 +36,7 @@ def load(name: str) -> dict[str, Any]:
 
 def rows(name: str) -> list[Row]:
     """The rows of a JSON."""
-    return list(load(name)["rows"])
+    return rows_of(load(name))
 
 
 def sources(names: Sequence[str]) -> str:

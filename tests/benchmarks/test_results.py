@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.machine import one_a_line, rows_of
 from benchmarks.report import __main__ as report
 from benchmarks.report.__main__ import filled, stale
 from tests.support.data import ROOT
@@ -62,4 +63,21 @@ def test_results_say_where_they_come_from(path: Path) -> None:
     assert re.fullmatch(r"(SG_THREADS=\d+ )?python -m benchmarks\.\w+[^/]*", " ".join(words))  # no path of a machine
     assert re.fullmatch(r"[0-9a-f]{12}(\+[0-9a-f]{8})?", content["commit"])
     assert {"processor", "cores", "instruction_set", "system", "python", "packages"} <= set(content["machine"])
-    assert content["rows"]
+    assert rows_of(content)
+
+
+def test_rows_come_back_from_their_columns() -> None:
+    rows = [{"codec": "a", "psnr": 1.5}, {"codec": "b", "times": [1, 2]}, {"codec": "c", "psnr": None}]
+    text = one_a_line({"settings": {}, "rows": rows})
+    assert rows_of(json.loads(text)) == rows
+    assert text.splitlines()[2:] == [
+        '"rows": [',
+        '{"at": [0, 2],',
+        ' "codec": ["a", "c"],',
+        ' "psnr": [1.5, null]},',
+        '{"at": [1],',
+        ' "codec": ["b"],',
+        ' "times": [[1, 2]]}',
+        "]",
+        "}",
+    ]

@@ -16,7 +16,7 @@ from benchmarks import machine
 from benchmarks.ablation.gains import summary
 from benchmarks.ablation.report import complete, worth
 from benchmarks.bd import compared, curves
-from benchmarks.machine import kept_rows, origin
+from benchmarks.machine import kept_rows, one_a_line, origin, rows_of
 from benchmarks.pictures import Pixels
 from benchmarks.rd.baselines import Baseline
 from benchmarks.rd.equal import between, difference
@@ -181,7 +181,7 @@ def test_a_run_goes_on_with_its_own_rows_alone(tmp_path: Path) -> None:
         "settings": {"bpp": 1},
         "command": "python -m benchmarks.rd",
     }
-    path.write_text(json.dumps({**where, "rows": rows}))
+    path.write_text(one_a_line({**where, "rows": rows}))
     assert kept_rows(path, where) == rows
     machine: Any = where["machine"]
     for other in (
@@ -204,7 +204,7 @@ def test_a_run_of_several_commands_names_them_all(tmp_path: Path, monkeypatch: p
     first, second = "python -m benchmarks.rd --bpp 1", "python -m benchmarks.rd --bpp 2"
     assert json.loads(path.read_text())["command"] == f"{first} + {second}"
     machine.Record(path, "benchmarks.rd", {"seen": True})
-    assert len(json.loads((tmp_path / "run.json.before").read_text())["rows"]) == 3
+    assert len(rows_of(json.loads((tmp_path / "run.json.before").read_text()))) == 3
     assert not path.exists()
 
 
