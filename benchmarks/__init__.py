@@ -3,7 +3,7 @@
 python -m benchmarks              small versions of most, or with --full what docs/results shows
 python -m benchmarks.rd           rate and quality over a folder of pictures, compared with other codecs
 python -m benchmarks.previews     the same from 32 to 4,096 bytes, compared with placeholders and reduced pictures
-python -m benchmarks.perceptual   metrics that are designed to agree with people; .sheet draws crops
+python -m benchmarks.perceptual.sheet  crops of each codec beside the source; .blind makes a page on which people choose
 python -m benchmarks.convergence  error against run time, compared with other codecs
 python -m benchmarks.speed        time and memory by size, and of the kernels; growth: large photographs against AVIF
 python -m benchmarks.gpu          drawing, fits, batches and encodes on a GPU, and errors of the kernels there

@@ -80,8 +80,6 @@ FULL = {
     "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "previews/kodak": f"previews {SEEN}",
-    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.25",
-    "perceptual/photographs": "perceptual --images {photographs}/measured --weights {weights} --bpp 0.25",
     "convergence/0.4-megapixels": f"convergence {EIGHT} --few {BUT_AVIF} --seconds 10 --paper-limits 3 "
     f"+ convergence {EIGHT} {AND_AVIF} --seconds 10",
     "convergence/4-megapixels": f"convergence {EIGHT_LARGE} --few --limits 1,4 --seconds 20 --paper-limits 5 "
@@ -115,7 +113,7 @@ FULL = {
 # The others are measured by one thread, as many side by side as there are cores: their times are those of a processor,
 # or do not matter.
 ON_ALL_CORES = ("convergence", "speed", "service")
-COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual", "scenes")
+COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "scenes")
 
 
 def run(result: str, commands: list[list[str]], folder: Path) -> None:
@@ -135,7 +133,7 @@ def main() -> None:
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
     parser.add_argument("--only", type=some_of(COMMANDS, "command"), default=",".join(COMMANDS), help="commands")
-    parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
+    parser.add_argument("--weights", type=Path, help="the folder that benchmarks.perceptual.weights fills")
     parser.add_argument("--photographs", type=Path, help="the folder that benchmarks.perceptual.photographs fills")
     parser.add_argument("--report", action="store_true", help="then make tables and plots from the results")
     options = parser.parse_args()

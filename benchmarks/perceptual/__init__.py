@@ -1,1 +1,1 @@
-"""Metrics that are designed to agree with people, compared with AVIF at the same size; and sheets of crops."""
+"""LPIPS, DISTS and judges that chose nothing, the photographs that are measured, crops and a page for readers."""

@@ -4,7 +4,7 @@
                                   [--weights FOLDER] [--seen-bytes 256,1024]
 
 Each file is the best within so many bytes. There is no row where a codec makes none so small, or the same as within
-fewer. Times are of processors, all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2,
+fewer. Times are of processors, all threads added up. --weights: as benchmarks.rd takes it, for SSIMULACRA 2,
 LPIPS and DISTS at --seen-bytes. Needs the extra "benchmark".
 """
 

@@ -19,8 +19,9 @@ from. This compares two codecs alone:
     python -m benchmarks.rd --images FOLDER --equal --bpp 0.25 --tune fidelity --baselines 'avif tune=ssimulacra2'
 
 --quality: profile rd at one quantum for all pictures, as published means over pictures mostly are; they may only be
-compared with such. --weights: a folder as benchmarks.perceptual takes it, for LPIPS and DISTS too, which take longer
-than all else. --judges: Butteraugli and ColorVideoVDP, which chose nothing (perceptual/judges.py says what they need).
+compared with such. --weights: the folder that benchmarks.perceptual.weights fills, for LPIPS and DISTS too, which take
+longer than all else. --judges: Butteraugli and ColorVideoVDP, which chose nothing (perceptual/judges.py says what they
+need).
 """
 
 from __future__ import annotations

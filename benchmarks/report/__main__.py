@@ -18,8 +18,7 @@ from functools import cache, partial
 
 from benchmarks.flat import flat
 from benchmarks.machine import RESULTS, ROOT, write_text
-from benchmarks.perceptual import local
-from benchmarks.report import equal, paper, previews, rate, scenes, seen, service, speed, stability
+from benchmarks.report import equal, paper, previews, rate, scenes, service, speed, stability
 from benchmarks.report.plots import Draw, save
 from benchmarks.report.results import rows, sources
 
@@ -55,10 +54,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "paper-jpeg": paper.jpeg_table,
     "previews": previews.by_bytes,
     "previews-at-512-bytes": previews.at_one_size,
-    "seen": seen.means_table,
-    "seen-local": partial(seen.means_table, local.FIGURES),
-    "seen-quoted": seen.quoted_table,
-    "seen-encoder": seen.same_encoder,
+    "trained": rate.trained_table,
     "stability": stability.rules_table,
     "worse": stability.worse_list,
     "scenes": scenes.needs_table,
@@ -81,11 +77,6 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
     ),
     "paper": ("Gaussians by structure", "before coding, means of 12 pictures and standard errors", [paper.draw]),
     "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
-    "seen": (
-        "Perceptual metrics",
-        "each mark is a picture; right of the line ours is better",
-        [partial(seen.draw, figure=figure) for figure in ("ssimulacra2", "lpips", "dists")],
-    ),
     "stability": (
         "Stability",
         "the worst error of kernels by the Gaussians' ratio of axes, and the limit",
@@ -100,7 +91,7 @@ APART = {"stiff": "picture", "order": "tune"}  # a further column that tells row
 @cache
 def figures() -> dict[str, float | None]:
     """Every figure that a sentence may have, by its mark."""
-    parts = (paper, rate, equal, speed, scenes, previews, seen, stability, service)
+    parts = (paper, rate, equal, speed, scenes, previews, stability, service)
     return {mark: value for part in parts for mark, value in part.figures().items()}
 
 

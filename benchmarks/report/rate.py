@@ -75,6 +75,8 @@ HEADLINE_RATES = {
     "0.15 to 0.4 bpp": (0.15, 0.25, 0.4),
 }
 
+TRAINED = {"lpips": ".3f", "dists": ".3f", "psnr": ".2f"}  # figures of codecs that were trained for the eye
+
 RANGES = ("over pictures", "over bits per pixel")  # titles of differences()
 
 # README's rows: column of the JSON, its format, what picks the best, and which of the two codecs is measured.
@@ -169,6 +171,21 @@ def quoted_table() -> str:
     found = sorted(((names[mark], rate) for mark, rate in quoted().items() if rate), key=lambda pair: -pair[1].mean)
     lines = [[name, *differences(rate)] for name, rate in found]
     return table(" | ".join(["published codec", "bits of `rd` for the same PSNR", *RANGES]), lines)
+
+
+def trained_table() -> str:
+    """Our files of Kodak at BPP beside codecs whose decoders are networks, at the nearest rate that they published."""
+    ours = average()["rd visual", BPP]
+    took = [f"{1e3 * (ours['encode_s'] or 0):,.0f} ms", f"{ours['decode_ms'] or 0:.1f} ms"]
+    figures = [number(ours[name], form) for name, form in TRAINED.items()]
+    lines = [["ours, tuned for the eye", f"{BPP:g}", *figures, *took]]
+    for name, codec in published.seen().items():
+        point = min(codec["points"], key=lambda point: abs(point["bpp"] - BPP))
+        took = [f"{codec[one]} ms" if one in codec else MISSING for one in ("encode_ms", "decode_ms")]
+        figures = [number(point.get(figure), form) for figure, form in TRAINED.items()]
+        lines.append([f"{name} (quoted)", f"{point['bpp']:.3g}", *figures, *took])
+    titles = ["codec", "bpp", *(TITLES[name] for name in TRAINED), "encode, on a CPU", "decode, on a CPU"]
+    return table(" | ".join(titles), lines)
 
 
 def differences(rate: BdRate | None) -> list[str]:
