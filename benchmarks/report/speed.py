@@ -14,7 +14,7 @@ from benchmarks.tables import MISSING, number, standard_error, table
 
 SIZES = {0.4: "convergence/0.4-megapixels", 4: "convergence/4-megapixels", 12: "convergence/12-megapixels"}
 ONE_CORE = [f"convergence/{size}-megapixels-1-core" for size in ("0.4", "4")]
-METHODS = {
+COSTS = {
     ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
     ("rd", ""): "`rd`, tuned for PSNR",
     ("rd visual", "effort 1"): "`rd`, effort 1, tuned for the eye",
@@ -25,31 +25,12 @@ METHODS = {
     ("jpegxl", "7"): "JPEG XL, effort 7",
     ("webp", "6"): "WebP, method 6",
     ("jpeg", "0"): "JPEG",
-}
-COSTS = METHODS | {
     ("rd fidelity", "effort 1"): "`rd`, effort 1, tuned for fidelity",
     ("rd fidelity", ""): "`rd`, tuned for fidelity",
     ("avif visual", "6"): "AVIF of 10 bits, `tune=iq`, speed 6",
     ("avif visual", "4"): "AVIF of 10 bits, `tune=iq`, speed 4",
 }
-SECONDS = {0.4: (0.1, 0.25, 0.5, 1, 3, 10), 4: (1, 3, 10, 30)}
-WITHIN = {
-    "rd": "`rd`, tuned for PSNR",
-    "rd visual": "`rd`, tuned for the eye (the default)",
-    "rd fidelity": "`rd`, tuned for fidelity",
-    "paper": "`paper`",
-    "avif": "AVIF of 10 bits, `tune=psnr`",
-    "avif visual": "AVIF of 10 bits, `tune=iq`",
-    "jpegxl": "JPEG XL",
-    "webp": "WebP",
-}
-# Figures to reach, of the means over pictures.
-REACHED: dict[float, dict[str, tuple[float, ...]]] = {
-    0.4: {"psnr": (30, 31, 32, 32.5, 33), "ssimulacra2": (30, 35, 40, 45, 50)},
-    4: {"psnr": (39, 40, 41, 41.5), "ssimulacra2": (60, 65, 70, 72, 75)},
-}
 FIGURES = ("seconds", "encode_s", "mib", "decode_ms", "psnr", "ssimulacra2", "bytes")  # of which some have no encode_s
-UNITS = {"psnr": "{:g} dB", "ssimulacra2": "SSIMULACRA 2 {:g}"}
 DRAWN = ("rd", "rd visual", "paper", "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, tuned for PSNR, by effort or time limit", "rd visual": "rd, tuned for the eye, by effort"}
 LABELS |= {"avif": "AVIF of 10 bits, tune=psnr, by speed", "jpegxl": "JPEG XL", "webp": "WebP", "jpeg": "JPEG"}
@@ -79,17 +60,6 @@ def every_setting(megapixels: float, method: str) -> list[dict[str, float]]:
     """Means of each setting of a method, in the order in which they were measured."""
     settings = dict.fromkeys(row["setting"] for row in rows(SIZES[megapixels]) if row["method"] == method)
     return [m for setting in settings if (m := at(megapixels, method, setting))]
-
-
-def sizes_table() -> str:
-    """A line for each method, a column for each size."""
-    lines = []
-    for key, name in METHODS.items():
-        found = [at(size, *key) for size in SIZES]
-        lines.append([name, *(f"{seconds(m['seconds'])} s, {m['psnr']:.1f} dB" if m else MISSING for m in found)])
-    counts = {size: len({row["picture"] for row in rows(name)}) for size, name in SIZES.items()}
-    titles = [f"{size:g} megapixels ({n} photographs)" for size, n in counts.items()]
-    return table(" | ".join(["method", *titles]), lines)
 
 
 def costs_table(megapixels: float) -> str:
@@ -186,24 +156,3 @@ def draw(axes: Any, megapixels: float) -> None:
         lows.append(max(db))
     label = f"seconds, {megapixels:g} megapixels"
     axes.set(xscale="log", xlabel=label, ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None))
-
-
-def within_table(megapixels: float) -> str:
-    """The best PSNR of each method whose encode takes at most so many seconds, means over the pictures of one size."""
-    lines = []
-    for method, name in WITHIN.items():
-        found = every_setting(megapixels, method)
-        # A time limit is overrun by some milliseconds.
-        best = [max((m["psnr"] for m in found if m["seconds"] <= 1.01 * s), default=None) for s in SECONDS[megapixels]]
-        lines.append([name, *(number(psnr, ".1f") for psnr in best)])
-    return table(" | ".join(["", *(f"{s:g} s" for s in SECONDS[megapixels])]), lines)
-
-
-def reached_table(megapixels: float, figure: str) -> str:
-    """The seconds after which each method reaches a PSNR or a SSIMULACRA 2: of the quickest setting whose mean does."""
-    goals, lines = REACHED[megapixels][figure], []
-    for method, name in WITHIN.items():
-        found = every_setting(megapixels, method)
-        best = [min((m["seconds"] for m in found if m[figure] >= goal), default=None) for goal in goals]
-        lines.append([name, *(MISSING if s is None else f"{seconds(s)} s" for s in best)])
-    return table(" | ".join(["", *(UNITS[figure].format(goal) for goal in goals)]), lines)
