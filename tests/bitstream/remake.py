@@ -69,16 +69,15 @@ def models() -> dict[str, Any]:
     return {**found, **{name: weights[ours] for name, ours in WEIGHTS.items()}}
 
 
-def written(value: Any, indent: str = "") -> str:
-    """JSON; a row of numbers, and what is short, has one line."""
-    line = json.dumps(value)
-    if not isinstance(value, dict | list) or (len(line) < 250 and not re.search(r"[\[{][\[{]", line)):
-        return line
+def written(value: Any, depth: int, indent: str = "") -> str:
+    """JSON. Each value that deep has a line, as a stage of a file does: lines of their own would be thousands."""
+    if not depth or not isinstance(value, dict | list) or not re.search(r"[\[{][\[{]|: [\[{]", json.dumps(value)):
+        return json.dumps(value)
     deeper = f"{indent} "
     if isinstance(value, dict):
-        rows = [f"{deeper}{json.dumps(key)}: {written(one, deeper)}" for key, one in value.items()]
+        rows = [f"{deeper}{json.dumps(key)}: {written(one, depth - 1, deeper)}" for key, one in value.items()]
     else:
-        rows = [f"{deeper}{written(one, deeper)}" for one in value]
+        rows = [f"{deeper}{written(one, depth - 1, deeper)}" for one in value]
     begin, end = "{}" if isinstance(value, dict) else "[]"
     return "\n".join([begin, ",\n".join(rows), f"{indent}{end}"])
 
@@ -225,7 +224,7 @@ def main() -> None:
     golden_files, vectors = golden(2), json.loads(VECTORS.read_text())
     layers = {name: read(data) for name, data in golden_files.items()}
     of_vectors = [read(bytes.fromhex(of["bytes"])) for of in vectors["files"]]
-    MODELS.write_text(written(models()) + "\n")
+    MODELS.write_text(written(models(), 1) + "\n")
     plain.tables.cache_clear()
     hashes = {}
     for name, data in golden_files.items():
@@ -247,7 +246,7 @@ def main() -> None:
     stepped = [parts(of_name[name], step) for name, step in PARTED.items()]
     vectors["parts"] = [*stepped, parts(equal, 99), parts(refused)]
     vectors["refuse"] = [{"reason": reason, "bytes": data.hex()} for reason, data in refusals().items()]
-    VECTORS.write_text(written(vectors) + "\n")
+    VECTORS.write_text(written(vectors, 3) + "\n")
 
 
 if __name__ == "__main__":
