@@ -9,7 +9,7 @@ export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 # Each worker of pytest has a core of its own, and threads that share one wait for each other.
 PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
-.PHONY: help serve quick test thorough coverage sanitize versions fuzz wheel npm demo lock bench study
+.PHONY: help serve quick test thorough coverage sanitize versions fuzz wheel npm demo lock bench
 
 help:
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -88,9 +88,6 @@ lock: $(VENV)/.service ## renew versions and hashes of what the image installs, 
 bench: $(VENV)/.benchmark ## some measurements in ten minutes, or nearly all with FULL=yes and IMAGES, PHOTOGRAPHS and WEIGHTS
 	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS)) \
 	  $(if $(PHOTOGRAPHS),--photographs $(PHOTOGRAPHS))
-
-study: $(VENV)/.benchmark ## build a blind comparison with AVIF in build/study: static files, from photographs in IMAGES=folder
-	$(BIN)/python -m benchmarks.perceptual.blind --images $(IMAGES)
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call. PyTorch, which the service
 # does without, comes first, so that its build is the one chosen; Python compiles a module when it is first imported, and

@@ -1,1 +1,1 @@
-"""LPIPS, DISTS and judges that chose nothing, the photographs that are measured, crops and a page for readers."""
+"""LPIPS, DISTS and judges that chose nothing, the photographs that are measured, and sheets of crops."""
