@@ -2,7 +2,7 @@
 
     python -m benchmarks.ablation --images FOLDER [--tables quantisation,positions,bitwidths] [--most 6]
                                   [--pictures kodim05] [--seeds 3] [--fit-steps 2000] [--tune-steps 1000]
-    python -m benchmarks.ablation gains [--help]     the paper's start and regularisation, before coding
+    python -m benchmarks.ablation gains [--help]     the paper's start, before coding
     python -m benchmarks.ablation show JSON...       the tables of what either measured
 
 Files of profile paper with 1,000, 3,000 and 7,000 Gaussians; of the table bitwidths, with 3,000. All of it takes hours
@@ -61,7 +61,7 @@ def show() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation show", description=show.__doc__)
     parser.add_argument("json", type=Path, nargs="+")
     files = {path: rows_of(json.loads(path.read_text())) for path in parser.parse_args().json}
-    fits = [row for rows in files.values() for row in rows if row["table"] in gains.TABLES]
+    fits = [row for rows in files.values() for row in rows if row["table"] not in paper.TABLES]
     if fits:
         print(gains.summary(fits))
     for path, rows in files.items():

@@ -251,20 +251,6 @@ def figures() -> dict[str, float | None]:
     marks["paper.fewer-bits"], marks["paper.fewer-bits-error"] = -percent if percent else None, error
     short = worth(found, ABQ, SHORT, bd_rate)[0]
     marks["paper.fewer-bits-short"] = -short if short else None
-    for asked in (1000, 3000):
-        for codec in JPEGS:
-            pairs = beside_jpeg(asked, codec)
-            apart = [ours - theirs for _, ours, theirs in pairs]
-            marks[f"paper.{codec}-bpp-{asked}"] = mean([bpp for bpp, _, _ in pairs])
-            marks[f"paper.{codec}-{asked}"], marks[f"paper.{codec}-error-{asked}"] = mean(apart), standard_error(apart)
-    bitwidths = files("bitwidths")
-    for bits in ("8", "12"):
-        for end, setting in {"": f"from {bits} bits", "-printed": f"from {bits} bits{PRINTED}"}.items():
-            ends = [row["bits_of_factor"] for group in bitwidths[setting].values() for row in group]
-            marks[f"paper.bits-from-{bits}{end}"] = mean(ends)
-            follows = follow(bitwidths, setting)
-            marks[f"paper.follow-from-{bits}{end}"] = mean(follows)
-            marks[f"paper.follow-error-from-{bits}{end}"] = standard_error(follows)
     return marks | seed_figures()
 
 
