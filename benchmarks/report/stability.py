@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
 from functools import cache
 from typing import Any
 
-from benchmarks.report.plots import style
 from benchmarks.report.results import rows
 from benchmarks.robustness import order
 from benchmarks.robustness.stiff import Row, judged
@@ -73,14 +71,14 @@ def figures() -> dict[str, float]:
     return found | {f"stability.spread-{tune}": order.spread(ordered(), tune) for tune in order.TOLERANCES}
 
 
-def draw(axes: Any, rule: str) -> None:
-    """The error of kernels by the ratio of axes, and its limit where there is one."""
-    mine = [row for row in extremes() if row["rule"].startswith(rule) and row["worst"]]
-    for k, version in enumerate(("version 1", "version 2")):
-        found = [(re.match(rf"aspect ratio (\S+), {version}", row["case"]), row) for row in mine]
-        points = [(float(match[1]), row["worst"], row["limit"]) for match, row in found if match]
-        ratios, errors, limits = zip(*points, strict=True)
-        axes.plot(ratios, errors, **style(k) | {"label": f"files of {version}"})
-    axes.plot(ratios, [limit or math.nan for limit in limits], **style(3) | {"marker": "", "label": "limit"})
-    kind = "pixels" if rule == VALUE else "gradients"
-    axes.set(xscale="log", yscale="log", xlabel="ratio of axes", ylabel=f"relative error of {kind}")
+def needles_table() -> str:
+    """The worst error of kernels by the Gaussians' ratio of axes, a line for each kind and version."""
+    lines: dict[str, list[str]] = {}
+    ratios: dict[str, None] = {}
+    for rule, kind in ((VALUE, "pixels"), (GRADIENT, "gradients")):
+        for row in extremes():
+            match = re.match(r"aspect ratio 1e(\d), (version \d)", row["case"])
+            if match and row["rule"].startswith(rule):
+                ratios[f"{10 ** int(match[1]):,}"] = None
+                lines.setdefault(f"{kind}, {match[2]}", []).append(number(row["worst"], ".1e"))
+    return table(" | ".join(["", *ratios]), [[name, *cells] for name, cells in lines.items()])
