@@ -5,7 +5,7 @@
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; --report, or python -m benchmarks.report, then makes the
 documents. benchmarks/Dockerfile has all that this needs.
-Not in --full, as they need a GPU: benchmarks.gpu, and `ablation gains --tables whole`.
+benchmarks.gpu is not in --full, as it needs a GPU.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SMALL = {
     "--paper-limits 2 --few",
     "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
     "stability": "robustness extremes --sets kernels,fits --seeds 3 --generations 4",
-    "speed": f"speed {KODAK} --megapixels 0.1,0.4 --repeats 1 --steps 100 --rounds 10",
+    "kernels": f"speed kernels {KODAK} --steps 100 --rounds 10",
     "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
     "ablation": f"ablation {KODAK} --most 1 --seeds 1 --fit-steps 200 --tune-steps 100",
     "service/load": "service load --seconds 5",
@@ -76,8 +76,7 @@ FULL = {
     "--baselines 'avif tune=psnr 10 bits' jpegxl webp jpegli",
     "rd/equal-kodak": f"rd {KODAK} --equal --bpp 0.25 --tune fidelity visual --baselines 'avif tune=ssimulacra2'",
     "rd/effort": f"rd {SEEN} --effort 9 --tune psnr --bpp 0.25",
-    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 "
-    "--baselines 'avif tune=psnr 10 bits speed 0' 'avif tune=iq' 'avif sharp' 'avif grain'",
+    "rd/avif": f"rd {SEEN} --profiles '' --bpp 0.25 --baselines 'avif grain'",
     "rd/quality": f"rd {KODAK} --tune psnr {QUALITIES}",
     "previews/kodak": f"previews {SEEN}",
     "convergence/0.4-megapixels": f"convergence {EIGHT} --few {BUT_AVIF} --seconds 10 --paper-limits 3 "
@@ -92,15 +91,11 @@ FULL = {
     "strict": "robustness extremes --sets strict",
     "order": f"robustness order {SIX} --efforts 1,2,3,4,5,6,7,8,9 + robustness order {SIX} --seeds 4 "
     "+ robustness order --images {photographs}/unseen --most 40",
-    "speed": f"speed {KODAK}",
     "growth": "speed growth --images {photographs}/large --most 99 --pictures dahlia,peony,red_lake "
     "--megapixels 0.75,3,12 --bytes 500,2000,10000,50000 --repeats 1",
     "scenes": f"scenes {KODAK}",
     "sparse": "scenes --large {photographs}/large",
-    "gains/optimiser": f"ablation gains {KODAK} --tables optimiser --most 6",
     "gains/crops": f"ablation gains {KODAK} --tables crops --most 6",
-    "gains/seeds": f"ablation gains {KODAK} --tables optimiser --numbers 70000 --settings random,dynamic "
-    "--most 3 --seeds 3",
     "gains/numbers": f"ablation gains {KODAK} --tables numbers --most 12",
     "ablation": f"ablation {KODAK} --tables quantisation --most 12 --seeds 1",
     "positions": f"ablation {KODAK} --tables positions --most 8 --seeds 1",

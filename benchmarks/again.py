@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.convergence import OURS, TUNED
-from benchmarks.machine import ISA_NAMES, RESULTS, RUNS, Record, rows_of
+from benchmarks.machine import ISA_NAMES, RESULTS, RUNS, Record, alone, rows_of
 from benchmarks.pictures import Pixels, pictures_in, sized
 from benchmarks.rd.codecs import Sg
-from benchmarks.speed.sizes import alone
 from sgmethod import decode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr

@@ -10,9 +10,10 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +164,12 @@ def rows_of(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The rows of a JSON, in their order."""
     every = [dict(zip(table, of, strict=True)) for table in content["rows"] for of in zip(*table.values(), strict=True)]
     return [{name: row[name] for name in row if name != "at"} for row in sorted(every, key=lambda row: row["at"])]
+
+
+def alone(function: Callable[..., dict[str, Any]], *arguments: object) -> dict[str, Any]:
+    """Run a function in a process of its own, whose memory and settings are its own, and return its result."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(function, arguments)
 
 
 def peak_bytes(process: int | str = "self") -> int:

@@ -25,10 +25,9 @@ import cv2
 import numpy as np
 
 from benchmarks.arguments import integers, numbers
-from benchmarks.machine import RUNS, Record, forget_peak, peak_bytes
+from benchmarks.machine import RUNS, Record, alone, forget_peak, peak_bytes
 from benchmarks.pictures import Pixels
 from benchmarks.speed.growth import reduced
-from benchmarks.speed.sizes import alone
 from sgmethod import Encoded, encode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.problem import Problem

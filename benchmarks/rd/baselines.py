@@ -143,18 +143,6 @@ class Jpegli(Baseline):
         return np.frombuffer(decoded, np.uint8).reshape(height, width, 3)
 
 
-class Jpeg2000(Baseline):
-    """OpenJPEG with the irreversible wavelet; quality is the PSNR aimed at."""
-
-    name, qualities = "jpeg2000", [q / 20 for q in range(15 * 20, 60 * 20)]
-
-    def encode(self, pixels: Pixels, quality: float) -> bytes:
-        return bytes(imagecodecs().jpeg2k_encode(pixels, level=quality, codecformat="j2k", reversible=False))
-
-    def decode(self, data: bytes) -> Pixels:
-        return np.asarray(imagecodecs().jpeg2k_decode(data))
-
-
 class WebP(Baseline):
     """libwebp, by default with its slowest method."""
 
@@ -171,27 +159,14 @@ class WebP(Baseline):
 
 
 class Avif(Baseline):
-    """libavif of imagecodecs, 4:2:0, tune=iq (its default), on every core, by default at speed 4."""
-
-    name, qualities = "avif", range(100)
-
-    def __init__(self, speed: int = 4) -> None:
-        self.settings: dict[str, Any] = {"speed": speed, "pixelformat": "420", "numthreads": native.thread_count()}
-
-    def encode(self, pixels: Pixels, quality: float) -> bytes:
-        return bytes(imagecodecs().avif_encode(pixels, level=int(quality), **self.settings))
-
-    def decode(self, data: bytes) -> Pixels:
-        return np.asarray(imagecodecs().avif_decode(data, numthreads=native.thread_count()))
-
-
-class TunedAvif(Avif):
     """libavif of Pillow, which lets callers choose the tuning; on every core, by default at speed 4."""
 
-    subsampling, advanced = "4:2:0", {"tune": "iq"}
+    qualities = range(100)
+    subsampling = "4:4:4"
+    advanced: dict[str, str]
 
     def __init__(self, speed: int = 4) -> None:
-        self.settings = {"speed": speed, "max_threads": native.thread_count()}
+        self.settings: dict[str, Any] = {"speed": speed, "max_threads": native.thread_count()}
 
     def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
         """The search begins where that of a quick speed ends."""
@@ -207,14 +182,17 @@ class TunedAvif(Avif):
         Image.fromarray(pixels).save(file, "AVIF", quality=int(quality), **more, **self.settings)
         return file.getvalue()
 
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(imagecodecs().avif_decode(data, numthreads=native.thread_count()))
 
-class AvifForPsnr(TunedAvif):
+
+class AvifForPsnr(Avif):
     """AVIF for the highest PSNR."""
 
-    name, subsampling, advanced = "avif tune=psnr", "4:4:4", {"tune": "psnr"}
+    name, advanced = "avif tune=psnr", {"tune": "psnr"}
 
 
-class LibvipsAvif(TunedAvif):
+class LibvipsAvif(Avif):
     """AVIF of libvips, which can write 10 bits; 4:4:4, on every core, by default at speed 4."""
 
     qualities = range(1, 100)
@@ -254,15 +232,6 @@ class AvifOf8BitsForEyes(LibvipsAvif):
     name, bits, tune = "avif tune=iq 4:4:4", 8, "iq"
 
 
-class AvifOfSharp(AvifOf8BitsForEyes):
-    """AVIF as sharp writes it by default since 0.35: at effort 4, which is speed 5."""
-
-    name = "avif sharp"
-
-    def __init__(self) -> None:
-        super().__init__(speed=5)
-
-
 class ReducedAvif(AvifForPsnr):
     """AVIF of a picture that is reduced first, as people do for few bytes: its sides by two, or by more until
     MIN_BPP bits are left for each pixel. Times include the reducing; decoding enlarges."""
@@ -282,22 +251,16 @@ class ReducedAvif(AvifForPsnr):
         return np.asarray(cv2.resize(super().decode(data), self._size, interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
-class AvifForEyes(TunedAvif):
-    """AVIF as libavif of Pillow writes it by default."""
-
-    name = "avif tune=iq"
-
-
-class AvifForSsimulacra2(TunedAvif):
+class AvifForSsimulacra2(Avif):
     """AVIF tuned for SSIMULACRA 2, in 8 bits: no library that takes this tuning here writes 10."""
 
-    name, subsampling, advanced = "avif tune=ssimulacra2", "4:4:4", {"tune": "ssimulacra2"}
+    name, advanced = "avif tune=ssimulacra2", {"tune": "ssimulacra2"}
 
 
-class AvifWithGrain(TunedAvif):
+class AvifWithGrain(Avif):
     """AVIF with grain that is taken out of the picture and drawn again by the decoder."""
 
-    name, advanced = "avif grain", {"tune": "iq", "denoise-noise-level": "25"}
+    name, subsampling, advanced = "avif grain", "4:2:0", {"tune": "iq", "denoise-noise-level": "25"}
 
 
 class Heic(Baseline):
@@ -330,18 +293,9 @@ class JpegXl(Baseline):
         return np.asarray(imagecodecs().jpegxl_decode(data, numthreads=native.thread_count()))
 
 
-class PatientAvif(AvifOf10BitsForPsnr):
-    """The slowest speed, some seconds for a photograph: what effort 9 of profile rd competes with."""
-
-    name = "avif tune=psnr 10 bits speed 0"
-
-    def __init__(self) -> None:
-        super().__init__(speed=0)
-
-
 AVIFS = (AvifForPsnr, AvifOf10BitsForPsnr, AvifOf8BitsForEyes, AvifOf10BitsForEyes)
-USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, *AVIFS)
-SELDOM = (PatientAvif, AvifForEyes, AvifForSsimulacra2, AvifOfSharp, AvifWithGrain, Jpegli)
+USUAL = (Jpeg, MozJpeg, WebP, JpegXl, Heic, *AVIFS)
+SELDOM = (AvifForSsimulacra2, AvifWithGrain, Jpegli)
 BASELINES: dict[str, Callable[[], Baseline]] = {baseline.name: baseline for baseline in (*USUAL, *SELDOM)}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif", "pyjpegli", "pyvips")
 
@@ -363,7 +317,7 @@ def versions() -> list[str]:
     """Names and versions of the libraries; none where a package is missing."""
     if not all(importlib.util.find_spec(name) for name in PACKAGES):
         return []
-    wanted = ("libjpeg_turbo-", "openjpeg-", "libwebp-", "libavif-", "libjxl-")
+    wanted = ("libjpeg_turbo-", "libwebp-", "libavif-", "libjxl-")
     heif = package("pillow_heif").libheif_info()
     return [
         *(name for name in imagecodecs().version().split(", ") if name.startswith(wanted)),

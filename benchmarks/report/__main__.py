@@ -49,6 +49,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "previews-at-512-bytes": previews.at_one_size,
     "trained": rate.trained_table,
     "stability": stability.rules_table,
+    "needles": stability.needles_table,
     "worse": stability.worse_list,
     "scenes": scenes.needs_table,
     "sparse-small": partial(scenes.large_table, 1000),
@@ -70,11 +71,6 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
     ),
     "paper": ("Gaussians by structure", "before coding, means of 12 pictures and standard errors", [paper.draw]),
     "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
-    "stability": (
-        "Stability",
-        "the worst error of kernels by the Gaussians' ratio of axes, and the limit",
-        [partial(stability.draw, rule=rule) for rule in (stability.VALUE, stability.GRADIENT)],
-    ),
     "service": ("The service", "p99 of other clients under each attack", [service.draw]),
 }
 CSVS = ROOT / "build" / "csv"

@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.convergence import until_table
 from benchmarks.report.plots import style
 from benchmarks.report.results import Row, load, rows, seconds
-from benchmarks.speed.growth import exponent, growth_table
+from benchmarks.speed.growth import growth_table
 from benchmarks.tables import MISSING, number, standard_error, table
 
 SIZES = {0.4: "convergence/0.4-megapixels", 4: "convergence/4-megapixels", 12: "convergence/12-megapixels"}
@@ -118,12 +118,6 @@ def figures() -> dict[str, float]:
     for name, setting in (("avif", "4"), ("jpegxl", "7"), ("webp", "6")):
         once = at(0.4, name, setting)
         found[f"speed.{name}-{setting}-once-ms"] = 1e3 * once["encode_s"] if once else math.nan
-    sizes = [row for row in rows("speed") if row["what"] == "size"]
-    found["speed.decode-24mp"] = sizes[-1]["decode_ms"]
-    found["speed.memory-24mp"] = sizes[-1]["encode_mib"]
-    pixels = [row["pixels"] for row in sizes]
-    for name in ("encode_s", "decode_ms", "encode_mib"):
-        found[f"speed.power-{name}"] = exponent(pixels, [median(row[name]) for row in sizes]) or 0
     return found | growing()
 
 
@@ -136,11 +130,6 @@ def growing() -> dict[str, float]:
     found = {mark: statistics.fmean(values) for mark, values in groups.items()}
     found["growth.times"] = found["growth.rd-visual-12mp-10000"] / found["growth.rd-visual-0.75mp-10000"]
     return found
-
-
-def median(value: float | list[float]) -> float:
-    """The median of repeated measurements, or the only one."""
-    return statistics.median(value) if isinstance(value, list) else value
 
 
 def draw(axes: Any, megapixels: float) -> None:

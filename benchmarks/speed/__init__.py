@@ -1,1 +1,1 @@
-"""Time and memory by size, bytes and number of Gaussians, and of the kernels: python -m benchmarks.speed"""
+"""Time of the kernels, and of encodes by pixels and bytes: python -m benchmarks.speed"""

@@ -1,4 +1,6 @@
-"""Time of drawing and of its gradients, on Gaussians that were fitted to a picture.
+"""Time drawing and its gradients, on Gaussians that were fitted to a picture.
+
+    python -m benchmarks.speed kernels [--images FOLDER] [--steps 300] [--rounds 40] [--out FILE]
 
 Fitted Gaussians matter: random ones are of other sizes and overlap differently. Every time includes laying the
 Gaussians over the tiles, because a fit does that at every step and a decoder once per picture; it is measured
@@ -7,6 +9,7 @@ alone too. All configurations take turns in every round, so that a busy moment o
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -17,8 +20,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageOps
 
-from benchmarks.machine import ISA_NAMES
-from benchmarks.pictures import Pixels
+from benchmarks.machine import ISA_NAMES, RUNS, Record
+from benchmarks.pictures import Pixels, chosen_from
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
@@ -26,8 +29,10 @@ from sgmethod.paper.fit import fit, level_of
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
 from sgmethod.start.placement import place_by_structure
+from tests.support.data import PHOTOGRAPHS
 
 SIZE = (768, 512)
+GAUSSIANS = 5000
 
 
 def load(path: Path) -> Pixels:
@@ -81,3 +86,17 @@ def measure(gaussians: Gaussians, rounds: int) -> Iterator[dict[str, Any]]:
         median, p10, p90 = (round(float(q), 3) for q in np.percentile(times, (50, 10, 90)))
         found = {"job": name, "isa": ISA_NAMES[isa], "threads": threads}
         yield {**found, "median_ms": median, "p10_ms": p10, "p90_ms": p90}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=Path, default=PHOTOGRAPHS, help="a folder, whose first picture is fitted")
+    parser.add_argument("--steps", type=int, default=300, help="of the fit")
+    parser.add_argument("--rounds", type=int, default=40, help="times that each kernel is timed")
+    parser.add_argument("--out", type=Path, default=RUNS / "kernels.json")
+    options = parser.parse_args()
+    record = Record(options.out, "benchmarks.speed kernels", {"steps": options.steps, "rounds": options.rounds})
+    if not record.rows:
+        gaussians = fitted(load(chosen_from(options.images, 1)[0]), GAUSSIANS, options.steps)
+        for row in measure(gaussians, options.rounds):
+            record.add(row)
