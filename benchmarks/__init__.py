@@ -6,7 +6,7 @@ python -m benchmarks.previews     the same from 32 to 4,096 bytes, compared with
 python -m benchmarks.perceptual.sheet  crops of each codec beside the source
 python -m benchmarks.convergence  error against run time, compared with other codecs
 python -m benchmarks.speed        growth of time with pixels and bytes, against AVIF, and time of the kernels
-python -m benchmarks.gpu          drawing, fits, batches and encodes on a GPU, and errors of the kernels there
+python -m benchmarks.gpu          drawing, decoding and fits on a GPU
 python -m benchmarks.ablation     the paper's ablations, and what its start gains
 python -m benchmarks.robustness   hard pictures (stiff), extreme Gaussians and bad starts (extremes), under rules
 python -m benchmarks.service      the service under load, attacked, and killed at random (chaos)

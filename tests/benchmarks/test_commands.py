@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         ["kept"],
     ),
     "robustness order": ("--images {small} --megapixels 0.002 --bpp 2 --efforts 1,2", "effort", [1, 2]),
-    "gpu": ("--quick --images {small}", "what", ["errors", "decode", "decode bytes", "steps"]),
+    "gpu": ("--quick --images {small}", "what", ["decode", "decode bytes"]),
     "service attacks": ("--seconds 2 --only slow", "tracebacks", [0]),
 }
 
