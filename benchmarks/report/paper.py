@@ -278,5 +278,5 @@ def draw(axes: Any) -> None:
     for k, (start, by_number) in enumerate(gains_by_number().items()):
         numbers = sorted(by_number)
         means, errors = ([figure(by_number[n]) for n in numbers] for figure in (mean, standard_error))
-        axes.errorbar(numbers, means, errors, capsize=2, **style(k) | {"label": STARTS[start]})
+        axes.errorbar(numbers, means, errors, **style(k) | {"label": STARTS[start]})
     axes.set(xlabel="Gaussians, of a picture of 768x512 pixels", ylabel="dB above a random start")

@@ -38,6 +38,7 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
         raise SystemExit("plots need matplotlib: pip install -e '.[benchmark]'") from error
     settings = {"svg.hashsalt": path.name, "font.size": 9, "lines.markersize": 4, "lines.linewidth": 1.2}
     settings |= {"axes.grid": True, "axes.axisbelow": True, "grid.color": "0.9"}
+    settings |= {"xtick.bottom": False, "ytick.left": False}  # the grid's lines are enough
     settings |= {"axes.prop_cycle": cycler(color=COLOURS)}
     with mpl.rc_context(settings | {"svg.fonttype": "none"}):
         figure = Figure(layout="constrained")
@@ -45,6 +46,7 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
         named: dict[str, Any] = {}
         for draw, axes in zip(panels, all_axes, strict=True):
             draw(axes)
+            axes.minorticks_off()
             for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
                 named.setdefault(name, handle)
         all_axes[0].set_title(f"{title}\n{of}".strip(), loc="left", fontsize=9)

@@ -141,7 +141,7 @@ def draw(axes: Any, megapixels: float) -> None:
             continue
         look = {"linestyle": "none"} if method in ("webp", "jpeg") else {}
         seconds_, db, error = zip(*points, strict=True)
-        axes.errorbar(seconds_, db, error, capsize=2, **style(k) | look | {"label": LABELS.get(method, method)})
+        axes.errorbar(seconds_, db, error, **style(k) | look | {"label": LABELS.get(method, method)})
         lows.append(max(db))
     label = f"seconds, {megapixels:g} megapixels"
     axes.set(xscale="log", xlabel=label, ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None))
