@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import integers, some_of
-from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.networks import Networks
 from benchmarks.pictures import Pixels, add_options, named_in
@@ -73,7 +72,6 @@ def main() -> None:
                 if not record.has(**key, bytes=made.bytes):
                     found = measured(made, pixels, networks if max_bytes in options.seen_bytes else None)
                     record.add({"codec": codec, "max_bytes": max_bytes, "image": path.name} | found)
-    print(flat(record.rows))
 
 
 if __name__ == "__main__":

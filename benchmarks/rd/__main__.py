@@ -39,15 +39,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.arguments import numbers, some_of
-from benchmarks.flat import flat
 from benchmarks.machine import RUNS, Record
 from benchmarks.perceptual.judges import Judges, judge_versions
 from benchmarks.perceptual.networks import LPIPS_SIDE, Networks
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.baselines import BASELINES, USUAL, Baseline, versions
 from benchmarks.rd.codecs import File, Sg
-from benchmarks.rd.equal import between, differences_table
-from benchmarks.rd.report import Row, bd_rates
+from benchmarks.rd.equal import FORMS, between, differences_table
+from benchmarks.rd.report import QUALITIES, TITLES, Row, bd_rates, means
+from benchmarks.tables import number, table
 from sgmethod import info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
@@ -119,6 +119,17 @@ def codecs_of(options: argparse.Namespace) -> list[Codec]:
     return [*codecs, *(baseline() for name, baseline in BASELINES.items() if name in options.baselines)]
 
 
+def means_table(rows: Sequence[Row]) -> str:
+    """A line for each codec and rate or quality: means over the pictures."""
+    forms = {"images": "g", "bpp": ".3f", **{name: FORMS[name] for name in QUALITIES}}
+    forms |= {"encode_s": ".2f", "decode_ms": ".1f"}
+    lines = [
+        [codec, f"{aim:g}", *(number(m[name], form) for name, form in forms.items())]
+        for (codec, aim), m in means(rows).items()
+    ]
+    return table(" | ".join(["codec", "asked", *(TITLES.get(name, name) for name in forms)]), lines)
+
+
 def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """The options. Exits with one clear line for what makes no sense."""
     options = parser.parse_args()
@@ -163,13 +174,15 @@ def main() -> None:
                 if (codec.name, aim, path.name) not in kept:
                     asked = metrics if options.seen_bpp is None or aim in options.seen_bpp else []
                     record.add(asdict(measure(codec, path.name, pixels, aim, asked, options.equal)))
-    print(flat(record.rows))
+    rows = [Row(**row) for row in record.rows]
+    print(f"\n{means_table(rows)}")
     if options.equal:
         ours, theirs = ([c.name for c in codecs_of(options) if isinstance(c, kind)] for kind in (Sg, Baseline))
-        print(differences_table([Row(**row) for row in record.rows], ours, theirs))
-    if rates := bd_rates([Row(**row) for row in record.rows]):
+        print(f"\n{differences_table(rows, ours, theirs)}")
+    if rates := bd_rates(rows):
         record.conclude(bd_rates=rates)
-        print(flat(rates))
+        lines = [[number(v, ".2f") if isinstance(v, float | None) else v for v in rate.values()] for rate in rates]
+        print(f"\n{table(' | '.join(rates[0]), lines)}")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
 """Make the tables and plots of docs/results and README.md from the JSON of benchmarks/results.
 
-    python -m benchmarks.report [--check | --csv]
+    python -m benchmarks.report [--check]
 
 People write the pages. The command replaces what lies between <!-- table NAME --> and <!-- end -->. Behind a measured
 figure of a sentence stands its name, as in 13.9<!-- rate.fewer-than-avif -->: the command compares the two, and exits
 with 1 where a sentence has to change. --check writes nothing, and also exits with 1 where a table would change; it
-needs no matplotlib, as plots are not compared. --csv writes only the means over pictures, as CSV into build/csv.
+needs no matplotlib, as plots are not compared.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 
-from benchmarks.flat import flat
-from benchmarks.machine import RESULTS, ROOT, write_text
+from benchmarks.machine import ROOT, write_text
 from benchmarks.report import equal, paper, previews, rate, scenes, service, speed, stability
 from benchmarks.report.plots import Draw, save
-from benchmarks.report.results import rows, sources
+from benchmarks.report.results import sources
 
 TABLE = re.compile(r"( *)<!-- table ([\w-]+)((?: \S+)*) -->\n.*?<!-- end -->", re.DOTALL)
 FIGURE = re.compile(r"(\S*)<!--\s+([\w-]+\.[\w.-]+)\s+-->")  # a line may end within a mark
@@ -52,8 +51,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "needles": stability.needles_table,
     "worse": stability.worse_list,
     "scenes": scenes.needs_table,
-    "sparse-small": partial(scenes.large_table, 1000),
-    "sparse-large": partial(scenes.large_table, 50000),
+    "large-scenes": scenes.large_table,
     "savings": scenes.savings_table,
     "service": service.situations,
 }
@@ -73,8 +71,6 @@ PLOTS: dict[str, tuple[str, str, Sequence[Draw]]] = {
     "previews": ("Previews", "means of 24 pictures of Kodak", [previews.draw]),
     "service": ("The service", "p99 of other clients under each attack", [service.draw]),
 }
-CSVS = ROOT / "build" / "csv"
-APART = {"stiff": "picture", "order": "tune"}  # a further column that tells rows of a CSV apart
 
 
 @cache
@@ -108,23 +104,10 @@ def stale(text: str) -> Iterator[str]:
             yield f"{digits[0]} ({mark}): the JSON has {value:,.{decimals + 1}f}"
 
 
-def write_csvs() -> None:
-    """Write the means of each JSON, for spreadsheets."""
-    for path in sorted(RESULTS.rglob("*.json")):
-        name = path.relative_to(RESULTS).with_suffix("").as_posix()
-        write_text(CSVS / f"{name}.csv", flat(rows(name), APART.get(name, "")))
-    print(f"into {CSVS}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--check", action="store_true")
-    what.add_argument("--csv", action="store_true")
+    parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
-    if options.csv:
-        write_csvs()
-        return
     documents = [path for folder in ("docs", "docs/results") for path in sorted((ROOT / folder).glob("*.md"))]
     pages = {path: path.read_text() for path in (ROOT / "README.md", *documents)}
     texts = {path: filled(text) for path, text in pages.items()}

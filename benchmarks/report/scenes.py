@@ -26,20 +26,20 @@ def needs_table() -> str:
     return table("scene | Gaussians | bytes | steps | seconds", lines)
 
 
-def large_table(max_bytes: int) -> str:
-    """A line for each large scene and size within a budget, those of one scene together."""
-    mine = [row for row in rows("sparse") if row["max_bytes"] == max_bytes]
-    took = {row["megapixels"]: row["cpu_s"] for row in mine if row["scene"] == TEXTURED}
-    scenes = list(dict.fromkeys(row["scene"] for row in mine))
-    lines = [
-        [
-            *(row["scene"], f"{row['megapixels']:g}", f"{row['gaussians']:,}", f"{row['bytes']:,}"),
-            *(number(row["psnr"], ".1f"), number(row["cpu_s"], ".2g")),
-            *(f"{100 * row['cpu_s'] / took[row['megapixels']]:.0f} %", number(row["mib"], ".0f")),
-        ]
-        for row in sorted(mine, key=lambda row: (scenes.index(row["scene"]), row["megapixels"]))
-    ]
-    return table("scene | megapixels | Gaussians | bytes | PSNR, dB | seconds | relative time | MiB", lines)
+def large_table() -> str:
+    """A line for each large scene, a column for each budget and size: its time in units of the textured photograph's,
+    its bytes and its PSNR."""
+    found = {(row["scene"], row["max_bytes"], row["megapixels"]): row for row in rows("sparse")}
+    columns = sorted({key[1:] for key in found})
+    lines = []
+    for scene in dict.fromkeys(scene for scene, *_ in found):
+        cells = []
+        for column in columns:
+            row, textured = found[scene, *column], found[TEXTURED, *column]
+            cells.append(f"{100 * row['cpu_s'] / textured['cpu_s']:.0f} %, {row['bytes']:,}, {row['psnr']:.1f} dB")
+        lines.append([scene, *cells])
+    titles = [f"{max_bytes:,} bytes, {megapixels:g} MP" for max_bytes, megapixels in columns]
+    return table(" | ".join(["scene, at most", *titles]), lines)
 
 
 def savings_table() -> str:
