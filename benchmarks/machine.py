@@ -122,10 +122,6 @@ class Record:
         write_text(self.path, one_a_line({**self.content, "rows": self.rows}))
         print(", ".join(f"{name} {_short(value)}" for name, value in row.items() if value is not None), flush=True)
 
-    def conclude(self, **found: object) -> None:
-        """Write what follows from all rows into the JSON, before them."""
-        write_text(self.path, one_a_line({**self.content, **found, "rows": self.rows}))
-
 
 def command(module: str) -> str:
     """The command line without --out, after SG_THREADS if it is set. A path is replaced by its last part in capitals,

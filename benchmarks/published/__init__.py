@@ -8,8 +8,6 @@ kodak-cool-chic-5.0.tsv: Cool-Chic 5.0, results/v5.0 (BSD-3-Clause), each pictur
 difference in rate for each picture, then the mean over pictures.
 
 seen.json: learned codecs whose decoders are trained for the eye, LPIPS (AlexNet) and DISTS as measured here.
-
-paper.json: the tables of "Structure-Guided Allocation of 2D Gaussians for Image Representation and Compression".
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
 an interrupted run resumes where it stopped. Each file is the best within a rate in bits per pixel; where none is so
 small, the smallest that its codec makes. Profile rd comes with each tuning. --baselines adds other codecs, set as
-baselines.py says. At the end come the BD-rates against AVIF, printed and in the JSON: mean, standard error, least and
-most over pictures, and the bits per pixel that were compared.
+baselines.py says. At the end come means, and the BD-rates against AVIF: mean, standard error, least and most over
+pictures, and the bits per pixel that were compared.
 
 --equal: at equal bytes. The figures of other codecs, which have few qualities to choose from, are interpolated along
 the logarithm of bytes, between the files on both sides of the rate; ours take no more than the rate. At the end come
@@ -180,7 +180,6 @@ def main() -> None:
         ours, theirs = ([c.name for c in codecs_of(options) if isinstance(c, kind)] for kind in (Sg, Baseline))
         print(f"\n{differences_table(rows, ours, theirs)}")
     if rates := bd_rates(rows):
-        record.conclude(bd_rates=rates)
         lines = [[number(v, ".2f") if isinstance(v, float | None) else v for v in rate.values()] for rate in rates]
         print(f"\n{table(' | '.join(rates[0]), lines)}")
 

@@ -200,7 +200,7 @@ def against_quoted(average: Means, codec: str, other: str) -> BdRate | None:
 
 
 def bd_rates(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Every BD-rate against AVIF, for the JSON."""
+    """Every BD-rate against AVIF."""
     codecs = dict.fromkeys(row.codec for row in rows)
     pairs = [(codec, anchor) for anchor in AVIF if anchor in codecs for codec in codecs if codec != anchor]
     found = [(pair, against(rows, *pair)) for pair in pairs]

@@ -241,8 +241,6 @@ def figures() -> dict[str, float | None]:
     found |= decode_figures(average(UNSEEN))
     shown = [codecs[0] for codecs in readme_codecs("psnr").values()]
     found["rate.above"] = sum(average(UNSEEN)[codec, BPP]["above"] or 0 for codec in shown)
-    visual = [average()[codec, 0.4]["ssimulacra2"] or 0 for codec in (avif("ssimulacra2"), "rd visual")]
-    found["rate.avif-points-at-0.4-on-kodak"] = visual[0] - visual[1]
     by_default = {
         "avif-by-default-on-kodak": against(rows(), "rd visual", avif("ssimulacra2")),
         "avif-for-psnr-by-default-on-kodak": against(rows(), "rd visual", avif()),

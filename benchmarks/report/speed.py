@@ -97,23 +97,14 @@ def figures() -> dict[str, float]:
         found[f"speed.times-avif-once-{end}"] = ours["seconds"] / avif["encode_s"]
         found[f"speed.gain-{end}"] = ours["psnr"] - avif["psnr"]
         found[f"speed.gain-error-{end}"] = avif["psnr_error"]
-        found[f"speed.avif-unused-{end}"] = 100 * (1 - avif["bytes"] / ours["bytes"])
-        found[f"speed.rd-psnr-{end}"], found[f"speed.rd-{end}"] = ours["seconds"], visual["seconds"]
         found[f"speed.avif-{end}"], found[f"speed.avif-once-{end}"] = avif["seconds"], avif["encode_s"]
-        found[f"speed.avif-psnr-{end}"] = avif["psnr"]
-        found[f"speed.decode-{end}"] = visual["decode_ms"]
-        eye = {
-            "rd": visual,
-            "fidelity": at(size, "rd fidelity", ""),
-            "avif-visual": at(size, "avif visual", "6"),
-            "jpegxl": at(size, "jpegxl", "7"),
-        }
+        found[f"speed.rd-{end}"], found[f"speed.decode-{end}"] = visual["seconds"], visual["decode_ms"]
+        eye = {"rd": visual, "fidelity": at(size, "rd fidelity", ""), "avif-visual": at(size, "avif visual", "6")}
         for name, one in eye.items():
             found[f"speed.{name}-ssimulacra2-{end}"] = one["ssimulacra2"] if one else math.nan
             found[f"speed.{name}-seconds-{end}"] = one["seconds"] if one else math.nan
         for name, other in (("jpeg", at(size, "jpeg", "0")), ("avif", avif)):
             assert other
-            found[f"speed.{name}-decode-{end}"] = other["decode_ms"]
             found[f"speed.times-{name}-decode-{end}"] = visual["decode_ms"] / other["decode_ms"]
     for name, setting in (("avif", "4"), ("jpegxl", "7"), ("webp", "6")):
         once = at(0.4, name, setting)
