@@ -1,6 +1,6 @@
 """The Triton kernels on the CPU, run by tests/torch/test_tiles.py in a process with TRITON_INTERPRET=1.
 
-Errors are measured as in the tests of the compiled kernels, whose cases these are.
+So are the scenes of tests/drawing and the frames of tests/backend.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from sgmethod.torch.batched import BatchedTensors
 from sgmethod.torch.exact import ExactFit
 from sgmethod.torch.fitting import fit_pictures
 from sgmethod.torch.tiles import Tiles
-from tests.backend.cases import FRAMES, SIZE, image, over, scattered, target, worst
-from tests.native import test_pyramid as pyramid, test_render as plain
-from tests.torch.test_tensors import assert_as_reference
+from tests.backend.cases import SIZE, image, over, scattered, target, worst
+from tests.drawing.renderers import by_tiles
+from tests.drawing.scenes import PYRAMIDS, SCENES, exact
 
 CPU = torch.device("cpu")
 
@@ -38,54 +38,15 @@ def no_warnings() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(params=["lists", "no lists"])
-def lists(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """With and without space in the lists of tiles."""
-    monkeypatch.setattr(tiles, "PAIRS", 8 if request.param == "lists" else 0)
-    return str(request.param)
-
-
 def tensors(gaussians: Gaussians) -> list[Tensor]:
     return [torch.from_numpy(values)[None] for values in gaussians.arrays]
 
 
-@pytest.mark.parametrize("name", [*pyramid.CASES, "needles"])
-def test_pyramid(name: str, lists: str) -> None:
-    c = pyramid.needle_case((83, 70)) if name == "needles" else pyramid.case(name)
-    drawn = Tiles(Frame(*c.size), *tensors(c.values))
-    assert np.abs(drawn.draw()[0].numpy() - c.picture).max() < 1e-5  # worst seen 6.2e-6
-    if lists == "lists":
-        for found, true in zip(drawn.gradients(torch.from_numpy(c.upstream)[None]), c.by_picture, strict=True):
-            error = np.abs(found[0].numpy() - true)
-            assert (error < 1e-5 * np.abs(true).max(initial=0)).all()  # worst seen 1.6e-6
-
-
-def test_needles_each() -> None:
-    """In parts of each needle's own gradient, as in tests/native/test_pyramid.py."""
-    c = pyramid.needle_case((83, 70))
-    found = [
-        by[0].numpy() for by in Tiles(Frame(*c.size), *tensors(c.values)).gradients(torch.from_numpy(c.upstream)[None])
-    ]
-    for by, true in zip(found, c.by_picture, strict=True):
-        assert (np.linalg.norm(by - true, axis=1) < 4e-4 * np.linalg.norm(true, axis=1)).all()  # worst seen 6.6e-5
-    own, true = (pyramid.in_frame(c.values.factors, *by[:2]) for by in (found, c.by_picture))
-    assert (np.abs(own - true).max(0) < 0.02 * np.abs(true).max(0)).all()
-
-
-@pytest.mark.parametrize("name", plain.CASES)
-def test_plain(name: str) -> None:
-    c, sizes, (picture, gradients) = plain.case(name), plain.magnitudes_of(name), plain.reference_of(name)
-    frame = Frame(*c.size, plain.CUTOFF, pyramid=False)
-    drawn = Tiles(frame, c.means[None], c.factors[None], c.colors[None])
-    assert ((drawn.draw()[0] - picture).abs().numpy() <= plain.VALUE_TOLERANCE * sizes.picture).all()
-    every = zip(drawn.gradients(c.upstream[None]), gradients, sizes.gradients, sizes.rim, strict=True)
-    for found, true, size, rim in every:
-        assert ((found[0] - true).abs().numpy() <= plain.GRADIENT_TOLERANCE * size + rim).all()
-
-
-@pytest.mark.parametrize("name", FRAMES)
-def test_backend(name: str) -> None:
-    assert_as_reference(BatchedTensors(CPU, 1, Event()), FRAMES[name])
+@pytest.mark.parametrize("name", PYRAMIDS)
+def test_no_space_in_the_lists_of_tiles(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiles, "PAIRS", 0)
+    picture, _ = by_tiles(SCENES[name])
+    assert np.abs(picture - exact(name).picture).max() < 1e-5  # worst seen 6.2e-6
 
 
 def test_a_batch_is_its_pictures() -> None:

@@ -1,4 +1,4 @@
-"""The backend of operations on tensors, against the reference and in whole fits; names of devices."""
+"""Whole fits by operations on tensors, and names of devices; tests/backend has what such a backend computes."""
 
 from __future__ import annotations
 
@@ -8,37 +8,13 @@ import torch
 
 import sgmethod
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Backend, Frame
 from sgmethod.fitting.deadline import Clock
 from sgmethod.torch.devices import checked_device
 from sgmethod.torch.exact import ExactFit
 from sgmethod.torch.tensors import Tensors
-from tests.backend.cases import FRAMES, over, target, worst
-from tests.definitions.backend import Reference
 from tests.support.pictures import photo
 
-CPU, REFERENCE = torch.device("cpu"), Reference()
-
-
-def assert_as_reference(backend: Backend, frame: Frame) -> None:
-    """Residual, error, gradients and Gram product. Of arrays, errors are in parts of the largest value."""
-    gaussians, wanted = over(frame, 1), target(1)
-    for first, end, half in ((0, frame.height, False), (0, frame.height, True), (13, 30, False)):
-        rows = [
-            each.residual(gaussians, frame, wanted[:, first:end], first, half=half) for each in (backend, REFERENCE)
-        ]
-        assert worst(*rows) < 1e-5  # worst seen 2.9e-6
-    error, gradient = backend.gradients(gaussians, frame, wanted)
-    exact_error, exact = REFERENCE.gradients(gaussians, frame, wanted)
-    assert error == pytest.approx(exact_error, rel=3e-6)  # worst seen 1.1e-6
-    assert backend.error(gaussians, frame, wanted) == pytest.approx(exact_error, rel=3e-6)
-    assert all(worst(*pair) < 1e-5 for pair in zip(gradient.arrays, exact.arrays, strict=True))  # worst seen 4.4e-6
-    assert worst(backend.gram(gaussians, frame), REFERENCE.gram(gaussians, frame)) < 1e-5  # worst seen 3.4e-6
-
-
-@pytest.mark.parametrize("name", FRAMES)
-def test_backend(name: str) -> None:
-    assert_as_reference(Tensors(CPU), FRAMES[name])
+CPU = torch.device("cpu")
 
 
 def test_fits_are_as_good_as_those_of_the_kernels() -> None:

@@ -16,7 +16,11 @@ import torch
 from sgmethod.torch.devices import has_tiles
 from tests.support.data import ROOT
 
-PARTS = ("pyramid or needles", "plain", "backend", "batch or nothing", "steps or fits")
+PARTS = {
+    "tests/torch/interpreted.py": "",
+    "tests/drawing/test_renderers.py": "tiles",
+    "tests/backend/test_drawing.py": "tiles",
+}
 POINTERS = {"table": "i32", "levels": "i32", "counts": "i32", "ends": "i64", "keys": "i64", "starts": "i64"}
 NUMBERS = {"reach", "floor", "scale", "mean_rate", "factor_rate", "color_rate", "beta1", "beta2", "least", "newton"}
 FLAGS = ("pyramid", "lists", "draws", "enlarges", "compares")
@@ -35,15 +39,13 @@ def test_devices_with_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("part", PARTS)
-def test_interpreted(part: str) -> None:
+@pytest.mark.parametrize("path", PARTS)
+def test_interpreted(path: str) -> None:
     """In a process of its own, as Triton decides when it is imported."""
     pytest.importorskip("triton", reason="the kernels for GPUs need Triton: pip install '.[gpu]'")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-k", part]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-k", PARTS[path], path]
     environment = {**os.environ, "TRITON_INTERPRET": "1", "OMP_NUM_THREADS": "1"}
-    run = subprocess.run(
-        [*command, "tests/torch/interpreted.py"], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
-    )
+    run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-4000:]
 
 

@@ -17,10 +17,11 @@ from pathlib import Path
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2, quantum_code
+from tests.bitstream.mutations import CORPUS
 from tests.native.harness.build import BUILDS, PATH, build
-from tests.support.data import golden
+from tests.support.data import SIGNATURES
 
-CORPUS = Path(__file__).parent / "corpus" / "entropy"  # what was found once
+FORMER = Path(__file__).parent / "corpus" / "entropy"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"
 CLANG = {"CC": "clang", "CXX": "clang++"}
 # Limits of time and memory for one input; sanitizers multiply both.
@@ -41,15 +42,16 @@ def fuzz(program: Path, minutes: float) -> int:
     """The exit status of the target after its time, or at a failure."""
     seed = random.SystemRandom().randrange(1, 2**31)
     print(f"--- {minutes:g} minutes with seed {seed}", flush=True)
-    found, begin = FOUND / "entropy", FOUND / "golden"
+    found, begin = FOUND / "entropy", FOUND / "begin"
     for folder in (found, begin):
         folder.mkdir(parents=True, exist_ok=True)
-    for name, data in golden(2).items():
-        (begin / name).write_bytes(bare(data))
+    for number, data in enumerate(CORPUS):
+        if data.startswith(SIGNATURES[1]):
+            (begin / str(number)).write_bytes(bare(data))
     before = set(FOUND.glob("failure-*"))
     time, prefix = f"-max_total_time={max(1, round(60 * minutes))}", f"-artifact_prefix={FOUND / 'failure-'}"
     options = [*LIMITS, time, f"-seed={seed}", prefix, "-print_final_stats=1", "-verbosity=0"]
-    status = subprocess.run([program, *options, found, begin, CORPUS], check=False).returncode
+    status = subprocess.run([program, *options, found, begin, FORMER], check=False).returncode
     for path in set(FOUND.glob("failure-*")) - before:
         print(f"failed; to repeat: {sys.executable} -m tests.native.fuzz --repeat {path}", file=sys.stderr)
     return status
