@@ -6,8 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name CMakeLists.txt)
 export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
-# Each worker of pytest has a core of its own, and threads that share one wait for each other.
-PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
+# Each worker of pytest has a core of its own, and threads that share one wait for each other. Hundreds of processes start:
+# without Python's cache each would compile all that it imports anew.
+PYTEST = PYTHONDONTWRITEBYTECODE= SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
 .PHONY: help serve quick test thorough coverage sanitize versions fuzz wheel npm demo lock bench
 

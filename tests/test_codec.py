@@ -167,7 +167,7 @@ def test_what_an_encode_is_tuned_for() -> None:
         assert encode(SMALL, Budget("bpp", 4), tune=tune).stats.tune == tune
 
 
-@pytest.mark.parametrize("profile", PROFILES_TESTED)
+@pytest.mark.parametrize("profile", SLOWLY)
 @pytest.mark.parametrize("name", ODD)
 def test_odd_pictures(name: str, profile: str) -> None:
     pixels = ODD[name].copy()

@@ -1,4 +1,4 @@
-"""The documents against the code: links and paths that lead somewhere, names that exist."""
+"""The documents against the code: links that lead somewhere, names that exist."""
 
 from __future__ import annotations
 
@@ -7,12 +7,7 @@ import re
 import subprocess
 from pathlib import Path
 
-from service.api.requests import BITSTREAM_TYPE
 from tests.support.data import ROOT
-
-NOTEBOOK = ROOT / "docs" / "notebook"
-# Paths in backticks that begin so are files or folders of the tree.
-FOLDERS = ("benchmarks", "docs", "service", "sgmethod", "tests")
 
 
 def documents() -> list[Path]:
@@ -46,30 +41,6 @@ def test_links_lead_somewhere() -> None:
     assert [f"{path.relative_to(ROOT)}: {link}" for path, link in inner if not leads_somewhere(path, link)] == []
 
 
-def test_paths_in_documents_exist() -> None:
-    """Results are left out: they name what there was when they were measured."""
-    paths = [path for path in documents() if "results" not in path.parts]
-    pattern = re.compile(rf"`((?:{'|'.join(FOLDERS)})/[\w./-]*)`")
-    named = [(path.name, name) for path in paths for name in pattern.findall(prose(path))]
-    assert len(named) > 20
-    assert [(path, name) for path, name in named if not (ROOT / name).exists()] == []
-
-
-def test_curl_in_the_readmes_fails_when_the_service_does() -> None:
-    """And says why. Waits are shorter than the 60 s after which proxies give up."""
-    for document in ("README.md", "service/README.md"):
-        commands = re.findall(r"^curl .*", (ROOT / document).read_text(), re.MULTILINE)
-        assert len(commands) > 1
-        for command in commands:
-            assert "-sS --fail-with-body" in command, command
-            assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
-
-
-def test_documents_name_the_type_that_the_service_sends() -> None:
-    for document in ("README.md", "service/README.md", "docs/format.md", "docs/previews.md"):
-        assert f"`{BITSTREAM_TYPE}`" in (ROOT / document).read_text(), document
-
-
 def test_nginx_in_containers_asks_the_web_container() -> None:
     """And looks its name up again, as its address changes: .ci/containers tries it."""
     compose, text = (ROOT / "docs" / name for name in ("compose.public.yaml", "nginx.conf"))
@@ -83,8 +54,9 @@ def test_nginx_in_containers_asks_the_web_container() -> None:
 
 
 def test_the_notebooks_index_has_every_page() -> None:
-    listed = re.findall(r"^\| \[.*\]\((\w+\.md)\)", (NOTEBOOK / "README.md").read_text(), re.MULTILINE)
-    assert sorted([*listed, "README.md"]) == sorted(path.name for path in NOTEBOOK.glob("*.md"))
+    notebook = ROOT / "docs" / "notebook"
+    listed = re.findall(r"^\| \[.*\]\((\w+\.md)\)", (notebook / "README.md").read_text(), re.MULTILINE)
+    assert sorted([*listed, "README.md"]) == sorted(path.name for path in notebook.glob("*.md"))
 
 
 def test_names_in_the_glossary_exist() -> None:

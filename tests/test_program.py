@@ -165,6 +165,7 @@ print("works")
 """
 
 
+@pytest.mark.thorough
 def test_an_encode_that_is_interrupted_spoils_none_after_it() -> None:
     """At each of the first steps of work on several threads; the program ends, too."""
     ran = subprocess.run([sys.executable, "-c", INTERRUPTED], check=True, capture_output=True, timeout=TIMEOUT_S)

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.support.data import code_in
 
 PAGES = "python.md", "datasets.md"
@@ -72,6 +74,7 @@ with Client("http://127.0.0.1:8000") as client:
 """
 
 
+@pytest.mark.thorough  # it takes a minute
 def test_a_users_files_under_strict_rules(tmp_path: Path) -> None:
     """A comment that ignores an error which does not occur is an error too."""
     (tmp_path / "uses.py").write_text(USES)

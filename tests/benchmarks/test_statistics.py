@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import statistics
 from dataclasses import replace
@@ -12,11 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import machine
-from benchmarks.ablation.gains import summary
 from benchmarks.ablation.report import complete, worth
 from benchmarks.bd import compared, curves
-from benchmarks.machine import kept_rows, one_a_line, origin, rows_of
+from benchmarks.machine import kept_rows, one_a_line, origin
 from benchmarks.pictures import Pixels
 from benchmarks.rd.baselines import Baseline
 from benchmarks.rd.equal import between, difference
@@ -24,7 +21,7 @@ from benchmarks.rd.report import AVIF, Row, against, bd_psnr, bd_rate, bd_rates,
 from benchmarks.report.paper import at_rate, marked
 from benchmarks.report.previews import times_our_bytes
 from benchmarks.report.rate import value_at
-from benchmarks.tables import mean, number, standard_error
+from benchmarks.tables import standard_error
 
 ANCHOR = [(0.1, 26.0), (0.2, 29.0), (0.4, 32.0), (0.8, 34.0)]
 
@@ -153,27 +150,6 @@ def test_gains_over_pictures() -> None:
     assert rate < 0 < error
 
 
-def test_gains_of_fits() -> None:
-    """Gains are over the pictures that both settings have; one table lists each setting against those before it."""
-    measured = [("random", "a", 30.0), ("random", "b", 32.0)]
-    measured += [("dynamic", "a", 33.0), ("dynamic", "b", 31.0), ("dynamic", "c", 99.0)]
-    fits = [
-        {"table": "whole", "asked": 30_000, "setting": setting, "image": image, "psnr": db, "ms_ssim": 0.9 + db / 1e3}
-        for setting, image, db in measured
-    ]
-    lines = summary(fits).splitlines()
-    assert [line.split("|")[3:6] for line in lines[2:]] == [
-        [" random ", " 2 ", " 31.00 "],
-        [" dynamic ", " 3 ", " 54.33 "],
-    ]
-    assert lines[3].endswith("| random | +1.00 | 2.00 | +0.00100 | 1 of 2 |")
-
-
-def test_means() -> None:
-    assert (mean([1, 2]), mean([1, None]), mean([])) == (1.5, None, None)
-    assert (number(-0.001, "+.2f"), number(-0.01, "+.2f"), number(None, ".1f")) == ("+0.00", "-0.01", "-")
-
-
 def test_a_run_goes_on_with_its_own_rows_alone(tmp_path: Path) -> None:
     path, rows = tmp_path / "run.json", [{"psnr": 1}]
     where: dict[str, Any] = {
@@ -193,20 +169,6 @@ def test_a_run_goes_on_with_its_own_rows_alone(tmp_path: Path) -> None:
     ):
         assert kept_rows(path, {**where, **other}) == []
     assert kept_rows(tmp_path / "none.json", where) == []
-
-
-def test_a_run_of_several_commands_names_them_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "origin", lambda: {**origin(), "commit": "a" * 12})
-    monkeypatch.delenv("SG_THREADS", raising=False)
-    path = tmp_path / "run.json"
-    for words in (["--bpp", "1"], ["--bpp", "2"], ["--bpp", "1"]):
-        monkeypatch.setattr("sys.argv", ["rd", *words, "--out", str(path)])
-        machine.Record(path, "benchmarks.rd", {}).add({"psnr": 1})
-    first, second = "python -m benchmarks.rd --bpp 1", "python -m benchmarks.rd --bpp 2"
-    assert json.loads(path.read_text())["command"] == f"{first} + {second}"
-    machine.Record(path, "benchmarks.rd", {"seen": True})
-    assert len(rows_of(json.loads((tmp_path / "run.json.before").read_text()))) == 3
-    assert not path.exists()
 
 
 def test_bd_rates_of_two_tables(tmp_path: Path) -> None:

@@ -209,6 +209,7 @@ def test_small_photographs() -> None:
     assert statistics.fmean(behind) <= 1
 
 
+@pytest.mark.thorough
 def test_time_follows_the_pixels() -> None:
     """Strips take about as long as other pictures of as many pixels, and 6 megapixels little longer than a quarter of
     one: seen, 1.2 times and 0.1 s. The largest is the one before with 5 x 5 pixels for each."""

@@ -82,6 +82,7 @@ def test_it_is_an_operator_of_torch() -> None:
     torch.library.opcheck(_draw_backward, (*(one.detach() for one in values), by_image, True))
 
 
+@pytest.mark.thorough
 def test_it_compiles_whole() -> None:
 
     def loss(scale: float, *values: Tensor) -> Tensor:
@@ -130,7 +131,7 @@ def test_it_draws_what_a_file_shows(scale: float) -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.thorough)])
 def test_autocast(compiled: bool, dtype: torch.dtype) -> None:
     """What a network gives then is drawn in single precision, beside parameters that are in it; gradients return."""
     means, factors, colors = stacked(6, 2)

@@ -49,6 +49,7 @@ def test_the_examples() -> None:
     assert names["images"].shape == names["batch"].shape
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("files")
 def test_the_page_of_data_sets() -> None:
     number, names = ran("datasets.md")

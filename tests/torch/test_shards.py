@@ -95,6 +95,7 @@ def test_items_collate_with_masks() -> None:
     assert largest[1]["mask"].all()
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:This DataLoader will create 2 worker processes")  # on a machine of one core
 def test_several_processes_read() -> None:
     many()

@@ -1,8 +1,7 @@
-// The pyramid against itself written down slowly, in double precision: levels, enlarging, and what refining takes from
-// it.
+// What refining takes from the pyramid against itself written down slowly, in double precision; tests/drawing and
+// tests/backend have what is drawn and its gradients.
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <random>
 #include <vector>
 
@@ -175,41 +174,6 @@ Matrix on_grid(const sg::Patch& patch, const sg::Grid& grid, const Of& of) {
 
 }  // namespace
 
-TEST(levels_begin_where_the_minor_axis_is_long_enough) {
-  for (int level = 1; level <= sg::kMaxLevel + 2; ++level)
-    for (const double aspect : {1.001, 1.5, 30.0})
-      for (const double angle : {0.0, 0.3, 0.785398, 1.5, 2.5}) {
-        const double minor = std::ldexp(sg::kNarrowest, level), major = aspect * minor;
-        CHECK(sg::level_of(ellipse(major, minor * (1 - 1e-5), angle).data()) == std::min(level - 1, sg::kMaxLevel));
-        CHECK(sg::level_of(ellipse(major, minor * (1 + 1e-5), angle).data()) == std::min(level, sg::kMaxLevel));
-      }
-}
-
-TEST(levels_of_what_is_no_ellipse) {
-  constexpr float kNan = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
-  constexpr float kLargest = std::numeric_limits<float>::max();
-  const float factors[][3] = {{-9, 0, -9},  {-9, 0, 9},        {0, 0, 0},         {kNan, 0, 9},    {9, kNan, 9},
-                              {9, 0, kNan}, {kInfinity, 0, 9}, {9, 0, kInfinity}, {9, kLargest, 9}};
-  for (const auto& factor : factors) CHECK(sg::level_of(factor) == 0);
-  const float largest[] = {kLargest, 0, kLargest};
-  CHECK(sg::level_of(largest) == sg::kMaxLevel);
-}
-
-TEST(residuals_are_reduced_by_enlarging_transposed) {
-  for (const auto& [width, height] : kSizes) {
-    Residual residual(width, height, scattered(width, height));
-    Matrix residuals(height, width);
-    for (int y = 0; y < height; ++y)
-      for (int x = 0; x < width; ++x)
-        residuals.at(y, x) = residual.residual.row(x / sg::kTileWidth, y)[x % sg::kTileWidth];
-    CHECK(residual.reduced.top() >= 4);
-    for (int level = 1; level <= residual.reduced.top(); ++level) {
-      const Level own(residual.raster.grids(), level);
-      CHECK(difference(residual.reduced, level, own.reduced(residuals)) < kTolerance);
-    }
-  }
-}
-
 // A picture whose level 1 is reduced in more than one part.
 TEST(levels_are_the_same_whether_level_1_is_kept_or_not) {
   const int threads = sg::thread_count();
@@ -235,24 +199,6 @@ TEST(levels_are_the_same_whether_level_1_is_kept_or_not) {
     for (int level = 2; level <= kept.top(); ++level) CHECK(red(kept, level).values == red(rest, level).values);
   }
   sg::set_thread_count(threads);
-}
-
-// A visibility of zero makes nothing of them, unless they are NaN.
-TEST(values_beyond_the_right_edge_are_finite) {
-  const int width = 83, height = 70;
-  const sg::GaussianArrays g = scattered(width, height);
-  const Residual residual(width, height, g);
-  const sg::Rasterization& raster = residual.raster;
-  sg::Planes coarse(raster.grids(), sg::Planes::Rows::kWhole, 2);
-  raster.draw_coarse(g.colors.data(), 2, coarse);
-  sg::Rasterization::Part under;
-  std::fill_n(under.values, sg::kPartFloats, std::numeric_limits<float>::quiet_NaN());
-  for (int tile = 0; tile < raster.tiles(0); ++tile) {
-    float values[sg::kTileFloats];
-    raster.begin_tile(tile, coarse, g.colors.data(), under, values);
-    const int count = 3 * sg::kTileWidth * raster.rows_of(tile);
-    CHECK(std::all_of(values, values + count, [](float v) { return std::isfinite(v); }));
-  }
 }
 
 TEST(gram_products_are_those_of_enlarged_pictures) {
