@@ -47,12 +47,12 @@ def target(seed: int) -> Target:
     return np.asarray(np.round(image(seed) * TARGET_WHITE), np.int16)
 
 
-def visibility(kind: str, seed: int) -> Visibility | None:
+def visibility(kind: str, seed: int, size: tuple[int, int] = SIZE) -> Visibility | None:
     """What each pixel counts: from nothing to three times, by the eye; or up to once, under alpha."""
     if kind == "none":
         return None
     most = VISIBLE if kind == "alpha" else 3 * VISIBLE
-    values = np.random.default_rng(seed).integers(0, most + 1, SIZE[::-1])
+    values = np.random.default_rng(seed).integers(0, most + 1, size[::-1])
     return Visibility(values.astype(np.int16), kind != "alpha", coarse=2.0 if kind == "coarse" else 0.0)
 
 

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import zlib
-
 import pytest
 from hypothesis import given, strategies as st
 
 from sgmethod import BitstreamError
-from sgmethod.bitstream import container, v1
-from sgmethod.bitstream.stream import SIGNATURE, VERSION_ZERO
-from sgmethod.bitstream.v1 import StreamV1
-from sgmethod.decoder import MAX_PIXELS
-from sgmethod.native import native
+from sgmethod.bitstream import container
 from sgmethod.scene import Gaussians
 from tests.bitstream import plain_decoder_v1
 from tests.bitstream.plain_decoder_v2 import Gaussian, RefusedError
@@ -33,32 +27,6 @@ def table(line: str) -> list[dict[str, str]]:
     lines = after[after.index("\n|") + 1 :].split("\n\n", 1)[0].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
-
-
-def test_what_both_versions_begin_with() -> None:
-    signature = table("## Both versions")[0]["value"]
-    assert signature == f"{SIGNATURE:x}, then {VERSION_ZERO:x} plus the version: c1 or c2"
-    assert {VERSION_ZERO + version for version in container.STREAMS} == {0xC1, 0xC2}
-    assert f"# Version {StreamV1.VERSION}\n" in TEXT
-    assert f"`123456789` it is {zlib.crc32(b'123456789'):#x}" in TEXT
-    assert f"fewer than {StreamV1.MIN_BYTES} bytes" in TEXT
-
-
-def test_tables_and_limits() -> None:
-    offset = v1.HEADER_BYTES
-    for row, size in zip(
-        table("## Tables"), (v1.POSITION_TABLE_BYTES, v1.FACTOR_TABLE_BYTES, v1.CODEBOOK_BYTES), strict=True
-    ):
-        assert (int(row["offset"]), int(row["size"])) == (offset, size)
-        offset += size
-    assert f"At offset {offset}, for each group" in TEXT
-    assert f"| tables | {v1.TABLE_BYTES} |" in TEXT
-    assert f"| group list | {v1.GROUP_BYTES} for each group |" in TEXT
-    assert f"exp(-{native.CUTOFF_V1})" in TEXT
-    assert f"max_pixels={MAX_PIXELS:_}" in TEXT
-    assert f"{native.TILE_WIDTH} x {native.TILE_HEIGHT}" in TEXT
-    for profile, code in v1.PROFILE_CODES.items():
-        assert f"{code} {profile}" in table("## Header of version 1")[0]["meaning"]
 
 
 @pytest.mark.parametrize("name", GOLDEN)

@@ -18,11 +18,11 @@ from sgmethod.bitstream.texture import Codes, cells, pack
 from sgmethod.bitstream.v2 import MIN_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes, coded_background
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
+from sgmethod.view import MAX_COORDINATE, View
 from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2, remake
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
-from tests.bitstream.test_format_v1 import TEXT, rows, table
+from tests.bitstream.test_format_v1 import rows, table
 from tests.support.data import damaged, golden, golden_path, with_checksum
 
 GOLDEN = golden(2)
@@ -33,44 +33,6 @@ def test_golden_files_are_as_they_were_made() -> None:
     hashes = json.loads(golden_path("v2-hashes.json").read_text())
     made = {name: one["bytes"] for name, one in hashes.items()}
     assert {name: hashlib.sha256(data).hexdigest() for name, data in GOLDEN.items()} == made
-
-
-def test_the_limits_in_the_text() -> None:
-    """They are the plain decoder's, which the kernels have to agree with."""
-    plain, text = plain_decoder_v2, " ".join(TEXT.split())
-    for phrase in (
-        f"one of them above 2^{plain.MAX_COLOUR.bit_length() - 1} |",
-        f"<= S < 2^(2 h + 1), {plain.MAX_EXPONENT})",
-        f"u bits = min(max(h - 1, 0), {plain.MAX_U_BITS})",
-        f"each limited to 0 .. {plain.MAX_PART_BITS}.",
-        f"the least number from max(g, {plain.SMALLEST_BLOCK}) on for which map(m') has at most 8 N + 1024 blocks",
-        f"but at most max(g, {plain.LARGEST_BLOCK}).",
-        f"but at most max(m, {plain.LARGEST_BLOCK}).",
-        f"/ 16), 0), {plain.MAX_LEVEL})",
-        f"take 2^{plain.MAX_GAUSSIANS.bit_length() - 1} for a larger n;",
-        rf"refuse \|v\| > {plain.MAX_V} * 2^h or 2 \|r\| > {plain.MAX_R} * 2^h",
-        f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.MIN_COLOUR_STEP):g})",
-        f"ratio = minor / ({native.NARROWEST} * {native.NARROWEST})",
-        f"the largest l from 1 to {native.MAX_LEVEL} with",
-        f"Square patches, {plain.PATCH} pixels wide,",
-        f"columns = ceil(width / {plain.PATCH}) rows = ceil(height / {plain.PATCH})",
-        f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
-        f"a strength code for each patch, from 0 to {plain.MAX_STRENGTH}.",
-    ):
-        assert phrase in text
-    of_texture = native.TEXTURE_OCTAVES, native.TEXTURE_CELL, native.TEXTURE_STRENGTHS - 1
-    assert of_texture == (plain.OCTAVES, plain.PATCH, plain.MAX_STRENGTH)
-
-
-def test_the_version_and_the_views_in_the_text() -> None:
-    text = " ".join(TEXT.split())
-    assert f"# Version {StreamV2.VERSION} " in text
-    assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
-    assert f"/ ({1 / PIXEL_VARIANCE:g} kept)" in text
-    assert f"OX = floor(left * sx) mod {MAX_COORDINATE} " in text
-    assert MAX_COORDINATE % 2**native.MAX_LEVEL == 0
-    assert f"C = 3: kept = {variance(native.CUTOFF_V2):.4f}" in text
-    assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 
 
 def test_tables() -> None:

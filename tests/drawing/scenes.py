@@ -8,11 +8,14 @@ from functools import cache
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
+from sgmethod.backend.protocol import Frame, Visibility
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from tests.backend.cases import single
 from tests.definitions import drawing
+from tests.definitions.backend import squared, weighted, with_coarse
 
 TILE = native.TILE_WIDTH, native.TILE_HEIGHT
 
@@ -134,23 +137,44 @@ EMPTY = ("outside", "none", "none in a pyramid")
 
 @dataclass(frozen=True)
 class Exact:
-    """What the definition draws; the mean squared error from the target; and the gradients, by means, factors and
-    colours, of that error and from above."""
+    """What the definition draws, and its gradients from above by means, factors and colours."""
 
     picture: Exactly
-    error: float
-    by_error: list[Exactly]
     by_picture: list[Exactly]
 
 
 @cache
 def exact(name: str) -> Exact:
-    scene = SCENES[name]
+    leaves, picture = drawn(SCENES[name])
+    upstream = torch.from_numpy(SCENES[name].upstream)
+    return Exact(picture.detach().numpy(), gradients((picture * upstream).sum(), leaves))
+
+
+def drawn(scene: Scene) -> tuple[list[Tensor], Tensor]:
     leaves = [torch.tensor(array, dtype=torch.float64, requires_grad=True) for array in scene.values.arrays]
     draw = drawing.render_pyramid if scene.pyramid else drawing.render
-    picture = draw(leaves[0], leaves[1], leaves[2], scene.size, scene.cutoff)
-    error = (picture - torch.from_numpy(scene.target) / native.TARGET_WHITE).square().mean()
-    scalars = (error, (picture * torch.from_numpy(scene.upstream)).sum()) if len(scene.values) else ()
-    found = [[by.numpy() for by in torch.autograd.grad(one, leaves, retain_graph=True)] for one in scalars]
-    by_error, by_picture = found or [[np.zeros((0, k)) for k in (2, 3, 3)]] * 2
-    return Exact(picture.detach().numpy(), error.item(), by_error, by_picture)
+    return leaves, draw(leaves[0], leaves[1], leaves[2], scene.size, scene.cutoff)
+
+
+def gradients(of: Tensor, leaves: list[Tensor]) -> list[Exactly]:
+    if not len(leaves[0]):
+        return [leaf.detach().numpy() for leaf in leaves]
+    return [by.numpy() for by in torch.autograd.grad(of, leaves, retain_graph=True)]
+
+
+@dataclass(frozen=True)
+class ExactError:
+    """The mean squared error from the target and its gradients, and half the derivative of the energy by colours."""
+
+    error: float
+    by_error: list[Exactly]
+    gram: Exactly
+
+
+def exact_error(scene: Scene, seen: Visibility | None) -> ExactError:
+    leaves, picture = drawn(scene)
+    errors = picture - torch.from_numpy(scene.target) / native.TARGET_WHITE
+    counted = weighted(with_coarse(errors, Frame(*scene.size), seen), seen).detach() / errors.numel()
+    alike = None if seen is None else Visibility(seen.values, by_eye=False)
+    gram = gradients(squared(picture, alike) / 2, leaves)[2]
+    return ExactError((errors * counted).sum().item(), gradients(2 * (errors * counted).sum(), leaves), gram)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sgmethod.backend.protocol import Visibility
 from sgmethod.native import native
 from sgmethod.scene import FloatArray
-from tests.backend.cases import single
+from tests.backend.cases import VISIBILITIES, single, visibility
 from tests.definitions import drawing
 from tests.drawing.renderers import RENDERERS, Array, by_kernels, rasterised
-from tests.drawing.scenes import EMPTY, NEEDLES, PYRAMIDS, SCENES, Scene, exact, scattered, turned
+from tests.drawing.scenes import EMPTY, NEEDLES, PYRAMIDS, SCENES, Scene, exact, exact_error, scattered, turned
 from tests.support.node import answer_of
 
 ISAS = range(native.best_isa() + 1)
@@ -74,21 +75,29 @@ def assert_needles(scene: Scene, found: Sequence[Array], wanted: Sequence[Array]
     assert (np.abs(own - true).max(0) < 0.02 * np.abs(true).max(0)).all()  # worst seen 0.008
 
 
-def squared_error(scene: Scene, isa: int) -> tuple[float, list[FloatArray]]:
+def squared_error(scene: Scene, isa: int, seen: Visibility | None = None) -> tuple[float, list[FloatArray]]:
     """The mean squared error from the target, and its gradients."""
     out = [np.full_like(array, np.nan) for array in scene.values.arrays]
-    return rasterised(scene, isa).squared_error(scene.values.colors, scene.target, *out), out
+    counts = () if seen is None else (seen.values, seen.by_eye, seen.coarse)
+    return rasterised(scene, isa).squared_error(scene.values.colors, scene.target, *out, *counts), out
 
 
-@pytest.mark.parametrize("isa", ISAS)
+@pytest.mark.parametrize("kind", VISIBILITIES)
 @pytest.mark.parametrize("name", PYRAMIDS)
-def test_squared_error(name: str, isa: int) -> None:
-    wanted, (error, gradients) = exact(name), squared_error(SCENES[name], isa)
-    assert error == pytest.approx(wanted.error, rel=3e-6)  # worst seen 6.6e-7
-    if name in NEEDLES:
-        assert_needles(SCENES[name], gradients, wanted.by_error)
-    else:
-        assert_alike(gradients, wanted.by_error, 1e-5)  # worst seen 4.3e-6
+def test_squared_error_and_gram_product(name: str, kind: str) -> None:
+    scene = SCENES[name]
+    seen = visibility(kind, 0, scene.size)
+    wanted = exact_error(scene, seen)
+    for isa in ISAS:
+        error, gradients = squared_error(scene, isa, seen)
+        assert error == pytest.approx(wanted.error, rel=3e-6)  # worst seen 6.6e-7
+        if name in NEEDLES:
+            assert_needles(scene, gradients, wanted.by_error)
+        else:
+            assert_alike(gradients, wanted.by_error, 1e-5)  # worst seen 4.3e-6
+        gram = np.full_like(scene.values.colors, np.nan)
+        rasterised(scene, isa).gram(scene.values.colors, gram, *(() if seen is None else (seen.values,)))
+        assert_alike([gram], [wanted.gram], 1e-5)
 
 
 @each_scene

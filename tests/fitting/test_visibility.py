@@ -18,7 +18,6 @@ from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import RD
 from tests.backend.cases import single
 
-CUTOFF = native.CUTOFF_V2
 DETAIL = RD.objective.visibility
 
 
@@ -36,46 +35,6 @@ def seen(planes: FloatArray, visible: Visibility) -> float:
     squares = np.square(planes).sum(0)
     counts = native.SEEN_COLOR * squares + luma**2 if visible.by_eye else squares
     return float((counts * visible.values / native.VISIBLE).sum())
-
-
-def some(n: int, size: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    rng = np.random.default_rng(3)
-    means = (rng.uniform(-0.2, 1.2, (n, 2)) * size).astype(np.float32)
-    return means, np.exp(rng.normal(1, 0.9, (n, 3))).astype(np.float32), rng.normal(0, 0.3, (n, 3)).astype(np.float32)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 140)])
-@pytest.mark.parametrize("pyramid", [False, True])
-@pytest.mark.parametrize(
-    ("by_eye", "coarse", "spacing"), [(False, 0, 1), (True, 0, 1), (True, 3, 1), (True, 3, 2), (True, 3, 8)]
-)
-def test_kernels_see_the_error_as_it_is_defined(
-    size: tuple[int, int], pyramid: bool, by_eye: bool, coarse: float, spacing: int
-) -> None:
-    means, factors, colors = some(30, size)
-    target = np.random.default_rng(4).integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, *size[::-1]), np.int16)
-    visible = Visibility(visibility(*size).values, by_eye, coarse)
-    levels = visible.values
-    found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
-    drawn = np.empty(target.shape, np.float32)
-    for isa in range(native.best_isa() + 1):
-        raster = native.Rasterization(means, factors, *size, CUTOFF, isa=isa, pyramid=pyramid)
-        raster.render(colors, drawn)
-        difference = drawn - target / np.float32(native.TARGET_WHITE)
-        shown = np.where(levels > 0, difference, np.float32(0))
-        both = difference + coarse * means_of_squares(shown, max(native.COARSE_SIDE // spacing, 1))
-        by_picture = np.tensordot(visible.color, both, 1) * levels / native.VISIBLE * 2 / difference.size
-        raster.backward(colors, by_picture.astype(np.float32), *wanted)
-        counted = raster.squared_error(colors, target, *found, levels, by_eye, coarse, spacing)
-        assert counted == pytest.approx((difference * by_picture).sum(dtype=np.float64) / 2, rel=1e-5)
-        for a, b in zip(found, wanted, strict=True):
-            assert np.allclose(a, b, rtol=1e-4, atol=1e-6)
-        product, by_gram = np.empty_like(colors), np.empty_like(colors)
-        raster.gram(colors, by_gram, levels)
-        raster.backward(colors, (drawn * levels / native.VISIBLE).astype(np.float32), *wanted[:2], product)
-        assert np.allclose(by_gram, product, rtol=1e-4, atol=1e-5)
-    with pytest.raises(ValueError, match="visibility"):
-        raster.squared_error(colors, target, *found, levels[:, :0])
 
 
 def means_of_squares(planes: FloatArray, side: int) -> FloatArray:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import base64
-import re
 
 import pytest
 
 from sgmethod.bitstream.text import to_text
-from tests.support.data import ROOT, golden
+from tests.support.data import golden
 from tests.support.node import answer_of
 
 SCRIPT = """
@@ -83,11 +82,3 @@ def test_texts_and_files_that_are_refused() -> None:
     wrong = outcomes("decode(file, { widht: 24 })", "decode(file, { scale: 2, width: 24 })")
     assert [one.partition(":")[0] for one in wrong] == ["TypeError"] * 2
     assert outcomes("decode(file, { region: 5 })") == ["TypeError: region must be [x, y, width, height]"]
-
-
-def test_both_documents_state_the_same_sizes() -> None:
-    """Those of README.md, which the build measures."""
-    texts = ((ROOT / document).read_text() for document in ("sgmethod/javascript/README.md", "docs/previews.md"))
-    ours, theirs = (re.findall(r'^\| `"(sgmethod.*?)"` \|.*\| (.*) \|$', text, re.MULTILINE) for text in texts)
-    assert ours == theirs
-    assert len(ours) == 9

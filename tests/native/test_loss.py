@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 import torch
 from torch import Tensor
@@ -44,23 +42,6 @@ def test_a_ramp_of_slope_one_has_gradient_eight() -> None:
     target = ramp.expand(3, 4, 5)
     image = target + ramp / 2  # Gx = 8 and G'x - Gx = 4 in the 2 x 3 interior pixels of 4 x 5
     assert geometry_loss(image, target) == pytest.approx(6 / 20 * 8 * 16, rel=1e-6)  # worst error seen 0
-
-
-@pytest.mark.parametrize("lambda_g", LAMBDAS)
-def test_results_do_not_depend_on_threads_and_earlier_calls(
-    lambda_g: float, set_threads: Callable[[int], None]
-) -> None:
-    target, image = pictures(50, 137)
-    loss = native.ReconstructionLoss(target, lambda_g)
-    results = []
-    for threads in (1, 2, 5):
-        set_threads(threads)
-        grad = torch.empty_like(image)
-        results.append((loss(image, grad), grad))
-        loss(target, torch.empty_like(image))
-    for mse, grad in results[1:]:
-        assert mse == results[0][0]
-        assert torch.equal(grad, results[0][1])
 
 
 def test_the_target_is_kept() -> None:

@@ -77,11 +77,10 @@ def wide_scene(seed: int) -> tuple[Gaussians, Target]:
     return values, target_of(picture(values) + rng.normal(0, 0.005, (3, SIZE[1], SIZE[0])))
 
 
-@pytest.mark.parametrize("make", [scene, wide_scene])
-@pytest.mark.parametrize("seed", range(6))
-def test_each_sweep_lowers_the_error(seed: int, make: Callable[[int], tuple[Gaussians, Target]]) -> None:
-    """Seen: 43 to 63 % of the error of rounding is left after six sweeps."""
-    values, target = make(seed)
+@pytest.mark.parametrize("seed", range(3))
+def test_each_sweep_lowers_the_error_of_wide_gaussians(seed: int) -> None:
+    """Seen: 43 to 63 % of the error of rounding is left after six sweeps. tests/backend has narrow ones."""
+    values, target = wide_scene(seed)
     parameters = native.RdParameters(*SIZE, 0.4)
     errors = [error(parameters, refined(parameters, values, target, sweeps=n), target) for n in (0, 1, 2, 6)]
     assert errors == sorted(errors, reverse=True)
