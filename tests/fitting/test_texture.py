@@ -20,7 +20,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.fitting.objective import Objective
-from sgmethod.fitting.texture import BLOCK, SHOWN, SIDE, STEPS, TINY, _strengths, estimate, grain
+from sgmethod.fitting.texture import BLOCK, SHOWN, estimate, grain
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.rd.rate_control import EXACT_DB, Coded
@@ -298,30 +298,6 @@ def test_the_strength_of_noise_is_found_again(octave: int) -> None:
     pixels = decode(file_of(codes_of(9 * (octave == 0), 9 * (octave == 1), size), grey=True, size=size))
     found = estimate(pixels, np.full_like(pixels, 128), UNLIMITED)
     assert found is not None and (found[octave] == 9).all()
-
-
-def between(count: int) -> NDArray[np.float64]:
-    """Linear interpolation from cells to their blocks, constant beyond the outer cells' centres, as a matrix."""
-    at = np.clip((np.arange(count * SIDE) + 0.5) / SIDE - 0.5, 0, count - 1)
-    return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0)
-
-
-@pytest.mark.parametrize("cells", [(1, 1), (1, 9), (9, 1), (2, 3), (6, 5)])
-def test_strengths_fit_the_blocks_through_the_decoders_interpolation(cells: tuple[int, int]) -> None:
-    rows, columns = cells
-    random = np.random.default_rng(3)
-    blocks = (rows * SIDE, columns * SIDE)
-    spread = (random.uniform(1, 9, blocks) * (random.random(blocks) > 0.1)).astype(np.float32)
-    down, across = between(rows), between(columns)
-    cell = spread.reshape(rows, SIDE, columns, SIDE)
-    least = np.quantile(cell.transpose(0, 2, 1, 3).reshape(rows, columns, -1), TEXTURE.quantile, axis=2)
-    expected = least.astype(np.float64)
-    for _ in range(STEPS):
-        shown = down @ expected @ across.T
-        weights = np.where(shown > spread, TEXTURE.excess, 1.0)
-        expected *= (down.T @ (weights * spread) @ across) / (down.T @ (weights * shown) @ across + TINY)
-    assert expected.max() > 1
-    np.testing.assert_allclose(_strengths(spread, TEXTURE), expected, rtol=1e-12)  # seen: 8e-16
 
 
 @pytest.mark.parametrize("thin", [1, BLOCK - 1, BLOCK])
