@@ -65,6 +65,7 @@ def test_encode_and_decode(run: Run) -> None:
     ("line", "view"),
     [
         ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", {"scale": 2.5, "region": (3, 5, 20, 11), "prefix": 0.5}),
+        ("--no-texture", {"texture": False}),
         ("--width 20 --height 9", {"width": 20, "height": 9}),
         ("--height 111", {"height": 111}),
         ("--region 4,6,10,20 --width 40", {"region": (4, 6, 10, 20), "width": 40}),
