@@ -25,7 +25,7 @@ The packages and modules, in the order of the pipeline; each imports only from t
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        drawing any part at any size
     decoder     bytes -> Gaussians -> pixels
-    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; whether another format does better
+    metrics/    PSNR, SSIMULACRA 2; whether another format does better
     encode_arguments  an encode's arguments, checked
     start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline

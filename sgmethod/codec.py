@@ -68,7 +68,7 @@ def encode(
     stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
     3 s.
     on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
-    measure: also measure MS-SSIM and SSIMULACRA 2, which takes a large part of the time of a small encode.
+    measure: also measure SSIMULACRA 2, which takes a large part of the time of a small encode.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
     BudgetError for a budget that no file can meet, OSError for a path that cannot be read, and MemoryError.

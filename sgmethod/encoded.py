@@ -18,7 +18,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.formats import OTHER_SUFFIXES, SUFFIXES
-from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
+from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import Pixels
 from sgmethod.trace import TracePoint
 
@@ -30,17 +30,15 @@ REPORTED_MISS_QUALITY = 1.0  # points of SSIMULACRA 2; a smaller miss counts as 
 class Stats:
     """The figures of an encode.
 
-    psnr (dB), ms_ssim and ssimulacra2 (up to 100) describe the decoded file. ms_ssim and ssimulacra2 are None unless
-    encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a
-    quality to reach. With alpha, all three compare the picture over black and over white. effort: None if encode() was
-    given settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed: how far the
-    file is below the requested PSNR or SSIMULACRA 2, None if none was requested.
+    psnr (dB) and ssimulacra2 (up to 100) describe the decoded file; with alpha, over black and over white. ssimulacra2
+    is None for sides below 8 pixels, and unless encode() was asked to measure it or to reach a quality. effort: None if
+    encode() was given settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed:
+    how far the file is below the requested PSNR or SSIMULACRA 2, None if none was requested.
     """
 
     bytes: int
     bpp: float
     psnr: float
-    ms_ssim: float | None
     ssimulacra2: float | None
     gaussians: int
     steps: int
@@ -99,19 +97,17 @@ class Encoded:
 def measured(
     pixels: Pixels, data: bytes, steps: int, recorder: Recorder, asked: EncodeArguments, measure: bool
 ) -> Stats:
-    """Decode a file and measure it against pixels. measure: MS-SSIM and SSIMULACRA 2 too."""
+    """Decode a file and measure it against pixels. measure: SSIMULACRA 2 too."""
     file, budget = SgFile(data), asked.budget
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
-    similarity = _mean(map(ms_ssim, decoded, source)) if measure else None
     score = _mean(map(ssimulacra2, decoded, source)) if measure or budget.kind == "quality" else None
     recorder.report("done", steps, steps, 10 ** (-db / 10), gaussians, len(data))
     return Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
         psnr=db,
-        ms_ssim=similarity,
         ssimulacra2=score,
         gaussians=gaussians,
         steps=steps,

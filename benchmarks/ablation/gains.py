@@ -25,6 +25,7 @@ import torch
 
 from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RUNS, Record
+from benchmarks.ms_ssim import ms_ssim
 from benchmarks.pictures import Pixels, add_options, middle_of, named_in
 from benchmarks.tables import mean, number, standard_error, table
 from sgmethod.backend.protocol import CUTOFF_V1
@@ -32,7 +33,7 @@ from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.metrics import psnr
 from sgmethod.paper import fit as paper
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import PAPER

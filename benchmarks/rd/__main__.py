@@ -40,6 +40,7 @@ import numpy as np
 
 from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RUNS, Record
+from benchmarks.ms_ssim import ms_ssim
 from benchmarks.perceptual.judges import Judges, judge_versions
 from benchmarks.perceptual.networks import LPIPS_SIDE, Networks
 from benchmarks.pictures import Pixels, add_options, named_in
@@ -50,7 +51,7 @@ from benchmarks.rd.report import QUALITIES, TITLES, Row, bd_rates, means
 from benchmarks.tables import number, table
 from sgmethod import info
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
+from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 Codec = Sg | Baseline

@@ -80,7 +80,7 @@ INFO = (
 )
 COMPARE = (
     "Measure how close B is to the original A. Either may be a picture or an .sg file.",
-    """Prints PSNR, MS-SSIM and SSIMULACRA 2; higher is better. If one cannot be computed, the output says why.
+    """Prints PSNR and SSIMULACRA 2; higher is better.
 
 examples:
   sgmethod compare photo.jpg photo.sg

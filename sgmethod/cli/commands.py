@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2"}
-
 
 def run_info(arguments: argparse.Namespace) -> int:
     """Run sgmethod info."""
@@ -60,7 +58,7 @@ def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Run sgmethod compare."""
-    from sgmethod.metrics import MS_SSIM_SIDE, ms_ssim, psnr, ssimulacra2
+    from sgmethod.metrics import psnr, ssimulacra2
     from sgmethod.metrics.visual import SMALLEST_SIDE
 
     first, second = _picture(arguments.first), _picture(arguments.second)
@@ -68,15 +66,13 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if sizes[0] != sizes[1]:
         raise CommandError(f"the pictures differ in size: {sizes[0]} and {sizes[1]} pixels")
     db = psnr(first, second)
-    found = {"ms_ssim": ms_ssim(second, first), "ssimulacra2": ssimulacra2(second, first)}
-    smallest = {"ms_ssim": MS_SSIM_SIDE, "ssimulacra2": SMALLEST_SIDE}
+    score = ssimulacra2(second, first)
     if arguments.json:
-        print(json.dumps({"psnr": None if db == float("inf") else db, **found}, allow_nan=False))
+        print(json.dumps({"psnr": None if db == float("inf") else db, "ssimulacra2": score}, allow_nan=False))
         return 0
-    print(f"{'PSNR':<16}{'no error' if db == float('inf') else f'{db:.2f} dB'}")
-    for key, value in found.items():
-        text = f"undefined for sides below {smallest[key]} pixels" if value is None else f"{value:.4g}"
-        print(f"{TITLES[key]:<16}{text}")
+    print(f"PSNR            {'no error' if db == float('inf') else f'{db:.2f} dB'}")
+    undefined = f"undefined for sides below {SMALLEST_SIDE} pixels"
+    print(f"SSIMULACRA 2    {undefined if score is None else f'{score:.4g}'}")
     return 0
 
 

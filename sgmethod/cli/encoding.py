@@ -75,10 +75,9 @@ def _only_budget(arguments: argparse.Namespace) -> Budget | None:
 
 def _summary(figures: Figures) -> str:
     psnr = "no error" if figures["psnr"] is None else f"{figures['psnr']:.2f} dB"
-    ssim = "" if figures["ms_ssim"] is None else f", MS-SSIM {figures['ms_ssim']:.4f}"
-    ssim += "" if figures["ssimulacra2"] is None else f", SSIMULACRA 2 {figures['ssimulacra2']:.1f}"
+    score = "" if figures["ssimulacra2"] is None else f", SSIMULACRA 2 {figures['ssimulacra2']:.1f}"
     size = "{width} x {height}: {bytes:,} bytes, {bpp:.4f} bpp".format(**figures)
-    return f"{size}, {psnr}{ssim}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
+    return f"{size}, {psnr}{score}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
 
 
 def _encode(

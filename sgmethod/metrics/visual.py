@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.io.colour import from_srgb
-from sgmethod.metrics.pixels import WINDOW_SIZE, window_weights
 from sgmethod.numerics import quiet
 from sgmethod.threads import in_parallel
 
@@ -22,6 +21,8 @@ Plane = NDArray[np.float32]
 SMALLEST_SIDE = 8  # pixels; undefined for smaller pictures and levels
 LEVELS = 6
 BAND = 1 << 15  # pixels compared at a time, about: few enough to stay in the cache
+# Wang, Bovik, Sheikh and Simoncelli, "Image quality assessment", 2004, section III.C.
+WINDOW_SIZE, WINDOW_SIGMA = 11, 1.5
 MARGIN = WINDOW_SIZE // 2
 C2 = 0.0009
 
@@ -167,6 +168,13 @@ def _linear(pixels: NDArray[Any]) -> Plane:
         return pixels
     table = from_srgb(np.arange(256) / 255)
     return np.asarray(cv2.LUT(pixels, table.astype(np.float32)), np.float32)
+
+
+def window_weights() -> NDArray[np.float64]:
+    """Weights [WINDOW_SIZE] of a Gaussian window along one axis, which sum to 1."""
+    offsets = np.arange(WINDOW_SIZE) - WINDOW_SIZE // 2
+    weights = np.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
+    return np.asarray(weights / weights.sum())
 
 
 def _window(plane: Plane) -> Plane:

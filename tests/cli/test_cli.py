@@ -35,7 +35,7 @@ from tests.support import processes
 from tests.support.data import ROOT, code_in, golden_path
 from tests.support.pictures import saved
 
-FIGURES = {"bytes", "bpp", "psnr", "ms_ssim", "ssimulacra2", "gaussians", "steps", "seconds", "width", "height"}
+FIGURES = {"bytes", "bpp", "psnr", "ssimulacra2", "gaussians", "steps", "seconds", "width", "height"}
 ENCODE = "encode photo.png out.sg "
 DECODE = "decode picture.sg out.png "
 
