@@ -1,10 +1,9 @@
-"""Names of the files of a run, each another on every file system."""
+"""Names of the files of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from unicodedata import normalize
 
 from sgmethod.errors import SgError
@@ -14,9 +13,8 @@ class Names:
     """The names taken in a folder.
 
     Some file systems ignore case (exFAT, SMB, those of Windows and macOS), or whether é is one character or two
-    (macOS): there, two names may be one file. Names do not depend on the file system, so that the same pictures give
-    the same files everywhere: of two names that are one anywhere, the later becomes its alternative. The file system
-    is asked only where there is none.
+    (macOS): there, two names may be one file. Of two pictures' names that differ by no more, the later becomes its
+    alternative, on every file system.
 
     before: names of files that earlier runs have made, and of the pictures that these were made from. Such a name is
     taken by a picture of the same name alone.
@@ -24,7 +22,7 @@ class Names:
 
     def __init__(self, folder: Path, before: Mapping[str, str] | None = None) -> None:
         self._folder = folder
-        self._taken: dict[str, list[tuple[str, str]]] = {}  # by what is ignored, names and their sources
+        self._taken: dict[str, dict[str, str]] = {}  # by what is ignored, names and their sources
         self._owners: dict[str, set[str]] = {}
         for name, picture in (before or {}).items():
             self._owners.setdefault(_like(name), set()).add(picture)
@@ -36,26 +34,18 @@ class Names:
         """
         if alternative is not None and self._is_of_another(source, name, alternative):
             name = alternative
-        like = self._taken.setdefault(_like(name), [])
-        for other, owner in like:
-            if name == other or self._are_one(name, other):
-                raise SgError(f"{owner} and {source} would both become {self._folder / name}")
-        like.append((name, source))
+        taken = self._taken.setdefault(_like(name), {})
+        if name in taken:
+            raise SgError(f"{taken[name]} and {source} would both become {self._folder / name}")
+        taken[name] = source
         return name
 
     def _is_of_another(self, source: str, name: str, alternative: str) -> bool:
         """Whether a name belongs to another picture, of this run or an earlier one."""
         picture = Path(source).name
-        taken = [Path(owner).name for _, owner in self._taken.get(_like(name), [])]
+        taken = [Path(owner).name for owner in self._taken.get(_like(name), {}).values()]
         owners, others = (self._owners.get(_like(one), set()) for one in (name, alternative))
         return bool((taken and picture not in taken) or (picture not in owners and (owners or picture in others)))
-
-    def _are_one(self, name: str, other: str) -> bool:
-        """Ask the file system whether two names are one file. Raises OSError."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".names.", dir=self._folder) as empty:
-            (Path(empty) / other).touch()
-            return (Path(empty) / name).exists()
 
 
 def _like(name: str) -> str:

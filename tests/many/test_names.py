@@ -1,4 +1,4 @@
-"""Names of a run's files, in folders that ignore case or the form of é, and in those that do not."""
+"""Names of a run's files."""
 
 from __future__ import annotations
 
@@ -33,35 +33,17 @@ def taken(folder: Path, *sources: str) -> list[str]:
     ],
 )
 def test_names_differ_on_every_file_system(sources: list[str], names: list[str], tmp_path: Path) -> None:
-    assert taken(tmp_path / "missing", *sources) == names
-    assert not (tmp_path / "missing").exists()  # the file system has not been asked
+    assert taken(tmp_path, *sources) == names
 
 
-def test_names_without_an_alternative_depend_on_the_folder(tmp_path: Path) -> None:
-    """The third spelling of one name, and names that a caller gives: an error only where they would be one file."""
-    (tmp_path / "a").touch()
-    ignored = (tmp_path / "A").exists()
+def test_equal_names_are_refused(tmp_path: Path) -> None:
     names = Names(tmp_path)
-    assert names.take("one", "a.sg") == "a.sg"
-    if ignored:
-        with pytest.raises(SgError, match=r"^one and two would both become .*A\.sg$"):
-            names.take("two", "A.sg")
-    else:
-        assert names.take("two", "A.sg") == "A.sg"
-        assert taken(tmp_path, "a.jpg", "A.jpg", "a.JPG") == ["a.sg", "A.jpg.sg", "a.JPG.sg"]
-        with pytest.raises(SgError, match=r"^two and three would both become .*A\.sg$"):
-            names.take("three", "A.sg")
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
-
-
-def test_a_folder_that_ignores_case_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where names keep their case, a folder that ignores it is imitated."""
-    touch, exists = Path.touch, Path.exists
-    monkeypatch.setattr(Path, "touch", lambda path: touch(path.with_name(path.name.lower())))
-    monkeypatch.setattr(Path, "exists", lambda path: exists(path.with_name(path.name.lower())))
-    with pytest.raises(SgError, match=r"'a' and the picture 'A' would both become .*A\.sg: give other names"):
-        encode_many([("a", Image.new("RGB", (8, 8))), ("A", Image.new("RGB", (8, 8)))], tmp_path, effort=1)
-    assert [path.name for path in tmp_path.glob("*.sg")] == ["a.sg"]
+    assert [names.take("one", "a.sg"), names.take("two", "A.sg")] == ["a.sg", "A.sg"]
+    with pytest.raises(SgError, match=r"^two and three would both become .*A\.sg$"):
+        names.take("three", "A.sg")
+    twice = [("a", Image.new("RGB", (8, 8)))] * 2
+    with pytest.raises(SgError, match=r"'a' and the picture 'a' would both become .*a\.sg: give other names"):
+        encode_many(twice, tmp_path, effort=1)
 
 
 @pytest.mark.parametrize("line", ["encode --no-clobber", "encode --resume", "encode", "preview --resume", "library"])
