@@ -84,11 +84,24 @@ class Kernels:
         visibility: Visibility | None = None,
         spacing: int = 1,
     ) -> None:
+        """Move Gaussians in place by one step of Adam in each one's own frame, and update the moments.
+
+        A mean moves by L d and a factor by L S with S lower triangular, so a rate is the same relative change for a
+        speck and for a wide ellipse. A step is at most settings.newton_steps times the Gauss-Newton step with a
+        diagonal matrix, whose curvature grows with the visibility at the centre, if that is above 1, and with the part
+        of the Gaussian that coarse errors count once more. rate: factor on all rates of the settings; values: samples
+        of the picture, over which the loss is a mean; spacing: of the visibility, in pixels of the whole picture.
+        """
         weights, _, coarse = _weights(visibility)
         arrays = *gaussians.arrays, *gradient.arrays, moments.first, moments.second, moments.bias
         native.frame_adam(_adam(settings, values), rate, *arrays, weights, spacing, coarse)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
+        """Add, in place, the gradient of `weight` times a smooth estimate of all Gaussians' bits.
+
+        The estimate is log2(1 + |value| / step) of each coded value, and log2(1 + m) for the size and for both
+        coordinates, where m is the colour's length in steps.
+        """
         values = gaussians.factors, gaussians.colors, gradient.factors, gradient.colors
         native.rd_rate_gradient(quantum, weight, *values)
 

@@ -187,7 +187,7 @@ class Backend(Protocol):
         """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
-        """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between.
+        """Move Gaussians in place by a step of the optimiser for each rate, down the gradient of error and price.
 
         Returns the mean squared error before each step, as gradients() weighs it, or nothing, if that takes time.
         """
@@ -203,49 +203,3 @@ class Backend(Protocol):
         The rounded integers change one Gaussian at a time where that lowers the sum. Then the Gaussians that gain least
         for their bits are dropped until the payload fits.
         """
-
-
-class StepwiseBackend(Backend, Protocol):
-    """A backend whose steps are made of two functions more, so that a test can look at each."""
-
-    def step(
-        self,
-        gaussians: Gaussians,
-        gradient: Gaussians,
-        moments: Moments,
-        settings: OptimiserSettings,
-        rate: float,
-        values: int,
-        visibility: Visibility | None = None,
-        spacing: int = 1,
-    ) -> None:
-        """Move Gaussians in place by one step of Adam in each one's own frame, and update the moments.
-
-        A mean moves by L d and a factor by L S with S lower triangular, so a rate is the same relative change for a
-        speck and for a wide ellipse. A step is at most settings.newton_steps times the Gauss-Newton step with a
-        diagonal matrix, whose curvature grows with the visibility at the centre, if that is above 1, and with the part
-        of the Gaussian that coarse errors count once more. rate: factor on all rates of the settings; values: samples
-        of the picture, over which the loss is a mean; spacing: of the visibility, in pixels of the whole picture.
-        """
-
-    def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
-        """Add, in place, the gradient of `weight` times a smooth estimate of all Gaussians' bits.
-
-        The estimate is log2(1 + |value| / step) of each coded value, and log2(1 + m) for the size and for both
-        coordinates, where m is the colour's length in steps.
-        """
-
-
-def step_by_step(
-    backend: StepwiseBackend, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]
-) -> list[float]:
-    """Take steps by the other functions of a backend, which may be its method `steps`."""
-    d, errors = descent, []
-    for rate in rates:
-        error, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
-        if d.price > 0:
-            backend.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
-        backend.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
-        backend.keep_in_range(gaussians, d.width, d.height)
-        errors.append(error)
-    return errors

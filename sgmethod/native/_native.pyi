@@ -187,7 +187,7 @@ def frame_adam(
     spacing: float = 1.0,
     coarse: float = 0.0,
 ) -> None:
-    """Move Gaussians, and update first, second [N, 8] and bias [N, 2]: StepwiseBackend.step (backend/protocol.py)."""
+    """Move Gaussians, and update first, second [N, 8] and bias [N, 2]: Kernels.step (backend/kernels.py)."""
 
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
@@ -234,7 +234,7 @@ def rd_rate_gradient(
     by_factors: FloatArray,
     by_colors: FloatArray,
 ) -> None:
-    """Add a gradient to by_factors and by_colors: Backend.add_rate_gradient (sgmethod/backend/protocol.py)."""
+    """Add a gradient to by_factors and by_colors: Kernels.add_rate_gradient (sgmethod/backend/kernels.py)."""
 
 def rd_steps(
     target: NDArray[np.int16],

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.planes import all_halved
-from sgmethod.backend.protocol import TARGET_WHITE, Descent, Frame, Moments, Target, Visibility, step_by_step
+from sgmethod.backend.protocol import TARGET_WHITE, Descent, Frame, Moments, Target, Visibility
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.torch.pairs import Pairs
 
@@ -52,7 +52,15 @@ class Tensors(Kernels):
         return to_numpy(backward(drawn)[2])
 
     def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> list[float]:
-        return step_by_step(self, gaussians, moments, descent, rates)
+        d, errors = descent, []
+        for rate in rates:
+            error, gradient = self.gradients(gaussians, d.frame, d.target, d.visibility)
+            if d.price > 0:
+                self.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
+            self.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
+            self.keep_in_range(gaussians, d.width, d.height)
+            errors.append(error)
+        return errors
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Tensor, Backward]:
         """Draw Gaussians: a picture [3, height, width], and the function that backpropagates a gradient by it."""

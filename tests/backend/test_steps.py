@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Coding, Descent, Frame, Moments, StepwiseBackend, Visibility, step_by_step
+from sgmethod.backend.protocol import Coding, Descent, Frame, Moments, Visibility
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
 from sgmethod.settings.rd import RD
 from sgmethod.settings.shared import OptimiserSettings
 from tests.backend.cases import FRAMES, VISIBILITIES, scattered, single, target, visibility
-from tests.definitions.backend import MAX_AMPLITUDE, MAX_SCALE, MAX_SLANT, Reference
+from tests.definitions.backend import MAX_AMPLITUDE, MAX_SCALE, MAX_SLANT, Reference, step_by_step
 
-KERNELS: StepwiseBackend = Kernels()
-REFERENCE: StepwiseBackend = Reference()
+KERNELS, REFERENCE = Kernels(), Reference()
 BACKENDS = KERNELS, REFERENCE
 
 each_backend = pytest.mark.parametrize("backend", BACKENDS, ids=["kernels", "reference"])
@@ -33,7 +32,7 @@ def various(n: int, seed: int) -> Gaussians:
     return single(500 * rng.random((n, 2)), np.stack([l1, l1 * rng.standard_normal(n), l3], 1), colors)
 
 
-def moved(backend: StepwiseBackend, settings: OptimiserSettings, seen: Visibility | None) -> Gaussians:
+def moved(backend: Kernels | Reference, settings: OptimiserSettings, seen: Visibility | None) -> Gaussians:
     """Gaussians after six steps, of which the last hundred join after three."""
     before, gradient, values = various(1200, 7), various(1200, 8), 20
     early = before.rows(np.arange(1100))
@@ -88,7 +87,7 @@ def test_add_rate_gradient(quantum: float) -> None:
 
 
 @each_backend
-def test_rate_gradient_is_finite_where_nothing_is_left(backend: StepwiseBackend) -> None:
+def test_rate_gradient_is_finite_where_nothing_is_left(backend: Kernels | Reference) -> None:
     """A round Gaussian without colour: every term of the estimate has its kink there."""
     gaussians, gradient = single([[0, 0]], [[2, 0, 2]], [[0, 0, 0]]), single([[0, 0]], [[0, 0, 0]], [[0, 0, 0]])
     backend.add_rate_gradient(gaussians, gradient, 0.1, 1.0)
@@ -96,7 +95,7 @@ def test_rate_gradient_is_finite_where_nothing_is_left(backend: StepwiseBackend)
     assert np.isfinite(gradient.factors).all()
 
 
-def kept(backend: StepwiseBackend, gaussians: Gaussians) -> Gaussians:
+def kept(backend: Kernels | Reference, gaussians: Gaussians) -> Gaussians:
     """What keep_in_range makes of them."""
     copy = gaussians.copy()
     backend.keep_in_range(copy, 500, 300)
@@ -117,7 +116,7 @@ def test_keep_in_range() -> None:
 
 
 @each_backend
-def test_what_is_in_range_stays(backend: StepwiseBackend) -> None:
+def test_what_is_in_range_stays(backend: Kernels | Reference) -> None:
     edge = [MAX_SCALE, -MAX_SLANT * MAX_SCALE, MAX_SCALE]
     colors = [[MAX_AMPLITUDE, -MAX_AMPLITUDE, 0], [0.1, 0.2, 0.3]]
     gaussians = single([[250, 150], [-4, 304]], [edge, [2.6, 0, 2.6]], colors)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -18,12 +19,12 @@ from sgmethod.backend.protocol import (
     TARGET_WHITE,
     VISIBLE,
     Coding,
+    Descent,
     Frame,
     Moments,
     RefineLimits,
     Target,
     Visibility,
-    step_by_step,
 )
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
@@ -82,7 +83,7 @@ def geometry_loss(image: Tensor, target: Tensor) -> Tensor:
 
 
 def bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
-    """Smooth estimate [N] of each Gaussian's bits (Backend.add_rate_gradient)."""
+    """Smooth estimate [N] of each Gaussian's bits (Kernels.add_rate_gradient)."""
     l1, l2, l3 = factors.unbind(1)
     step = quantum / (native.COLOR_SCALE * (l1 * l3).sqrt())
     axes = colors @ torch.tensor(native.COLOR_BASIS, dtype=torch.float64).T / step[:, None]
@@ -90,6 +91,21 @@ def bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
     v, r = torch.log(l1 / l3) / 2, l2 / l3
     values = torch.cat([axes, torch.stack([v * m, r * m / native.R_STEP, m, m, m], 1)], 1)
     return torch.log2(1 + values.abs()).sum(1)
+
+
+def step_by_step(
+    backend: Kernels | Reference, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]
+) -> list[float]:
+    """Take steps by the other functions of a backend, so that a test can look at each; may be its method `steps`."""
+    d, errors = descent, []
+    for rate in rates:
+        error, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
+        if d.price > 0:
+            backend.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
+        backend.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
+        backend.keep_in_range(gaussians, d.width, d.height)
+        errors.append(error)
+    return errors
 
 
 class Reference:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
+from sgmethod.backend.protocol import TARGET_WHITE
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE
 from sgmethod.fitting.level import target_of
@@ -23,6 +23,7 @@ from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
+from tests.definitions.backend import step_by_step
 from tests.rd.short import SlowClock, asked, short
 from tests.support.pictures import photo
 

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Descent, Frame, Moments, RefineLimits, step_by_step
+from sgmethod.backend.protocol import Descent, Frame, Moments, RefineLimits
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.level import Pyramid
 from sgmethod.metrics import psnr
 from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RD
+from tests.definitions.backend import step_by_step
 from tests.rd.short import asked, short
 from tests.support.pictures import photo
 

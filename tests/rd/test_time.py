@@ -11,7 +11,7 @@ import pytest
 
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
+from sgmethod.backend.protocol import Frame, Target, Visibility
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.rd.densify import densify
 from sgmethod.rd.fit import fit
@@ -19,6 +19,7 @@ from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, fit_to_steps, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
+from tests.definitions.backend import step_by_step
 from tests.rd.short import SlowClock, asked, short, stage_of
 from tests.support.pictures import photo
 

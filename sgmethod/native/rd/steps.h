@@ -24,7 +24,7 @@ struct Descent {
   float reach, width, height;  // of keep_in_range()
 };
 
-// Adds the gradient by factors and colours that Backend.add_rate_gradient (sgmethod/backend/protocol.py) describes, for
+// Adds the gradient by factors and colours that Kernels.add_rate_gradient (sgmethod/backend/kernels.py) describes, for
 // the Gaussians from first to before last. Means are neither read nor written.
 void add_rate_gradient(float quantum, float weight, int first, int last, const ConstGaussians& p,
                        const MutableGaussians& grad);
