@@ -1,10 +1,9 @@
-// Everything that takes time: reading, encoding, drawing.
+// Everything that takes time: reading and encoding.
 
-import { decode, info } from "../src/decoder.js";
-import { encodeFile, encodePreview } from "../src/encoder/encoder.js";
-import { blurhash, thumbhash, webp } from "./placeholders.js";
+import { encodePreview } from "../src/encoder/encoder.js";
+import { reduced, webp } from "./webp.js";
 
-const MOST_PIXELS = 1e6; // more than a file of this page shows
+const MOST_PIXELS = 1e6; // more than a preview shows
 let picture = null; // ImageData of at most so many pixels
 
 const answers = {
@@ -14,25 +13,14 @@ const answers = {
     });
     const { width, height } = bitmap;
     const scale = Math.min(Math.sqrt(MOST_PIXELS / (width * height)), 1);
-    picture = reduced(bitmap, Math.max(Math.round(width * scale), 1), Math.max(Math.round(height * scale), 1));
+    const canvas = reduced(bitmap, Math.max(Math.round(width * scale), 1), Math.max(Math.round(height * scale), 1));
+    picture = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     bitmap.close();
     return { width, height };
   },
-  preview: ({ bytes }) => encodePreview(picture, picture.width, picture.height, { bytes }),
+  preview: ({ bytes }) => encodePreview(picture, picture.width, picture.height, { bytes }).text,
   webp: ({ characters }) => webp(picture, characters),
-  blurhash: ({ characters }) => blurhash(picture, characters),
-  thumbhash: () => thumbhash(picture),
-  file: ({ bytes }) => encodeFile(picture, picture.width, picture.height, bytes)[0],
-  info: ({ file }) => info(file),
-  view: ({ file, ...view }) => decode(file, view),
 };
-
-function reduced(bitmap, width, height) {
-  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  context.imageSmoothingQuality = "high";
-  context.drawImage(bitmap, 0, 0, width, height);
-  return context.getImageData(0, 0, width, height);
-}
 
 let last = Promise.resolve(); // so that a question waits for those before it
 addEventListener("message", ({ data: { call, name, given } }) => {

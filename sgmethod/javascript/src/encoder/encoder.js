@@ -58,7 +58,7 @@ export function encodePreview(rgba, width, height, options) {
 }
 
 /** The file of a picture, also a larger one than a preview's, and the average colour, 0 to 1. Throws TypeError. */
-export function encodeFile(rgba, width, height, bytes) {
+function encodeFile(rgba, width, height, bytes) {
   const picture = pictureOf(rgba, width, height);
   const size = reducedSize(width, height, PIXELS_PER_BYTE * bytes);
   const small = sqrt((size[0] * size[1]) / (PIXELS_PER_BYTE * bytes)); // below 1 for a picture that was small already
