@@ -16,8 +16,8 @@ from service.sandbox.client import Sandbox, TaskError, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers
 from service.settings import IDLE_BYTES, MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
+from sgmethod import machine
 from sgmethod.errors import SgError
-from sgmethod.memory import available
 
 SANDBOX_STARTS_S = 30.0  # at the latest
 ENCODE_BYTES = 650_000_000  # the least SG_JOB_MEMORY_BYTES with which 12 megapixels were encoded by default
@@ -50,7 +50,7 @@ def check(settings: Settings) -> Iterator[tuple[str, bool, str]]:
 
 def _settings(settings: Settings) -> str:
     words = f"workers: {settings.workers}; threads of each: {settings.encode_threads}"
-    left = max(0, available() - IDLE_BYTES)
+    left = max(0, machine.memory() - IDLE_BYTES)
     share = min(settings.job_memory_bytes, left // settings.workers)
     if settings.job_memory_bytes > left:
         words += f"; SG_JOB_MEMORY_BYTES exceeds the {left:,} bytes of memory that the service itself leaves:"

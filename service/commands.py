@@ -26,6 +26,7 @@ from service.sandbox.confinement import SandboxError, absent_layers, check_layer
 from service.settings import Settings, add_secrets, unknown_settings
 from service.storage.files import UNFINISHED
 from sgmethod.errors import SgError
+from sgmethod.native import native
 
 log = logging.getLogger(__name__)
 
@@ -42,12 +43,13 @@ def main() -> int:
     try:
         add_secrets(os.environ)
         settings = Settings()
+        native.best_isa()  # raises an SgError if there are no kernels
         set_up_logging(settings.log_format, settings.log_level)
     except ValidationError as error:
         for fault in error.errors():
             print(_explain(fault), file=sys.stderr)
         return BAD_SETTING
-    except (OSError, SgError) as error:  # a file of a secret, or the kernels, which count the cores
+    except (OSError, SgError) as error:  # a file of a secret, or the kernels
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
     supervisor = getattr(arguments, "supervisor", None)

@@ -17,9 +17,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
 from service.logs import LogFormat, LogLevel
+from sgmethod import machine
 from sgmethod.io.image import ImageLimits
-from sgmethod.memory import available
-from sgmethod.native import native
 from sgmethod.threads import MAX_THREADS
 
 MIN_SECRET_LENGTH = 32
@@ -37,7 +36,7 @@ SECRETS = ("SG_", "AWS_", "PG")  # names of the service's, the bucket's and the 
 
 def default_workers() -> int:
     """Return one worker for every four cores: an encode gains little beyond four threads."""
-    return min(max(1, native.available_cores() // 4), MAX_WORKERS)
+    return min(max(1, machine.cores() // 4), MAX_WORKERS)
 
 
 def default_job_memory_bytes() -> int:
@@ -45,7 +44,7 @@ def default_job_memory_bytes() -> int:
 
     With all of it, the system would kill an encode before its limit refuses it.
     """
-    return max(min(available() - IDLE_BYTES, 8 * 2**30), 2**28)
+    return max(min(machine.memory() - IDLE_BYTES, 8 * 2**30), 2**28)
 
 
 def listed(text: str) -> list[str]:
@@ -194,7 +193,7 @@ class Settings(BaseSettings):
     @property
     def encode_threads(self) -> int:
         """Threads of one encode, so that all workers together do not exceed the cores."""
-        return min(max(1, native.available_cores() // self.workers), MAX_THREADS)
+        return min(max(1, machine.cores() // self.workers), MAX_THREADS)
 
     @property
     def uses_postgres(self) -> bool:

@@ -13,7 +13,7 @@ The packages and modules, in the order of the pipeline; each imports only from t
     arguments   checks of callers' numbers
     budget      what an encode may spend
     trace       progress of an encode
-    memory      the memory that this process may use
+    machine     the cores and the memory that this process may use
     numerics    arithmetic that ignores floating-point errors
     scene       the set of Gaussians
     settings/   every number of the method

@@ -57,8 +57,8 @@ def encode(
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp, but at most 50,000 bytes.
     profile: "rd" or "paper".
-    tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same without the noise that
-    stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
+    tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same without the noise
+    that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
     settings: all parameters of the method, for experiments; replaces profile and effort.
     seed: random seed. Without a time limit, the same call gives the same file on the same machine.

@@ -20,12 +20,12 @@ from PIL import Image
 import sgmethod
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, comparison_file, encode_picture
 from service.sandbox import frames
+from sgmethod import machine
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import FORMATS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
-from sgmethod.native import native
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
@@ -42,7 +42,7 @@ NOT_IMPORTED = {
     f"sgmethod.{name}" for name in ("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch")
 }
 
-CORES = native.available_cores()  # asked here: a confined task opens no file
+CORES = machine.cores()  # asked here: a confined task opens no file
 
 # Modules that libraries import only for some images.
 IMPORTED_LATE = (

@@ -18,8 +18,8 @@ from queue import SimpleQueue
 from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
 
+from sgmethod import machine
 from sgmethod.errors import SgError
-from sgmethod.memory import available
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -42,7 +42,7 @@ def usual_jobs(pictures: int) -> int:
     """Return how many pictures to encode at a time: one for each thread that is set, as far as memory allows."""
     from sgmethod.native import native
 
-    jobs = min(native.thread_count(), available() // MEMORY_OF_JOB, pictures // PICTURES_OF_JOB, MAX_JOBS)
+    jobs = min(native.thread_count(), machine.memory() // MEMORY_OF_JOB, pictures // PICTURES_OF_JOB, MAX_JOBS)
     try:
         CONTEXT.Semaphore()
     except (OSError, ImportError):  # as in AWS Lambda

@@ -1,7 +1,9 @@
 """The compiled kernels: superpixels, drawing, gradients, the optimiser's step, the entropy coder, refining.
 
-Arguments are NumPy arrays, and results are written to arrays provided by the caller. The C++ sources lie beside this
-file, in folders that include and link only those before them: core/ (constants, threads, vectors), start/
+Arguments are NumPy arrays, and results are written to arrays provided by the caller. Tensors would be accepted too, but
+torch exports their memory in Python code, and an interrupt that arrives there is lost: the binding takes any error for
+"not an array of this kind". The build writes the module's types (_native.pyi) beside it. The C++ sources lie beside
+this file, in folders that include and link only those before them: core/ (constants, threads, vectors), start/
 (superpixels), texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd:
 integers, entropy coder) and refine/ (search over the integers, one Gaussian at a time) know nothing of Python.
 bindings/ is the interface to Python.
@@ -14,8 +16,10 @@ are chosen (refine/refine.cpp). Each header says what its .cpp does.
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from sgmethod import machine
 from sgmethod.errors import NativeModuleError
 
 ISAS = ("baseline", "avx2", "avx512")  # as core/isa.h numbers them
@@ -31,8 +35,10 @@ class _Missing:
         raise NativeModuleError(self._why)
 
 
-def _limited(kernels: Any) -> Any:
-    """Return the kernels, which use no better instruction set than SG_ISA names."""
+def _set_up(kernels: Any) -> Any:
+    """Return the kernels, with SG_THREADS threads or one for each core, and no better instruction set than SG_ISA."""
+    text = os.environ.get("SG_THREADS", "")
+    kernels.set_thread_count(int(text) if re.fullmatch("0*[1-9][0-9]{0,8}", text, re.ASCII) else machine.cores())
     name = os.environ.get("SG_ISA", "")
     if name:
         known = ISAS[: kernels.best_isa() + 1]
@@ -53,6 +59,6 @@ else:
             "in a checkout, run: pip install --editable .; elsewhere, install sgmethod again"
         )
     else:
-        native = _limited(_native)
+        native = _set_up(_native)
 
 __all__ = ["native"]

@@ -12,7 +12,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from sgmethod import SgError
+from sgmethod import SgError, machine
 from sgmethod.many import processes
 from sgmethod.many.processes import as_they_finish, in_processes
 from sgmethod.native import native
@@ -98,7 +98,7 @@ def test_jobs_by_cores_memory_and_pictures(
     cores: int, gibibytes: int, pictures: int, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(native, "thread_count", lambda: cores)
-    monkeypatch.setattr(processes, "available", lambda: gibibytes << 30)
+    monkeypatch.setattr(machine, "memory", lambda: gibibytes << 30)
     assert processes.usual_jobs(pictures) == expected
     monkeypatch.setattr(processes.CONTEXT, "Semaphore", Mock(side_effect=OSError))  # as in AWS Lambda
     assert processes.usual_jobs(pictures) == 1

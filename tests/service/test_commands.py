@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-import service.settings
 from service import checking
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
 from service.commands import _for_whom, _where
 from service.settings import Settings
+from sgmethod import machine
 from tests.support.job_table import IMAGE
 from tests.support.postgres_server import PostgresServer
 from tests.support.processes import Outcome, run
@@ -50,8 +50,7 @@ def test_check_compares_the_memory_with_what_encodes_need(
     monkeypatch: pytest.MonkeyPatch, memory: int, settings: dict[str, int], words: str
 ) -> None:
     """It warned of what encodes were allowed, even of other containers, and passed 512 MB without a word."""
-    for module in (checking, service.settings):
-        monkeypatch.setattr(module, "available", lambda: memory)
+    monkeypatch.setattr(machine, "memory", lambda: memory)
     found = checking._settings(Settings(**{"workers": 1, **settings}))  # type: ignore[arg-type]
     assert ("memory" in found) == bool(words)
     assert words in found

@@ -14,8 +14,8 @@ import pytest
 
 from service.process import supervisor
 from service.settings import Settings, add_secrets
+from sgmethod import machine
 from sgmethod.io.image import ImageLimits
-from sgmethod.native import native
 from tests.support.data import ROOT
 from tests.support.processes import TIMEOUT_S, Outcome, failing, run, wait_until
 from tests.support.service import RunCommand, environment_of
@@ -78,13 +78,12 @@ def test_limits_never_exceed_what_the_encoder_reads() -> None:
 def test_threads_of_all_workers_stay_within_the_cores(workers: int) -> None:
     threads = Settings(workers=workers).encode_threads
     assert threads >= 1
-    assert threads * workers <= max(native.available_cores(), workers)
+    assert threads * workers <= max(machine.cores(), workers)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 8, 1000])
 def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
-    """Which the kernels count; their own tests try quotas (tests/native/core/cores.cpp)."""
-    monkeypatch.setattr(native, "available_cores", lambda: cores)
+    monkeypatch.setattr(machine, "cores", lambda: cores)
     assert Settings().workers == min(max(1, cores // 4), 64)
 
 

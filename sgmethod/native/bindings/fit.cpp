@@ -105,22 +105,31 @@ auto superpixels(Image lab, int region, float compactness) {
 }  // namespace
 
 void bind_fit(nb::module_& m) {
-  nb::class_<LossOfTarget>(m, "ReconstructionLoss")
+  nb::class_<LossOfTarget>(m, "ReconstructionLoss", "MSE + lambda_g L_g against a target.")
       .def(nb::init<Image, float>(), "target"_a, "lambda_g"_a)
-      .def("__call__", &evaluate, "image"_a, "grad"_a.noconvert());
-  nb::class_<sg::AdamSettings>(m, "AdamSettings")
+      .def("__call__", &evaluate, "image"_a, "grad"_a.noconvert(),
+           "Return the MSE alone; fill grad with the gradient of both by the image.");
+  nb::class_<sg::AdamSettings>(m, "AdamSettings", "Settings of frame_adam(); rates are relative changes per step.")
       .def(nb::init<float, float, float, float, float, float, float, float>(), "mean_rate"_a, "factor_rate"_a,
            "color_rate"_a, "beta1"_a, "beta2"_a, "min_scale"_a, "newton_steps"_a, "values"_a);
   m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(),
         "second"_a.noconvert(), "bias"_a.noconvert(), "visibility"_a.noconvert() = nb::none(), "spacing"_a = 1.0f,
-        "coarse"_a = 0.0f);
-  m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(),
-        "factors"_a.noconvert(), "colors"_a.noconvert());
-  m.def("squared_difference", &squared_difference, "a"_a, "b"_a);
-  m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a, "coarse"_a = 0.0);
-  m.def("to_amplitudes", &to_amplitudes, "planes"_a.noconvert(), "visibility"_a, "root"_a.none());
+        "coarse"_a = 0.0f, "Move Gaussians, and update first, second and bias: Kernels.step (backend/kernels.py).");
+  m.def(
+      "keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+      "colors"_a.noconvert(),
+      "Clamp scale, slant and amplitude to the limits of a fit, and means to within reach sqrt(l1 l3) of the picture.");
+  m.def("squared_difference", &squared_difference, "a"_a, "b"_a, "Sum of squared differences.");
+  m.def("seen_difference", &seen_difference, "a"_a, "b"_a, "visibility"_a, "by_eye"_a, "coarse"_a = 0.0,
+        "VISIBLE times the squared difference of pictures, as the visibility counts it.");
+  m.def("to_amplitudes", &to_amplitudes, "planes"_a.noconvert(), "visibility"_a, "root"_a.none(),
+        "Scale an error's planes, in place, so that their squares are the error as it is seen.\n\n"
+        "root [9]: square root of the weights of channels; None if all count alike.");
   m.def("gains", &gains, "red"_a, "green"_a, "blue"_a, "sigmas"_a, "scales"_a, "gain"_a.noconvert(),
-        "chosen"_a.noconvert(), "isa"_a = -1);
-  m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a);
+        "chosen"_a.noconvert(), "isa"_a = -1,
+        "Blur a residual's planes, mirrored at their edges, by each sigma [N].\n\n"
+        "gain: the largest of a scale times the sum of the blurred planes' squares; chosen: whose it is.");
+  m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a,
+        "Labels of an image in CIELAB, as cv2.ximgproc's SLIC has them.");
 }

@@ -7,7 +7,6 @@
 #include "bindings/arrays.h"
 #include "bindings/lock.h"
 #include "core/constants.h"
-#include "core/cores.h"
 #include "core/isa.h"
 #include "core/platform.h"
 #include "core/scratch.h"
@@ -47,7 +46,7 @@ void in_parallel(int count, const nb::callable& task) {
 
 NB_MODULE(_native, m) {
   nb::set_leak_warnings(false);  // a thread that works when the program ends keeps what it works on
-  m.doc() = "The compiled kernels, documented in sgmethod/native/_native.pyi.";
+  m.doc() = "The compiled kernels, as sgmethod/native/bindings/ gives them to Python.";
   m.attr("MAX_SIDE") = sg::kMaxSide;
   m.attr("CUTOFF_V1") = sg::kCutoffV1;
   m.attr("CUTOFF_V2") = sg::kCutoffV2;
@@ -70,14 +69,17 @@ NB_MODULE(_native, m) {
   m.attr("MAX_SLANT") = sg::kMaxSlant;
   m.attr("MAX_AMPLITUDE") = sg::kMaxAmplitude;
   m.attr("FAINT") = sg::kFaint;
-  m.def("best_isa", &sg::best_isa);
+  m.def("best_isa", &sg::best_isa, "Best instruction set of this processor: 0 the baseline, 1 AVX2, 2 AVX-512.");
   m.def("limit_isa", &sg::limit_isa, nb::arg("isa"));
-  m.def("available_cores", &sg::available_cores);
-  m.def("thread_count", &sg::thread_count);
+  m.def("thread_count", &sg::thread_count,
+        "Threads used by kernels, including the calling one; fewer if the system refuses to create them.");
   m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));
-  m.def("in_parallel", &in_parallel, nb::arg("count"), nb::arg("task"));
-  m.def("stay_alone", &sg::stay_alone);
-  m.def("release_memory", &sg::release_memory);
+  m.def("in_parallel", &in_parallel, nb::arg("count"), nb::arg("task"),
+        "Call task(0) to task(count - 1) on the kernels' threads; after an error, skip those that have not begun.");
+  m.def("stay_alone", &sg::stay_alone,
+        "From now on run the calling thread's kernels on it alone, at the same time as other threads run theirs.");
+  m.def("release_memory", &sg::release_memory,
+        "Return cached free memory to the system, before work that needs other sizes.");
   bind_raster(m);
   bind_fit(m);
   bind_rd(m);

@@ -119,25 +119,46 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
 }  // namespace
 
 void bind_raster(nb::module_& m) {
-  m.def("max_pairs_of", &sg::max_pairs_of, "gaussians"_a, "width"_a, "height"_a);
-  m.def("unpack_texture", &unpack_texture, "data"_a, "width"_a, "height"_a);
-  nb::class_<sg::Texture>(m, "Texture")
-      .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);
-  nb::class_<sg::Rasterization>(m, "Rasterization")
+  m.def("max_pairs_of", &sg::max_pairs_of, "gaussians"_a, "width"_a, "height"_a,
+        "Most pairs of Gaussian and tile that a picture may need; a file that needs more is hostile.");
+  m.def("unpack_texture", &unpack_texture, "data"_a, "width"_a, "height"_a,
+        "Decode a picture's texture codes [TEXTURE_OCTAVES, rows, columns]; also return the number of bytes read.\n\n"
+        "Raises RuntimeError for data that no encoder writes.");
+  nb::class_<sg::Texture>(
+      m, "Texture",
+      "Noise from a seed (sgmethod/native/texture/texture.h). Raises ValueError for invalid codes and cells.")
+      .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0,
+           "Take codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS.\n\n"
+           "cell_x, cell_y: sides of a cell, and x, y: the picture's corner, in output pixels; shift: octave o is "
+           "drawn on level o + shift.");
+  nb::class_<sg::Rasterization>(
+      m, "Rasterization",
+      "Gaussians' geometry on a pixel grid. Raises OverflowError for more than max_pairs pairs of Gaussian and tile.")
       .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
            "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0,
-           "texture"_a.none() = nb::none())
+           "texture"_a.none() = nb::none(),
+           "Assign Gaussians to tiles.\n\n"
+           "pyramid: wide Gaussians are drawn on coarser levels (sgmethod/native/raster/levels.h); x, y: the first "
+           "pixel drawn, so that a part looks as in the whole picture; texture: drawn too, only with a pyramid.")
       .def_prop_ro("width", &sg::Rasterization::width)
       .def_prop_ro("height", &sg::Rasterization::height)
-      .def("render", &render, "colors"_a, "image"_a.noconvert())
-      .def("missing", &missing, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert())
-      .def("missing_halved", &missing_halved, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert())
-      .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
+      .def("render", &render, "colors"_a, "image"_a.noconvert(), "Fill the image.")
+      .def("missing", &missing, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert(),
+           "Fill the image, 1 being white: target, in which white is TARGET_WHITE, minus the picture.")
+      .def("missing_halved", &missing_halved, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert(),
+           "Fill an image at half the size with means of four of missing(). A part must begin with a whole tile.")
+      .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f),
+           "Fill the image: background plus Gaussians.")
       .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(),
            "factors"_a.noconvert(), "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none(),
-           "by_eye"_a = true, "coarse"_a = 0.0f, "spacing"_a = 1)
-      .def("error", &error, "colors"_a, "target"_a.noconvert())
-      .def("gram", &gram, "colors"_a, "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none())
+           "by_eye"_a = true, "coarse"_a = 0.0f, "spacing"_a = 1,
+           "Mean squared error against a target; fills its gradients like backward().\n\n"
+           "visibility: weights of the pixels' errors; by_eye: colours count as the eye sees them, else alike; coarse: "
+           "weight with which mean errors over squares of 4 pixels of the whole picture count once more; spacing: side "
+           "of a pixel, in those of the whole picture.")
+      .def("error", &error, "colors"_a, "target"_a.noconvert(), "Mean squared error against a target.")
+      .def("gram", &gram, "colors"_a, "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none(),
+           "Fill out_colors: inner product of each Gaussian with the picture of all, weighted by visibility.")
       .def("backward", &backward, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
-           "out_colors"_a.noconvert());
+           "out_colors"_a.noconvert(), "Backpropagate a gradient by the image to means, factors and colours.");
 }

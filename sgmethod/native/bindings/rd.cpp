@@ -1,4 +1,5 @@
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <tuple>
@@ -101,29 +102,42 @@ auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, const sg::T
   const auto* bytes = static_cast<const uint8_t*>(data.data());
   sg::LaidOut laid_out =
       without_lock([&, size = data.size()] { return sg::lay_out(p, bytes, size, prefix, shared(texture)); });
-  nb::object raster = nb::cast(laid_out.raster.release(), nb::rv_policy::take_ownership);
-  return std::make_tuple(std::move(raster), own_rows<3>(std::move(laid_out.colors)));
+  return std::make_tuple(std::move(laid_out.raster), own_rows<3>(std::move(laid_out.colors)));
 }
 
 }  // namespace
 
 void bind_rd(nb::module_& m) {
-  nb::class_<sg::RdParameters>(m, "RdParameters")
+  nb::class_<sg::RdParameters>(m, "RdParameters",
+                               "Parameters of profile rd's stream that are known before its first Gaussian.")
       .def(nb::init<int, int, double, bool, bool, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
-           "upright"_a = false, "is_short"_a = false);
-  m.def("rd_clipped_values", &sg::clipped_values);
+           "upright"_a = false, "is_short"_a = false,
+           "Describe a payload. is_short: whether all symbols share one state, as in a short file.");
+  m.def("rd_clipped_values", &sg::clipped_values,
+        "Number of values clamped to the range of their integers in this process, while Gaussians were quantised.");
   m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a,
-        "by_factors"_a.noconvert(), "by_colors"_a.noconvert());
+        "by_factors"_a.noconvert(), "by_colors"_a.noconvert(),
+        "Add a gradient to by_factors and by_colors: Kernels.add_rate_gradient (sgmethod/backend/kernels.py).");
   m.def("rd_steps", &steps, "target"_a.noconvert(), "cutoff"_a, "pyramid"_a, "spacing"_a, "quantum"_a, "price"_a,
         "settings"_a, "rates"_a, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "first"_a.noconvert(), "second"_a.noconvert(), "bias"_a.noconvert(),
-        "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true, "coarse"_a = 0.0f);
+        "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true, "coarse"_a = 0.0f,
+        "Take a step for each of the rates: Backend.steps (sgmethod/backend/protocol.py).");
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
-        "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
+        "out_factors"_a.noconvert(), "out_colors"_a.noconvert(),
+        "Fill out_* with Gaussians as a decoder would see them, with colour 0 if one rounds to nothing.\n\n"
+        "Returns the number of values clamped to the range of their integers.");
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
-  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "price"_a,
-        "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true,
-        "halvings"_a = 0);
-  m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "texture"_a.none() = nb::none());
-  m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
+  m.def(
+      "rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "price"_a,
+      "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true,
+      "halvings"_a = 0,
+      "Encode Gaussians, with their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h).\n\n"
+      "visibility, by_eye: see squared_error(); halvings: number of times the picture was halved to give the target.");
+  m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "texture"_a.none() = nb::none(),
+        "Decode a payload to a Rasterization of the whole picture and the colours; the two overlap in time.\n\n"
+        "Raises the errors of rd_decode() and Rasterization, with max_pairs_of() as max_pairs.");
+  m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians,
+        "Decode a payload to (means, factors, colors). prefix: data may be cut anywhere.\n\n"
+        "Raises RuntimeError on data that no encoder writes, OverflowError for more than max_gaussians.");
 }

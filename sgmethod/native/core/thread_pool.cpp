@@ -4,7 +4,6 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
-#include <cstdlib>
 #include <exception>
 #include <mutex>
 #include <new>
@@ -13,7 +12,6 @@
 #include <utility>
 #include <vector>
 
-#include "core/cores.h"
 #include "core/platform.h"
 
 namespace sg {
@@ -45,14 +43,6 @@ class TaskMode {
  private:
   FloatMode saved_;
 };
-
-int initial_thread_count() {
-  if (const char* text = std::getenv("SG_THREADS")) {
-    const long count = std::strtol(text, nullptr, 10);
-    if (count > 0) return static_cast<int>(std::min<long>(count, kMaxThreads));
-  }
-  return std::min(available_cores(), kMaxThreads);
-}
 
 class Pool {
  public:
@@ -167,7 +157,7 @@ class Pool {
 };
 
 std::mutex entry;
-std::atomic<int> wanted{0};  // 0 until first needed
+std::atomic<int> wanted{1};
 Pool* pool = nullptr;        // never destroyed: joining at exit could wait for threads already gone
 
 // A forked child has only the thread that forked: the pool's threads are gone, and another thread may have held the
@@ -182,12 +172,7 @@ void start_afresh() {
 
 }  // namespace
 
-int thread_count() {
-  if (alone) return 1;
-  int none = 0;
-  if (wanted.load() == 0) wanted.compare_exchange_strong(none, initial_thread_count());
-  return wanted.load();
-}
+int thread_count() { return alone ? 1 : wanted.load(); }
 
 void stay_alone() { alone = true; }
 

@@ -7,8 +7,7 @@
 
 namespace sg {
 
-// Most threads used by parallel_for, including the calling one; fewer if the system refuses more. Initially SG_THREADS
-// from the environment, else the number of cores this process may use.
+// Most threads used by parallel_for, including the calling one; fewer if the system refuses more. One at first.
 int thread_count();
 void set_thread_count(int count);
 

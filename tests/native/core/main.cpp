@@ -4,6 +4,7 @@
 #include <mutex>
 
 #include "check.h"
+#include "core/thread_pool.h"
 
 namespace {
 
@@ -24,6 +25,7 @@ void check::fail(const char* file, int line, const char* what) {
 int main(int count, char** arguments) {
   const char* wanted = count > 1 ? arguments[1] : "";
   int run = 0;
+  sg::set_thread_count(4);
   for (const check::Case* test = cases; test; test = test->next) {
     if (std::strncmp(test->name, wanted, std::strlen(wanted)) != 0) continue;
     const int before = failures;
