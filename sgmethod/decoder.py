@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,6 @@ def decode(
     max_pixels: AnyInt = MAX_PIXELS,
     view: View = WHOLE,
     *,
-    texture: bool = True,
     width: AnyInt | None = None,
     height: AnyInt | None = None,
 ) -> NDArray[np.uint8]:
@@ -42,8 +40,7 @@ def decode(
     >>> sgmethod.decode("photo.sg", width=64).shape
     (48, 64, 3)
 
-    data: a file's path or bytes; texture: False leaves texture out, like View(texture=False); width, height:
-    pixels into which the picture or the view's region is fitted.
+    data: a file's path or bytes; width, height: pixels into which the picture or the view's region is fitted.
     Raises BitstreamError for a damaged file, and for a picture or view of more than max_pixels; ViewError for an
     invalid view; OSError for a path that cannot be read; MemoryError.
     """
@@ -52,7 +49,7 @@ def decode(
     if not isinstance(view, View):
         raise ViewError(f"a view must be a sgmethod.View, not {type(view).__name__}")
     photo = SgFile(data, max_pixels)
-    return photo._draw((view if texture else replace(view, texture=False)).within(photo.size, width, height))
+    return photo._draw(view.within(photo.size, width, height))
 
 
 @quiet

@@ -21,7 +21,7 @@ from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.speed.growth import reduced
 from benchmarks.tables import MISSING, table
-from sgmethod import decode, encode
+from sgmethod import View, decode, encode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_EFFORT, TUNES, Tune
@@ -66,7 +66,7 @@ class Check:
 def measure(picture: str, pixels: Pixels, tune: Tune, bpp: float, effort: int, seed: int) -> Row:
     """Encode a picture [H, W, 3] once."""
     data = encode(pixels, bpp=bpp, tune=tune, effort=effort, seed=seed).data
-    figure = (psnr if tune == "psnr" else ssimulacra2)(decode(data, texture=False), pixels)
+    figure = (psnr if tune == "psnr" else ssimulacra2)(decode(data, view=View(texture=False)), pixels)
     assert figure is not None
     return Row(picture, tune, bpp, effort, seed, len(data), round(figure, 4))
 

@@ -71,7 +71,6 @@ def textured() -> bytes:
 
 def test_it_can_be_left_out(textured: bytes) -> None:
     plain = decode(file_of(None, some_gaussians()))
-    assert np.array_equal(decode(textured, texture=False), plain)
     assert np.array_equal(decode(textured, view=View(texture=False)), plain)
     assert np.array_equal(sgmethod.SgFile(textured).pixels(texture=False), plain)
     assert np.abs(decode(textured).astype(int) - plain).mean() > 2  # 4.6 seen
@@ -96,7 +95,7 @@ def test_the_same_on_every_instruction_set_and_for_every_number_of_threads(set_t
 def test_a_prefix_has_it_too(textured: bytes) -> None:
     part = decode(textured, view=View(prefix=0.4)).astype(int)
     plain = decode(textured, view=View(prefix=0.4, texture=False)).astype(int)
-    whole = decode(textured).astype(int) - decode(textured, texture=False)
+    whole = decode(textured).astype(int) - decode(textured, view=View(texture=False))
     inside = (part > 0) & (part < 255) & (plain > 60) & (plain < 195)
     assert np.abs((part - plain) - whole)[inside].max() <= 1
 
@@ -124,7 +123,7 @@ def drawn_spread(spread: float) -> float:
     """What noise of this spread comes back with."""
     codes = estimated(128 + noise(spread))
     assert codes is not None
-    return float(decode(file_of(codes), texture=True)[:, :, 0].std())
+    return float(decode(file_of(codes))[:, :, 0].std())
 
 
 def test_noise_is_given_back_by_its_strength() -> None:
@@ -246,7 +245,7 @@ def test_few_dots_are_left_on_a_lawn() -> None:
     pixels = np.repeat(np.clip(lawn, 0, 255).astype(np.uint8)[:, :, None], 3, 2)
 
     def dots(tune: str) -> int:
-        drawn = decode(sgmethod.encode(pixels, bpp=0.2, tune=tune).data, texture=False)
+        drawn = decode(sgmethod.encode(pixels, bpp=0.2, tune=tune).data, view=View(texture=False))
         return int((np.abs(detail_of(drawn[:, :, 0].astype(float))) > 15).sum())
 
     assert dots("visual") < 0.1 * dots("psnr")
@@ -259,7 +258,7 @@ def test_tuning_for_the_eye_writes_it_within_the_budget() -> None:
         assert encoded.stats.bytes == len(encoded.data) <= size
         fields = sgmethod.info(encoded.data)
         assert 0 < fields.bits["texture"] <= 8 * TEXTURE.share * size
-        smooth = decode(encoded.data, texture=False)
+        smooth = decode(encoded.data, view=View(texture=False))
         assert psnr(smooth, pixels) > psnr(decode(encoded.data), pixels) == encoded.stats.psnr
 
 
@@ -285,7 +284,7 @@ def test_what_cannot_be_is_refused() -> None:
 
 def test_files_are_compared_without_their_texture() -> None:
     data = golden_path("v2-texture.sg").read_bytes()
-    stream, smooth = container.parse(data), decode(data, texture=False)
+    stream, smooth = container.parse(data), decode(data, view=View(texture=False))
     assert isinstance(stream, StreamV2)
     assert psnr(decode(data), smooth) < EXACT_DB
     objective = Objective.from_pixels(smooth, "visual", RD.objective)
@@ -313,4 +312,4 @@ def test_strips_thinner_than_a_block_get_none(thin: int) -> None:
 def test_texture_can_be_left_out_of_a_file(options: dict[str, Any], has_texture: bool) -> None:
     grass = np.random.default_rng(0).normal(100, 25, (96, 96, 1)).clip(0, 255).astype(np.uint8).repeat(3, 2)
     file = encode(grass, bpp=0.3, effort=2, **options).data
-    assert np.array_equal(decode(file), decode(file, texture=False)) != has_texture
+    assert np.array_equal(decode(file), decode(file, view=View(texture=False))) != has_texture

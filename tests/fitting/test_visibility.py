@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from sgmethod import decode, encode
+from sgmethod import View, decode, encode
 from sgmethod.backend.protocol import Visibility
 from sgmethod.fitting.visibility import VisibleShare, error, of_detail, weigh
 from sgmethod.native import native
@@ -101,7 +101,7 @@ def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes() -> None:
     visible, ratios = replace(of_detail(PHOTO, DETAIL), coarse=DETAIL.coarse), []
     for seed in range(4):
         both = {tune: encode(PHOTO, bpp=0.4, tune=tune, seed=seed) for tune in ("psnr", "visual")}
-        errors = {tune: error(visible, decode(e.data, texture=False), PHOTO) for tune, e in both.items()}
+        errors = {tune: error(visible, decode(e.data, view=View(texture=False)), PHOTO) for tune, e in both.items()}
         ratios.append(errors["visual"] / errors["psnr"])
         assert all(e.stats.bpp <= 0.4 for e in both.values())
         assert both["visual"].stats.psnr < both["psnr"].stats.psnr

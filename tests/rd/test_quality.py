@@ -32,7 +32,7 @@ def test_qualities_are_met_within_a_point(found: list[sgmethod.Encoded]) -> None
 
 
 def test_a_file_by_quality_has_no_texture(found: list[sgmethod.Encoded]) -> None:
-    without = [sgmethod.decode(encoded.data, texture=False) for encoded in found]
+    without = [sgmethod.decode(encoded.data, view=sgmethod.View(texture=False)) for encoded in found]
     assert all(np.array_equal(sgmethod.decode(one.data), plain) for one, plain in zip(found, without, strict=True))
 
 

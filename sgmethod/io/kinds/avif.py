@@ -10,7 +10,6 @@ FORMAT = Format(
     ("PIL.AvifImagePlugin", "AvifImageFile"),
     brands=frozenset({b"avif", b"avis"}),
     pillow="11.3",
-    reads_whole=True,
     threads=("PIL.AvifImagePlugin", "DEFAULT_MAX_THREADS", 1),
     writer=Writer(
         (".avif",),

@@ -53,9 +53,9 @@ class Format:
     suffixes: of its files, the usual one first; magic: pattern of a file's first bytes; brands: or one of these in its
     box ftyp; reader: module and class, of Pillow or a plugin; extra: of this
     package, which brings that class; pillow: the first version of Pillow that has it, if that is newer than ours.
-    reads_whole: whether the reader takes the whole file for its header; lists_tiles: whether it lists the parts of the
-    picture that the file has, so that missing ones are noticed; turns: whether it applies the orientation itself;
-    threads: a module, its name for the decoder's threads, and the number that stands for one.
+    lists_tiles: whether the reader lists the parts of the picture that the file has, so that missing ones are noticed;
+    turns: whether it applies the orientation itself; threads: a module, its name for the decoder's threads, and the
+    number that stands for one.
     header: parser of headers, for a reader that decodes all pixels on opening; prepared: file as the reader takes it.
     """
 
@@ -66,7 +66,6 @@ class Format:
     brands: frozenset[bytes] = frozenset()
     extra: str = ""
     pillow: str = ""
-    reads_whole: bool = False
     lists_tiles: bool = True
     turns: bool = False
     threads: tuple[str, str, int] | None = None

@@ -10,7 +10,6 @@ FORMAT = Format(
     ("pillow_heif", "HeifImageFile"),
     brands=frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}),
     extra="heif",
-    reads_whole=True,
     lists_tiles=False,
     turns=True,
     threads=("pillow_heif.options", "DECODE_THREADS", 1),

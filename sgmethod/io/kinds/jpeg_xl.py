@@ -73,7 +73,6 @@ FORMAT = Format(
     ("pillow_jxl.JpegXLImagePlugin", "JXLImageFile"),
     re.escape(BARE) + b"|" + re.escape(IN_BOXES),
     extra="jxl",
-    reads_whole=True,
     lists_tiles=False,
     turns=True,  # unless it reconstructs a JPEG
     threads=("pillow_jxl.JpegXLImagePlugin", "DECODE_THREADS", 0),

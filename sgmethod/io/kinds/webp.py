@@ -9,7 +9,6 @@ FORMAT = Format(
     (".webp",),
     ("PIL.WebPImagePlugin", "WebPImageFile"),
     rb"RIFF....WEBP",
-    reads_whole=True,
     lists_tiles=False,
     writer=Writer(
         (".webp",),

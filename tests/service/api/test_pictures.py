@@ -74,7 +74,7 @@ def test_alpha_is_kept_where_a_format_has_it(web: Service) -> None:
 
 def test_texture_can_be_left_out(web: Service) -> None:
     job = web.published(TEXTURED)
-    smooth = sgmethod.decode(TEXTURED, texture=False)
+    smooth = sgmethod.decode(TEXTURED, view=sgmethod.View(texture=False))
     assert not np.array_equal(smooth, sgmethod.decode(TEXTURED))
     whole, without = (web.client.get(f"/decode/{job}.png{query}") for query in ("", "?texture=0"))
     np.testing.assert_array_equal(pixels_of(without), smooth)

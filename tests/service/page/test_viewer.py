@@ -163,7 +163,7 @@ def test_texture_on_and_off(page: Chromium, web: Service) -> None:
     page.says("without texture", "#right-label")
     wait_until(lambda: not np.array_equal(page.settled(), textured))
     page.press("stage", "1")
-    middle, smooth = size.height // 2, sgmethod.decode(TEXTURED, texture=False).astype(int)
+    middle, smooth = size.height // 2, sgmethod.decode(TEXTURED, view=sgmethod.View(texture=False)).astype(int)
 
     def is_smooth() -> bool:
         row = page.settled()
