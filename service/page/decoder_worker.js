@@ -15,7 +15,7 @@ function layOverWhite(data) {
 
 const answers = {
   open({ key, bytes }) {
-    const file = readFile(bytes, { costs: true });
+    const file = readFile(bytes);
     files.set(key, file);
     return { ...file };
   },

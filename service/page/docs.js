@@ -97,7 +97,7 @@ async function show() {
   }
   const named = location.hash && document.getElementById(location.hash.slice(1));
   if (named) {
-    named.setAttribute("open", "");
+    named.closest("details").open = true;
     named.scrollIntoView();
   }
 }

@@ -45,7 +45,7 @@ export class Item {
   constructor(name, changed) {
     Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [] });
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
-    this.size = this.opened = this.soFar = null; // soFar: { tag, image }
+    this.size = this.opened = null;
   }
 
   update(change = {}) {
@@ -80,7 +80,7 @@ export class Item {
       decoded = await createImageBitmap(await drawn(sg, "png"));
     }
     const size = [decoded.width, decoded.height];
-    this.update({ sg, file, decoded, size, note, measured: null, others: {}, smooth: null, soFar: null, state: "done", words: "" });
+    this.update({ sg, file, decoded, size, note, measured: null, others: {}, smooth: null, state: "done", words: "" });
   }
 
   /** Open an .sg file, and store it for a reload. */
@@ -104,7 +104,6 @@ export class Item {
   async encode(budget) {
     await this.#working(async () => {
       this.budget = budget;
-      this.stopping = false;
       const words = `Sending ${this.format ? `${this.format}, ` : ""}${size(this.originalBytes)}`;
       this.update({ state: "sending", words, done: null, trace: [], job: null });
       const { id } = await submit(this.source, budget);
@@ -136,12 +135,12 @@ export class Item {
     } catch (error) {
       const refused = error.status === 415;
       const words = refused && this.format ? unread(this.format) : error.message;
-      this.update({ state: "failed", words, done: null, soFar: null, refused });
+      this.update({ state: "failed", words, done: null, refused });
     }
   }
 
   async #follow() {
-    const { paceOf, stateOf } = await import("./progress.js"); // not needed at first
+    const { stateOf } = await import("./progress.js"); // not needed at first
     for (let tries = 0; ; ) {
       let [job, sg] = [null, null];
       try {
@@ -165,39 +164,8 @@ export class Item {
         Object.assign(this, { job, trace: job.trace });
         return void (await this.setFile(sg));
       }
-      await this.#look(job);
-      if (job.state === "queued") {
-        this.stopping = false; // it starts again
-        if (job.position !== this.job?.position) this.paceS = await this.#pace(paceOf);
-      }
-      this.update({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
+      this.update({ state: job.state, trace: job.trace, job, ...stateOf(job) });
       await sleep(POLL_MS);
-    }
-  }
-
-  /** Estimate the seconds between two jobs of the queue; null on errors, since it is optional. */
-  async #pace(paceOf) {
-    const jobsIn = async (state) => (await json(`jobs?limit=20&state=${state}`, { signal: this.#asking.signal })).jobs;
-    return Promise.all(["done", "running"].map(jobsIn)).then(([done, running]) => paceOf(done, running), () => null);
-  }
-
-  /** Show the preview of a running job. Errors are ignored, since it is optional. */
-  async #look(job) {
-    if (job.state !== "running") return;
-    try {
-      const answer = await ask(`${jobPath(this.id)}/preview.sg`, { signal: this.#asking.signal });
-      const tag = answer.headers.get("ETag");
-      if (!tag || tag === this.soFar?.tag) return;
-      const bytes = new Uint8Array(await answer.arrayBuffer());
-      const key = keys++;
-      const before = this.soFar?.image;
-      await decoder.ask("open", { key, bytes });
-      const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
-      decoder.ask("close", { key });
-      this.update({ soFar: { tag, image }, size: [image.width, image.height] });
-      before?.close();
-    } catch {
-      return;
     }
   }
 
@@ -206,24 +174,10 @@ export class Item {
     return this.id ?? this.sample ?? (this.sg ? this.opened : null);
   }
 
-  /** Whether stopping would leave a result. */
-  get stoppable() {
-    return this.state === "running" && this.trace.length > 0 && !this.stopping;
-  }
-
-  /** End the encode early, and keep its result. */
-  async stop() {
-    this.stopping = true;
-    this.update({ words: "Finishing early" });
-    await ask(`${jobPath(this.id)}/stop`, { method: "POST" }).catch((error) => {
-      if (error.status !== 409) this.stopping = false;
-    });
-  }
-
   /** Cancel. own: whether to remove the job as well. */
   async cancel(own = true) {
     const { id } = this;
-    this.update({ state: "cancelled", words: "There is no file.", done: null, soFar: null });
+    this.update({ state: "cancelled", words: "There is no file.", done: null });
     this.#asking.abort();
     if (id && own) await remove(id);
   }
@@ -234,7 +188,7 @@ export class Item {
 
   close() {
     if (this.file) decoder.ask("close", { key: this.file.key });
-    const shown = [this.original, this.decoded, this.smooth, this.soFar?.image];
+    const shown = [this.original, this.decoded, this.smooth];
     for (const image of [...shown, ...Object.values(this.others ?? {}).map((other) => other.image)]) image?.close();
     this.original = this.decoded = null;
   }

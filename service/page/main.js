@@ -1,6 +1,5 @@
 // The page: its pictures, and its buttons.
 
-import { fillContents } from "./viewer/contents.js";
 import { fillTable, measure } from "./viewer/comparisons.js";
 import { Tools } from "./viewer/tools.js";
 import { Viewer } from "./viewer/viewer.js";
@@ -10,7 +9,6 @@ import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples, THUMBNAIL_WIDTH } from "./samples.js";
 import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./download.js";
 import { TITLES, showLabels, showRows, showWork, trouble } from "./status.js";
-import { size } from "./words.js";
 
 const items = []; // in the order in which they came
 let current = null;
@@ -39,13 +37,13 @@ function changed(item) {
 
 /** Update the page for the current picture. */
 function refresh(item) {
-  const { original, decoded, file, soFar } = item;
+  const { original, decoded, file } = item;
   const isNewlyDecoded = item.drawn?.decoded !== decoded;
   const isNew = isNewlyDecoded || item.drawn?.original !== original;
   const isSmooth = Boolean(file?.texture) && !tools.textured;
   enter(item);
   viewer.left = (onLeft === "Original" ? original : item.others?.[onLeft]?.image) ?? null;
-  viewer.right = isSmooth ? smoothOf(item) : (decoded ?? soFar?.image ?? null);
+  viewer.right = isSmooth ? smoothOf(item) : decoded;
   if (isNew) {
     item.drawn = { decoded, original, isFitted: false };
     tools.whole();
@@ -65,7 +63,6 @@ function refresh(item) {
   $("stage").hidden = $("tools").hidden = hasNothing;
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
-  fillContents(file);
   $("advice").hidden = !decoded || !item.job?.result?.better;
   if (!$("advice").hidden) import("./viewer/better.js").then(({ showAdvice }) => showAdvice(current));
   fillTable(item, onLeft, (name) => {
@@ -73,7 +70,6 @@ function refresh(item) {
     refresh(item);
   });
   $("take-card").hidden = !decoded;
-  $("snippet").hidden = !file;
   $("link").hidden = !item.id && !item.sample;
   $("again").hidden = !item.source || item.busy || item.refused || Boolean(item.sample && !decoded);
   $("again").classList.toggle("button", !item.sample);
@@ -232,13 +228,6 @@ async function copyLink(item) {
   return "The link is in the clipboard.";
 }
 
-async function copyHtml(item) {
-  const { snippetOf } = await import("./snippet.js");
-  const html = await snippetOf(item);
-  await copy(html);
-  return `The HTML (${size(html.length)}) is in the clipboard. In its aria-label, say what the picture shows.`;
-}
-
 listen(give);
 rememberBudget(() => sayRate(current));
 $("again").addEventListener("click", again);
@@ -248,15 +237,12 @@ $("key-field").addEventListener("submit", (event) => {
   if (current.id) current.resume(current.id);
   else if (current.source) current.encode(budget(current));
 });
-$("stop").addEventListener("click", () => current.stop());
 $("cancel").addEventListener("click", () => current.cancel());
 $("save-sg").addEventListener("click", () => take(saveFile));
 $("save-picture").addEventListener("click", () =>
   take((item) => savePicture(item, $("kind").value, Number($("width").value) || item.size[0], draw)),
 );
 $("link").addEventListener("click", () => take(copyLink));
-$("snippet").addEventListener("click", () => take(copyHtml));
-$("show-wall").addEventListener("click", async () => (await import("./wall/wall.js")).showWall($("wall")));
 addEventListener("hashchange", begin);
 
 /** Start after the empty page has been painted, which workers would delay. */

@@ -73,25 +73,14 @@ function wordsOf(points) {
   );
 }
 
-/** Estimate the seconds between two jobs of the queue from the last jobs and the number of running ones; null if
- * unknown. */
-export function paceOf(done, running) {
-  if (!done.length || !running.length) return null;
-  const took = done.map((job) => (Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000);
-  return took.reduce((sum, one) => sum + one) / took.length / running.length;
-}
-
 /** Describe what a job is doing, and its progress from 0 to 1; null if unknown. */
-export function stateOf(job, stopping, paceS = null) {
+export function stateOf(job) {
   if (job.state === "queued") {
     const ahead = job.position - 1;
-    const words = ahead === 0 ? "next in the queue" : `in the queue, ${ahead} before it`;
-    const wait = paceS === null ? "" : `, starts in about ${seconds(paceS * job.position)}`;
-    return { words: `Waiting: ${words}${wait}`, done: null };
+    return { words: `Waiting: ${ahead === 0 ? "next in the queue" : `in the queue, ${ahead} before it`}`, done: null };
   }
   const last = job.trace.at(-1);
   if (!last) return { words: "Starting the encoder", done: null };
-  if (stopping) return { words: "Finishing early", done: null };
   if (job.progress === 1 && last.step === last.steps) return { words: "Writing and measuring the file", done: null };
   const rest = job.seconds_left >= 0.5 ? `, about ${seconds(job.seconds_left)} left` : "";
   return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };

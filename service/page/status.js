@@ -29,15 +29,14 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   if (other && isLeft) label("left-label", true, leftName, size(other.bytes));
   else label("left-label", isLeft, "Original", size(item.originalBytes ?? 0));
   const bytes = item.sg && size(item.sg.length);
-  if (item.soFar) label("right-label", true, "So far"); // larger than the file will be
-  else if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
+  if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
   else if (smooth) label("right-label", item.decoded, "Gaussians", bytes, "without texture");
   else label("right-label", item.decoded, "Gaussians", bytes);
   $("outcome").textContent = item.decoded ? outcomeOf(item) : "";
   $("outcome").hidden = item.busy || Boolean(item.opened);
   const unseen = item.source && !item.original && item.state !== "failed" && "This browser cannot show the original.";
   const laid = item.wasTransparent && "Transparent areas are shown on white here, and stay transparent in the file.";
-  const linked = item.id && !item.source && (item.decoded || item.soFar) && SHARED;
+  const linked = item.id && !item.source && item.decoded && SHARED;
   $("note").textContent = item.note || unseen || laid || linked || "";
   $("note").hidden = !$("note").textContent;
 }
@@ -54,7 +53,6 @@ export function showWork(item) {
   if (item.done === null) $("progress").removeAttribute("value");
   else $("progress").value = item.done;
   $("cancel").hidden = !item.busy;
-  $("stop").hidden = !item.stoppable;
   if (item.busy) say(item.state === "running" ? "Encoding" : item.words);
   else if (item.state === "done") say(`${item.name} is done: ${size(item.sg.length)}`);
   else say(item.words);

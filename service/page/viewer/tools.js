@@ -1,10 +1,8 @@
-// The tools of the large picture: zoom, compare, overlays, texture, the first bytes alone.
+// The tools of the large picture: zoom, compare, ellipses, texture, the first bytes alone.
 
 import { countInPart } from "../sgmethod/file.js";
 import { $ } from "../parts.js";
 import { count, size } from "../words.js";
-
-const overlays = () => [...document.querySelectorAll("[name=overlay]")];
 
 export class Tools {
   #viewer;
@@ -36,11 +34,11 @@ export class Tools {
   /** Update the tools for a file, or for none. */
   refresh(file) {
     this.#file = this.#viewer.file = file;
-    $("overlays").hidden = $("prefix-field").hidden = !file;
+    $("ellipses-field").hidden = $("prefix-field").hidden = !file;
     $("texture-field").hidden = !file?.texture;
     $("blink").disabled = !this.#viewer.left || !this.#viewer.right;
     this.#showZoom();
-    this.#showOverlay();
+    this.#showWays();
     this.#showPrefix();
   }
 
@@ -65,25 +63,18 @@ export class Tools {
     viewer.redraw();
   }
 
-  #showOverlay() {
-    const [file, viewer] = [this.#file, this.#viewer];
-    const overlay = overlays().find((input) => input.checked).value;
-    if (overlay !== "none" && !viewer.overlays) {
-      import("./overlays.js").then((module) => {
-        viewer.overlays = module;
-        this.#showOverlay();
+  #showWays() {
+    const viewer = this.#viewer;
+    const ellipses = Boolean(this.#file) && $("ellipses").checked;
+    if (ellipses && !viewer.drawEllipses) {
+      import("./ellipses.js").then(({ drawEllipses }) => {
+        viewer.drawEllipses = drawEllipses;
+        this.#showWays();
       });
       return;
     }
-    Object.assign(viewer, { overlay, smooth: !$("pixels").checked, textured: this.textured });
-    if (overlay === "heat" && file && !file.heat) file.heat = viewer.overlays.heatOf(file);
-    viewer.heat = file?.heat ? (file.heat.picture ??= viewer.overlays.heatPicture(file.heat)) : null;
-    $("legend").textContent = {
-      none: "",
-      ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones remove it.",
-      heat: `Bits per pixel: dark is none, pale yellow ${file?.heat?.max.toFixed(1)} bits per pixel or more.`,
-    }[file ? overlay : "none"];
-    $("legend").hidden = !$("legend").textContent;
+    Object.assign(viewer, { ellipses, smooth: !$("pixels").checked, textured: this.textured });
+    $("legend").hidden = !ellipses;
     viewer.redraw();
   }
 
@@ -92,7 +83,7 @@ export class Tools {
     $("zoom-in").addEventListener("click", () => viewer.zoomTo(viewer.zoom * 2));
     $("zoom-out").addEventListener("click", () => viewer.zoomTo(viewer.zoom / 2));
     $("zoom-fit").addEventListener("click", () => viewer.fit());
-    for (const input of [$("pixels"), ...overlays()]) input.addEventListener("change", () => this.#showOverlay());
+    for (const id of ["pixels", "ellipses"]) $(id).addEventListener("change", () => this.#showWays());
     $("texture").addEventListener("change", () => this.changed());
     $("prefix").addEventListener("input", () => {
       this.#showPrefix();

@@ -20,15 +20,15 @@ export class Viewer {
 
   constructor(stage, canvas, divider, draw) {
     Object.assign(this, { stage, canvas, divider, moved() {} });
-    this.overlays = null; // the module, once one is wanted
+    this.drawEllipses = null; // once they are wanted
     this.context = canvas.getContext("2d", { alpha: false });
     this.size = [1, 1];
-    this.left = this.right = this.file = this.heat = null;
+    this.left = this.right = this.file = null;
     this.count = 0;
     this.split = 0.5;
     this.peek = null; // 0 or 1: one side alone, for a moment
     this.smooth = this.textured = true;
-    this.overlay = "none";
+    this.ellipses = false;
     this.fitted = true;
     this.zoom = 1;
     this.centre = [0.5, 0.5];
@@ -175,11 +175,7 @@ export class Viewer {
       this.#wantPart(x, y);
     }
     const view = { zoom, x: -x / zoom, y: -y / zoom, left: seam, right: canvas.width, height: canvas.height };
-    if (this.overlay === "ellipses" && file) this.overlays.drawEllipses(context, file, count, view);
-    if (this.overlay === "heat" && this.heat) {
-      context.imageSmoothingEnabled = true;
-      context.drawImage(this.heat, x, y, w, h);
-    }
+    if (this.ellipses) this.drawEllipses(context, file, count, view);
     context.restore();
   }
 

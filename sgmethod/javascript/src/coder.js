@@ -39,10 +39,8 @@ export function adapt(models, at, found) {
 /** How many bits follow a number's symbol. */
 export const bitsAfter = (symbol) => (symbol > 3 && symbol < 15 ? (symbol >> 1) - 1 : 0);
 
-/** The functions that decode a payload with these models. A state is 0 or 1; a short file has one state for both.
- * onCost(bits, state, row) is called for each symbol and number, with the bits of information that it takes and the row
- * of its model. */
-export function newCoder(payload, models, isShort, onCost) {
+/** The functions that decode a payload with these models. A state is 0 or 1; a short file has one state for both. */
+export function newCoder(payload, models, isShort) {
   let [at, queue, held, rests] = [0, 0, 0, 0]; // the next byte, raw bits and how many, bits of numbers to come
   const byte = () => payload[at++] ?? 0;
   const half = () => byte() + 256 * byte();
@@ -68,7 +66,6 @@ export function newCoder(payload, models, isShort, onCost) {
     states[which] = next < 65536 ? next * 65536 + half() : next;
     adapt(models, one, found);
     if (two !== one) adapt(models, two, found);
-    WHOLE: onCost?.(15 - Math.log2(high - low), state, row);
     return found;
   };
 
@@ -94,7 +91,6 @@ export function newCoder(payload, models, isShort, onCost) {
   const number = (state, row, second) => {
     const found = symbol(state, row, second);
     let bits = bitsAfter(found);
-    WHOLE: onCost?.(bits, state, row);
     if (found < 15) {
       rests += bits;
       return found;
@@ -102,7 +98,6 @@ export function newCoder(payload, models, isShort, onCost) {
     fill(5);
     bits = take(5);
     fill(bits);
-    WHOLE: onCost?.(5 + bits, state, row);
     return 16 * (2 ** bits + take(bits)) + 15;
   };
 

@@ -94,8 +94,7 @@ export function readHeader(bytes, readTexture) {
   const background = grey ? [red, red, red] : [red, ...HEADER.slice(5).map(read)];
   const header = { width, height, isShort, quantum: quantumOf(quantum), background, grey, upright: flags & UPRIGHT };
   const ofAlpha = flags & ALPHA ? ALPHA_HEADER.map(read) : null;
-  const textureAt = toByte();
-  let alphaAt = textureAt;
+  let alphaAt = toByte();
   WHOLE: if (flags & TEXTURE) {
     header.texture = readTexture(() => take(1), width, height);
     alphaAt = toByte();
@@ -108,6 +107,5 @@ export function readHeader(bytes, readTexture) {
     header.alpha.payload = bytes.subarray(alphaAt, payloadAt);
   }
   header.payload = bytes.subarray(payloadAt, end);
-  WHOLE: header.parts = [textureAt, alphaAt, payloadAt, end];
   return header;
 }

@@ -25,7 +25,7 @@ export const MAPPED_LUMA = SHORT;
 export const MAPPED_V = 221;
 export const MAPPED_R = 293;
 export const MAPPED_SIGNS = 581;
-export const ALL = 681;
+const ALL = 681;
 
 // The tables are payloads themselves, as ../tables.mjs writes them.
 const starts = [];

@@ -11,12 +11,11 @@ const COLOUR = 0; // the states
 const SHAPE = 1;
 
 /** Decode a payload's Gaussians, in its order: x, y, l1, l2, l3, red, green and blue of each. onTurn(isWhole, end) is
- * called after each turn, with whether it completed a Gaussian, and the bytes read so far. onCost is newCoder()'s.
- * Throws SgError. */
-export function readGaussians({ width, height, isShort, quantum, grey, upright }, payload, onTurn, onCost) {
+ * called after each turn, with whether it completed a Gaussian, and the bytes read so far. Throws SgError. */
+export function readGaussians({ width, height, isShort, quantum, grey, upright }, payload, onTurn) {
   let values = new Float32Array(0);
   if (!payload.length) return values;
-  const [symbol, number, fetch, take, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort, onCost);
+  const [symbol, number, fetch, take, whole, bytesRead, isEnded] = newCoder(payload, newModels(), isShort);
   const [begin, advance, look, add] = newMap({ width, height, isShort });
   const refuseOverrun = () => refuseUnless(bytesRead() <= payload.length, "it ends too early");
   const limit = min(width * height, 2 ** 24, 3 * payload.length + 64);
@@ -42,7 +41,6 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
     const place = (first, part, told, bits, pixels) => {
       const more = bits - told;
       fetch(max(more, 0)); // the bytes that both at once would be, of which numbers of 53 bits could not hold all
-      WHOLE: onCost?.(max(more, 0), SHAPE, DISTANCE);
       const within = more > 0 ? part * 2 ** more + take(more) : part >> -more;
       const cell = (within + 0.5) / 2 ** bits + first;
       WHOLE: {
@@ -67,7 +65,6 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
       }
       if (isMore) {
         fetch(3);
-        WHOLE: onCost?.(3, COLOUR, DISTANCE);
         advance(8 * whole(distance) + take(3));
         look(next);
       }
@@ -82,7 +79,6 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
       const b = isMore && !grey && number(COLOUR, B + level(a), B_BY_LUMA + 4 * level(a) + level(y));
       const signs = i && symbol(SHAPE, now.signsRow + 2 * (v > 0) + (r > 0));
       fetch(uBits);
-      WHOLE: onCost?.(uBits, SHAPE, V);
       v = whole(v);
       r = whole(r);
       const u = (take(uBits) + 0.5) / 2 ** uBits;

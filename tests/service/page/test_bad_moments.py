@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-import sgmethod
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER
 from tests.support.browser import Chromium, assert_open_to_all, bytes_of
 from tests.support.data import golden
@@ -234,22 +232,12 @@ def test_what_the_browser_cannot_read_is_sent_only_if_it_ought_to_know(page: Chr
     page.click("#cancel")
 
 
-def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
-    page.open_page(empty)
-    running, done = (empty.submitted() for _ in range(2))
-    empty.publish(done, COFFEE)
-    assert empty.job(running)["state"] == "running"
-    page.give("drop", SMALL, "one.png")
-    page.says("Waiting: next in the queue, starts in about 1 s")
-    took = [{"started_at": "2026-01-31T12:00:00Z", "finished_at": f"2026-01-31T12:00:{end}Z"} for end in (10, 30)]
-    state = {"state": "queued", "position": 3}
-    known = f"[[{took}, [1, 2]], [[], [1]], [{took}, []]]"
-    states = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
+def test_what_a_waiting_job_says(page: Chromium, web: Service) -> None:
+    page.open_blank(web)
+    states = "[1, 3].map((position) => it.stateOf({ state: 'queued', position }).words)"
     words = page.imported("progress.js", states)
-    waiting = "Waiting: in the queue, 2 before it"
-    assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
+    assert words == ["Waiting: next in the queue", "Waiting: in the queue, 2 before it"]
     assert page.imported("words.js", "[0.2, 59.7, 119.7].map(it.seconds)") == ["1 s", "1 min 0 s", "2 min 0 s"]
-    page.click("#cancel")
 
 
 def test_on_a_phone(page: Chromium, web: Service) -> None:
@@ -316,30 +304,6 @@ def test_what_is_saved_stays_transparent(page: Chromium, web: Service) -> None:
     page.says("Downloaded clear.png", "#taken")
     png = page.run("return window.blob.arrayBuffer().then((buffer) => [...new Uint8Array(buffer)])")
     assert_as_python(np.array(Image.open(io.BytesIO(bytes(png)))).astype(int), data)
-
-
-def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
-    page.open_page(web)
-    name = "'my \"cup\" & <b>.webp'"
-    snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [600, 400], name: {name} }})"
-    html = page.imported("snippet.js", snippet)
-    assert len(html) < 200_000
-    alone = tmp_path / "alone.html"
-    alone.write_text(html)
-    page.complaints()
-    page.tell("Emulation.setDeviceMetricsOverride", width=300, height=600, deviceScaleFactor=1, mobile=False)
-    page.open(alone.as_uri())
-    pixel = "return [...document.querySelector('canvas').getContext('2d').getImageData(200, 100, 1, 1).data]"
-    wait_until(lambda: page.run(pixel)[3] == 255)
-    assert np.abs(np.array(page.run(pixel)[:3]) - sgmethod.decode(COFFEE)[100, 200]).max() <= 1
-    assert page.run("return document.querySelector('canvas').getAttribute('aria-label')") == 'my "cup" & <b>'
-    width, height, scrolled = page.run("""
-        const { width, height } = document.querySelector("canvas").getBoundingClientRect();
-        return [width, height, document.documentElement.scrollWidth];
-    """)
-    assert scrolled <= 300
-    assert width / height == pytest.approx(1.5, rel=0.01)
-    assert page.complaints() == []
 
 
 def test_requests_for_people(page: Chromium, web: Service) -> None:

@@ -112,10 +112,10 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     assert not page.is_seen("#chart-card")
     page.cancel()
     for left, words in ((8.2, ", about 8 s left"), (0.2, ""), (None, "")):
-        text = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'seconds_left': left})}, false).words")
+        text = page.imported("progress.js", f"it.stateOf({json.dumps({**JOB, 'seconds_left': left})}).words")
         assert text == f"Fitting 250 Gaussians{words}"
     fitted = {**JOB, "progress": 1, "trace": [{**POINT, "step": 100, "steps": 100}]}
-    last = page.imported("progress.js", f"it.stateOf({json.dumps(fitted)}, false)")
+    last = page.imported("progress.js", f"it.stateOf({json.dumps(fitted)})")
     assert last == {"words": "Writing and measuring the file", "done": None}  # seconds, for a large picture
 
 

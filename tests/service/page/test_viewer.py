@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sgmethod
-from tests.service.page.steps import COFFEE, OTHER, PHOTOGRAPH
+from tests.service.page.steps import COFFEE, PHOTOGRAPH
 from tests.support.browser import Chromium
 from tests.support.data import golden
 from tests.support.pictures import page_of_text
@@ -65,10 +65,8 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     page.choose("prefix", 5)
     assert re.search(r"the first [45]\d\d B of 9\.0 kB", page.text("#right-label"))
     wait_until(lambda: np.abs(page.settled() - ours).mean() > 10)
-    page.run("document.querySelector('[value=ellipses]').click()")
+    page.click("#ellipses")
     page.says("one standard deviation", "#legend")
-    page.run("document.querySelector('[value=heat]').click()")
-    page.says("bits per pixel", "#legend")
     page.click("#sample-cat")
     page.says("5.4 kB", "#right-label")
     assert page.complaints() == []
@@ -173,19 +171,3 @@ def test_texture_on_and_off(page: Chromium, web: Service) -> None:
 
     wait_until(is_smooth)
     assert page.complaints() == []
-
-
-def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
-    page.open_page(web)
-    for name, lacking in (("grey", "Colour"), ("upright", "Slants"), ("color", "Texture"), ("texture", "Transparency")):
-        data = golden(2)[f"v2-{name}"]
-        page.give("drop", data, f"{name}.sg")
-        page.says(f"{len(data)} B", "#right-label")
-        rows = page.run("return [...document.querySelectorAll('#contents tbody tr')].map((row) => row.innerText)")
-        assert rows[0].startswith("Positions")
-        assert not any(row.startswith(lacking) for row in rows)
-        sizes = [int(found[1]) for row in rows if (found := re.search(r"(\d+) B", row))]
-        assert abs(sum(sizes) - len(data)) <= len(sizes) / 2
-    page.give("drop", OTHER, "other.sg")
-    page.says("Drawn by the service", "#note")
-    assert not page.is_seen("#contents")
