@@ -7,10 +7,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from importlib.metadata import version
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Info, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, SummaryMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
-from prometheus_client.utils import floatToGoString
 from starlette.types import Scope
 
 from service.api.problems import NAMED_REASONS, REASONS, REFUSAL
@@ -69,9 +68,8 @@ def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
         (outcomes.ENCODING, "From the claim of a job to its file."),
         (outcomes.QUEUEING, "From the acceptance of a job to its last claim, of jobs that ended."),
     ):
-        histogram = outcomes.histogram(so_far, name)
-        buckets = [(floatToGoString(bound_s), number) for bound_s, number in histogram]  # type: ignore[no-untyped-call]
-        yield HistogramMetricFamily(f"sgmethod_{name}", words, buckets, so_far.get(outcomes.total_of(name), 0.0))
+        number, seconds = int(so_far.get(f"{name}_count", 0)), so_far.get(f"{name}_sum", 0.0)
+        yield SummaryMetricFamily(f"sgmethod_{name}", words, number, seconds)
 
 
 class Metrics:
