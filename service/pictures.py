@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,16 +37,10 @@ COMPARISONS: dict[ComparisonFormat, tuple[str, dict[str, Any]]] = {
     "webp": ("WEBP", {}),
     "avif": ("AVIF", {"max_threads": 1}),
 }
-# Seven AVIF files take 3.3, 0.9 or 0.2 s of a core for 0.37 megapixels at these speeds. The last loses 0.6 dB.
-AVIF_SPEEDS = ((600_000, 6), (3_000_000, 8))
-FASTEST_AVIF = 9
-SMALL_PIXELS = 3_000_000
-# Method 3 takes eight times as long as 2 for 50 megapixels, and the file of 2 is a seventh larger than that of 4.
-WEBP_METHOD, FAST_WEBP_METHOD = 4, 2
-# For the quality of a larger picture: pixels of its sample, the side of the sample's squares, which cost bytes at their
-# edges, and pixels of all files of the whole picture. One AVIF of 50 megapixels takes half of a decode's time.
-SAMPLE_PIXELS, SQUARE = 2_000_000, 512
-SEARCHED_PIXELS: dict[ComparisonFormat, int] = {"jpg": 300_000_000, "webp": 100_000_000, "avif": 40_000_000}
+# Seven AVIF files take 3.3 or 0.9 s of a core for 0.37 megapixels at these speeds.
+AVIF_SPEED, FAST_AVIF_SPEED = 6, 8
+SLOW_AVIF_PIXELS = 600_000  # up to which the slower speed is used
+MAX_COMPARED_PIXELS = 3_000_000  # so that a search stays within a request's time
 NEAR = 0.03  # files whose sizes differ by no more than this share count as equally large
 PNG_LEVEL = 1
 
@@ -66,26 +59,11 @@ def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = No
     )
 
 
-def as_large(
-    encoded: Callable[[int], bytes], size: int, estimate: Callable[[int], float] | None = None, tries: int = 7
-) -> bytes:
-    """Search all qualities for the largest file of at most `size` bytes, or the next larger one if it is not NEAR.
-
-    estimate: bytes at a quality, roughly, which make the first of few tries a good one.
-    """
+def as_large(encoded: Callable[[int], bytes], size: int) -> bytes:
+    """Search all qualities for the largest file of at most `size` bytes, or the next larger one if it is not NEAR."""
     encoded = cache(encoded)
-    low, high, scale = 0, 101, 1.0
-    if estimate is None:
-        low = last_within(lambda quality: len(encoded(quality)), size, low, high)
-        high = low + 1
-    while estimate is not None and tries and high - low > 1:
-        quality = last_within(estimate, size / scale, low + 1, high)
-        file = encoded(quality)
-        low, high = (quality, high) if len(file) <= size else (low, quality)
-        if (1 - NEAR) * size <= len(file) <= size:
-            break
-        scale, tries = len(file) / estimate(quality), tries - 1
-    under, over = (encoded(quality) if 1 <= quality <= 100 else b"" for quality in (low, high))
+    last = last_within(lambda quality: len(encoded(quality)), size, 0, 101)
+    under, over = (encoded(quality) if 1 <= quality <= 100 else b"" for quality in (last, last + 1))
     return under if under and (not over or len(under) >= (1 - NEAR) * size) else over
 
 
@@ -96,39 +74,18 @@ def comparison_file(pixels: Pixels, kind: ComparisonFormat, size: int, *, drawn:
     """
     from PIL import Image  # the web process, which imports this module, never encodes
 
-    count = pixels.shape[0] * pixels.shape[1]
     name, options = COMPARISONS[kind]
     if kind == "avif":
-        speeds = (speed for max_pixels, speed in AVIF_SPEEDS if count <= max_pixels)
-        sampling = "4:4:4" if drawn else "4:2:0"
-        options = {**options, "speed": next(speeds, FASTEST_AVIF), "subsampling": sampling}
-    elif kind == "webp":
-        options = {"method": WEBP_METHOD if count <= SMALL_PIXELS else FAST_WEBP_METHOD}
+        is_small = pixels.shape[0] * pixels.shape[1] <= SLOW_AVIF_PIXELS
+        speed, sampling = AVIF_SPEED if is_small else FAST_AVIF_SPEED, "4:4:4" if drawn else "4:2:0"
+        options = {**options, "speed": speed, "subsampling": sampling}
 
-    def encoded(quality: int, of: Pixels = pixels) -> bytes:
+    def encoded(quality: int) -> bytes:
         file = io.BytesIO()
-        Image.fromarray(of).save(file, name, quality=quality, **options)
+        Image.fromarray(pixels).save(file, name, quality=quality, **options)
         return file.getvalue()
 
-    if count <= SMALL_PIXELS:
-        return as_large(encoded, size)
-    sample = _sample(pixels)
-    ratio = count / (sample.shape[0] * sample.shape[1])
-    estimate = cache(lambda quality: ratio * len(encoded(quality, sample)))
-    return as_large(encoded, size, estimate, max(1, SEARCHED_PIXELS[kind] // count))
-
-
-def _sample(pixels: Pixels) -> Pixels:
-    """Return squares from all parts of a large picture, side by side."""
-    height, width = pixels.shape[:2]
-    apart = math.sqrt(height * width / SAMPLE_PIXELS)
-    rows, columns = (
-        [round(place) for place in np.linspace(0, side - SQUARE, max(1, int(side / (SQUARE * apart))))]
-        for side in (height, width)
-    )
-    return np.concatenate(
-        [np.concatenate([pixels[y : y + SQUARE, x : x + SQUARE] for x in columns], axis=1) for y in rows]
-    )
+    return as_large(encoded, size)
 
 
 class PictureOptions(BaseModel):

@@ -17,7 +17,7 @@ from sgmethod.io.files import checked_path
 from sgmethod.io.image import Input, read_input
 from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Settings, Tune
-from sgmethod.trace import OnPreview, Progress, Stop
+from sgmethod.trace import Progress, Stop
 
 
 @quiet
@@ -38,7 +38,6 @@ def encode(
     time_limit_s: AnyFloat | None = None,
     on_progress: Progress | None = None,
     stop: Stop | None = None,
-    on_preview: OnPreview | None = None,
     measure: bool = False,
 ) -> Encoded:
     """Encode a picture within a budget.
@@ -67,7 +66,6 @@ def encode(
     on_progress: called with each point of the trace; if it raises, the encode is abandoned.
     stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
     3 s.
-    on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
     measure: also measure SSIMULACRA 2, which takes a large part of the time of a small encode.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
@@ -80,7 +78,7 @@ def encode(
     pixels = read_input(image, keep_alpha=asked.profile == "rd")
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)
-    recorder = Recorder(clock, on_progress, on_preview)
+    recorder = Recorder(clock, on_progress)
     if asked.profile == "rd":
         from sgmethod.rd.picture import encode as run
     else:

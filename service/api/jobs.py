@@ -1,4 +1,4 @@
-"""Handlers of existing jobs: get, list, link, stop and remove."""
+"""Handlers of existing jobs: get, list, link and remove."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fastapi import Query, Response
 from pydantic import Field
 
 from service.api import models
-from service.api.context import KnownJob, UseCaller, UseContext, no_such_job
+from service.api.context import KnownJob, UseCaller, UseContext
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters
 from service.jobs.job import JobState
@@ -73,23 +73,6 @@ async def links(
         bitstream_url=f"{known.bitstream_url}?{bitstream}",
         expires_at=datetime.fromtimestamp(expires, UTC),
     )
-
-
-async def stop(job: KnownJob, context: UseContext, response: Response) -> models.AcceptedView:
-    """Finish a running job early and keep its result, which stays within the budget.
-
-    This takes up to a quarter of the time spent until then, at most 3 s. A finished job is unchanged; 409 for a queued
-    or failed one, which has no result to keep.
-    """
-    view = models.accepted(job, context.settings)
-    response.headers.update({"Location": view.status_url, **NEVER_STORED})
-    if job.state != "done" and not await context.write(context.table.stop, job.id):
-        now = await context.read(context.table.get, job.id)
-        if now is None:
-            raise no_such_job()
-        if now.state != "done":
-            raise ProblemError(409, f"the job is {now.state}: there is no result to keep", state=now.state)
-    return view
 
 
 async def remove(job: KnownJob, context: UseContext) -> Response:

@@ -77,9 +77,6 @@ ROUTES = [
         "-X POST 'HOST/jobs/ID/links?expires_s=600'",
         own_query=True,
     ),
-    Route(
-        "POST /jobs/{job_id}/stop", jobs.stop, "Finish an encode early", "-X POST HOST/jobs/ID/stop", (409,), status=202
-    ),
     Route("DELETE /jobs/{job_id}", jobs.remove, "Cancel and remove a job", "-X DELETE HOST/jobs/ID", status=204),
     Route(
         "GET /decode/{job_id}.{kind}",
@@ -129,15 +126,6 @@ ROUTES = [
         (409,),
         [BITSTREAM_TYPE],
         NOT_MODIFIED,
-    ),
-    Route(
-        "GET /jobs/{job_id}/preview.sg",
-        pictures.preview_of_job,
-        "Preview of a running job",
-        "HOST/jobs/ID/preview.sg -o preview.sg",
-        (),
-        [BITSTREAM_TYPE],
-        {**NOT_MODIFIED, 204: {"description": "no preview yet"}},
     ),
     Route(
         "GET /jobs/{job_id}/comparison.{kind}",

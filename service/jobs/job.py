@@ -108,8 +108,7 @@ class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
     number: order of acceptance; attempt: the latest, with which its worker claims the job; crashes: attempts that
-    crashed; losses: attempts that lost their worker; stopped: whether the running attempt is to end early, with what it
-    has.
+    crashed; losses: attempts that lost their worker.
     """
 
     number: int
@@ -127,7 +126,6 @@ class Job:
     finished_at: float | None
     result: Json[EncodeResult] | None
     error: Json[JobError] | None
-    stopped: bool
 
 
 _jobs = TypeAdapter(Job)

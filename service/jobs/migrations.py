@@ -13,7 +13,7 @@ from service.jobs.statements import Database
 
 log = logging.getLogger(__name__)
 
-FIRST_VERSION = 8  # that of 1.0.0; nobody has the tables of its release candidates
+FIRST_VERSION = 9  # that of 1.0.0, whose release candidates had 1 to 8
 # The tables of this version, which stay as they are: MIGRATIONS has what came later. {number}: the type of an automatic
 # row number, which depends on the database. The table `stored` counts jobs and their bytes by owner and state; each
 # database adds triggers that update it.
@@ -54,7 +54,6 @@ CREATE TABLE jobs (
     error           TEXT,
     image_bytes     BIGINT NOT NULL,
     file_bytes      BIGINT NOT NULL DEFAULT 0,
-    stopped         INTEGER NOT NULL DEFAULT 0,
     losses          INTEGER NOT NULL DEFAULT 0,
     client          TEXT NOT NULL DEFAULT '',
     UNIQUE (owner, idempotency_key)
@@ -92,7 +91,10 @@ def migrate(db: Database, version: int | None, create: Iterable[str]) -> int | N
     if version is None:
         for statement in create:
             db.execute(statement)
-    elif not FIRST_VERSION <= version <= NEWEST_VERSION:
+    elif version < FIRST_VERSION:
+        advice = "start with an empty data folder, or an empty database and bucket"
+        raise JobTableError(f"the job table has version {version}, that of a release candidate; {advice}")
+    elif version > NEWEST_VERSION:
         known = f"this service reads versions {FIRST_VERSION} to {NEWEST_VERSION}"
         raise JobTableError(f"the job table has version {version}, and {known}; install the service that wrote it")
     elif version < NEWEST_VERSION:

@@ -25,7 +25,7 @@ SELECT (SELECT count(*) FROM jobs WHERE state = 'queued' AND priority > ?)
 # Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at. A client,
 # which may be somebody's address, is forgotten once its job runs. A queued job with a lease is put off until then.
 CLAIM = """
-UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
+UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, started_at = epoch(),
     lease_until = epoch() + ?, client = ''
 WHERE state = 'queued' AND number = (
     SELECT number FROM stored JOIN jobs ON number = (

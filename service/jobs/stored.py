@@ -11,7 +11,7 @@ from itertools import islice
 from typing import Any
 
 from service.jobs.statements import Database
-from service.storage.files import bitstream_key, job_of_key, preview_key, source_key
+from service.storage.files import bitstream_key, job_of_key, source_key
 
 BATCH = 500  # keys of one query
 
@@ -51,6 +51,5 @@ def _keys_of(row: Any) -> Iterator[str]:
         yield source_key(row["id"])
     if row["state"] == "running":  # not published yet
         yield bitstream_key(row["id"], row["attempt"])
-        yield preview_key(row["id"], row["attempt"])
     if row["result"]:
         yield json.loads(row["result"])["bitstream_key"]

@@ -222,21 +222,13 @@ class JobTable(ABC):
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
-    def heartbeat(self, claim: Job, points: Sequence[JsonObject], first: int) -> Job | None:
-        """Renew the lease and append trace points from index `first`. None: the job is no longer this worker's."""
+    def heartbeat(self, claim: Job, points: Sequence[JsonObject], first: int) -> bool:
+        """Renew the lease and append trace points from index `first`. False: the job is no longer this worker's."""
         with self._transaction() as db:
-            job = self._change(db, claim, "lease_until = epoch() + ?", self._settings.lease_s)
-            for place, point in enumerate(points if job else (), first):
+            is_ours = self._change(db, claim, "lease_until = epoch() + ?", self._settings.lease_s) is not None
+            for place, point in enumerate(points if is_ours else (), first):
                 db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.id))
-            return job
-
-    def stop(self, job_id: str) -> bool:
-        """Ask the worker of a running job to end the fit early and publish its result. False: the job is not running.
-
-        A later attempt at the job ignores the request.
-        """
-        with self._transaction() as db:
-            return _update(db, "stopped = 1", "WHERE id = ? AND state = 'running'", job_id) is not None
+            return is_ours
 
     def finish(self, claim: Job, result: EncodeResult) -> bool:
         """Publish the result. The call may be repeated. False: the job is no longer this worker's."""

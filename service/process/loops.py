@@ -59,14 +59,13 @@ def log_errors(what: str) -> Iterator[None]:
 class PeriodicThread(threading.Thread):
     """Repeats background work until stopping is requested, whatever a round raises.
 
-    name: for the log; do: one round, which returns whether to start the next at once; pause_s: otherwise the pause in
-    seconds; at_end: called last.
+    name: for the log; do: one round; pause_s: seconds between rounds; at_end: called last.
     """
 
     def __init__(
         self,
         name: str,
-        do: Callable[[], bool | None],
+        do: Callable[[], None],
         pause_s: float,
         until: StopSignal,
         at_end: Callable[[], None] = lambda: None,
@@ -78,11 +77,11 @@ class PeriodicThread(threading.Thread):
         self._at_end = at_end
 
     def run(self) -> None:
-        while not self._until.wait(0.0 if self._run_logged(self._do) else self._pause_s):
-            pass
+        self._run_logged(self._do)
+        while not self._until.wait(self._pause_s):
+            self._run_logged(self._do)
         self._run_logged(self._at_end)
 
-    def _run_logged(self, step: Callable[[], bool | None]) -> bool:
+    def _run_logged(self, step: Callable[[], None]) -> None:
         with log_errors(self.name):
-            return bool(step())
-        return False
+            step()

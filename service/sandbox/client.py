@@ -28,7 +28,6 @@ READ_BYTES = 1 << 18
 # A task's own limit counts processor time. This one is for machines with none to spare.
 TIMEOUT_S = 60.0
 TRIES = 2  # a process may have died for another reason than its task
-EARLY_END = b"!"
 KILLED = "the system killed a task, as it does when memory runs out"
 TINY_IMAGE = b"P6 1 1 255 rgb"
 MODULE = "service.sandbox.server"
@@ -158,11 +157,6 @@ class RunningTask:
                 return frames.Crashed(detail=f"it sent an invalid message: {error}")
             if messages:
                 return messages[0]
-
-    def end_early(self) -> None:
-        """Ask the task to end soon with what it has. Repeated calls have no effect."""
-        with contextlib.suppress(OSError):  # it has ended, or has not read the last request
-            self._connection.send(EARLY_END)
 
     def _receive(self) -> bytes:
         try:

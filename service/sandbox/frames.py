@@ -1,11 +1,11 @@
 """What passes between the sandbox and its clients.
 
 A client sends a task as one message of JSON, with two descriptors: a socket for the answer, and the file to read. It
-closes the socket to end the task, and writes a byte into it to make an encode end early with what it has.
+closes the socket to end the task.
 
 The answer is a sequence of frames. A frame is the lengths of its two parts (4 bytes each, big-endian), a message in
 JSON, and a file, which most messages do not have. Begun comes first and Ended last. Between them, an encode sends
-TracePoint and EncodePreview; every task sends Result, Refused or Crashed once.
+TracePoint; every task sends Result, Refused or Crashed once.
 
 A malicious file may control the process that parses it, so every frame is checked. Each task names the messages that
 it may send, the length of its files and the number of its frames. Anything else raises FrameError in the client, which
@@ -27,17 +27,15 @@ from sgmethod.errors import BitstreamError, ImageError
 from sgmethod.io.formats import name_of
 from sgmethod.io.pictures import SUFFIXES
 
-END_EARLY = signal.SIGUSR1  # sent by the sandbox to an encode that is to end early
 ALIVE = b"!"  # which the sandbox sends on the socket for requests, at least once a second
 FRAME_HEADER = struct.Struct(">II")
 MAX_TASK_BYTES = MAX_MESSAGE_BYTES = 1 << 16
 FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than both together
-MAX_PREVIEW_BYTES = 4 << 20  # of a fit that is still running: what no quota counts is small, whatever the budget
 PICTURE_BYTES_PER_PIXEL = 4  # PNG of noise, one pixel wide; JPEG of thin noise takes more, which the first MB covers
 FORMAT_BYTES = 256  # the start of a file, which tells its format
 MAX_SENTENCE_LENGTH = 1000
 MAX_FRAMES = 3  # Begun, the outcome, Ended
-# An encode sends 10 trace points and a preview a second, and may run for longer than its time limit.
+# An encode sends 10 trace points a second, and may run for longer than its time limit.
 MAX_ENCODE_FRAMES, MAX_ENCODE_FRAMES_PER_S = 1000, 30
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
@@ -82,13 +80,6 @@ class TracePoint(Model):
     share: float = Field(ge=0, le=1)
 
 
-class EncodePreview(Model):
-    """The bitstream of a fit that is still running."""
-
-    kind: Literal["preview"] = "preview"
-    file: File = b""
-
-
 class Refused(Model):
     """The codec refused the file or the options. error: the name of a class in sgmethod.errors, or MemoryError."""
 
@@ -123,7 +114,7 @@ class Result(Model, Generic[Figures]):
 
 
 Outcome = Begun | Refused | Crashed | Ended  # of any task
-Message = Outcome | TracePoint | EncodePreview | Result[Any]
+Message = Outcome | TracePoint | Result[Any]
 KIND = Field(discriminator="kind")
 
 
@@ -179,8 +170,6 @@ class Task(Model):
 
     def max_bytes_after(self, message: Message) -> int:
         """Bytes of the longest file that it may send with this message."""
-        if isinstance(message, EncodePreview):
-            return MAX_PREVIEW_BYTES
         if not isinstance(message, Result) or self.bytes_per_pixel is None:
             return 0
         return FILE_BYTES + self.bytes_per_pixel * self.max_pixels
@@ -252,7 +241,7 @@ class Encode(Task):
     job_id: str
     request: EncodeRequest
     threads: int
-    messages = TypeAdapter(Annotated[Outcome | TracePoint | EncodePreview | Result[EncodeFigures], KIND])
+    messages = TypeAdapter(Annotated[Outcome | TracePoint | Result[EncodeFigures], KIND])
     bytes_per_pixel = FILE_BYTES_PER_PIXEL
 
     @property
@@ -319,10 +308,9 @@ class FrameReader:
             raise FrameError(f"a file of {file_bytes} bytes after the message {message.kind}, which is too long")
         if len(self._data) < file_at + file_bytes:
             return None
-        if isinstance(message, EncodePreview | Result):
+        if isinstance(message, Result):
             with memoryview(self._data) as view:
                 message = message.model_copy(update={"file": bytes(view[file_at : file_at + file_bytes])})
-        if isinstance(message, Result):
             self._task.check(message)
         del self._data[: file_at + file_bytes]
         self._message = None

@@ -24,7 +24,7 @@ from pydantic import TypeAdapter
 
 from service.logs import log_seldom, set_up_logging
 from service.sandbox.confinement import SandboxError, confine, die_first, end_with, set_name
-from service.sandbox.frames import ALIVE, END_EARLY, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
+from service.sandbox.frames import ALIVE, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
 WAITING_FORKS = 2
@@ -153,19 +153,12 @@ class Server:
         return True
 
     def _serve(self, fork: TaskProcess, answer: socket.socket) -> None:
-        """Handle a client's socket: it asks for an early end, has disconnected, or has space for the last frame."""
+        """Handle a client's socket: it has disconnected, or has space for the last frame."""
         if fork.status is not None:
             self._send_end(fork, answer)
             return
-        try:
-            asked = answer.recv(CONTROL_BYTES, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            return
-        except OSError:
-            asked = b""
-        os.kill(fork.number, END_EARLY if asked else signal.SIGKILL)
-        if not asked:
-            self._close_answer(fork, answer)
+        os.kill(fork.number, signal.SIGKILL)
+        self._close_answer(fork, answer)
 
     def _reap(self) -> None:
         self._ends.recv(CONTROL_BYTES)
@@ -233,11 +226,6 @@ def run_fork(control: int, parent: int, absent: Collection[str]) -> NoReturn:
 
 def _run_task(line: bytes, answer: int, file: int, parent: int, absent: Collection[str]) -> int:
     to_client = Answer(answer)
-
-    def end_early(*_: object) -> None:
-        to_client.end_early = True
-
-    signal.signal(END_EARLY, end_early)
     try:
         task = _tasks.validate_json(line)
         if isinstance(task, Encode):
@@ -281,8 +269,7 @@ def main() -> None:
     """Serve the socket that the command line names, as it does the format of the log and the layers that are absent."""
     descriptor, log_format, *absent = sys.argv[1:]
     set_up_logging("json" if log_format == "json" else "text")
-    # It ends with its clients; END_EARLY may arrive before a fork has a handler.
-    for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
+    for number in (signal.SIGTERM, signal.SIGINT):  # it ends with its clients
         signal.signal(number, signal.SIG_IGN)
     requests = socket.socket(fileno=int(descriptor))
     warm_up()

@@ -28,7 +28,6 @@ from sgmethod.io.formats import FORMATS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
 from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
 
-PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
 CUT_SHORT = 0.9  # of the time limit: an encode that takes longer was cut short by it
 FAIR_CPU_SHARE = 0.5
 ERROR_LENGTH = 300  # characters of an error message sent to a client
@@ -53,12 +52,10 @@ IMPORTED_LATE = (
 
 
 class Answer:
-    """A task's end of its socket, and its client's request to end early."""
+    """A task's end of its socket."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        self._shown = time.monotonic()
-        self.end_early = False
 
     def send(self, message: frames.Message) -> None:
         left = memoryview(frames.packed(message))
@@ -67,12 +64,6 @@ class Answer:
 
     def send_result(self, figures: frames.Model | None, file: bytes = b"") -> None:
         self.send(frames.Result(figures=figures, file=file))
-
-    def send_preview(self, file: bytes) -> None:
-        """Send a preview, unless it is large or the last one was sent within PREVIEW_EVERY_S."""
-        if len(file) <= frames.MAX_PREVIEW_BYTES and time.monotonic() - self._shown >= PREVIEW_EVERY_S:
-            self._shown = time.monotonic()
-            self.send(frames.EncodePreview(file=file))
 
 
 def set_threads(count: int) -> None:
@@ -208,8 +199,6 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
             effort=request.effort,
             time_limit_s=request.time_limit_s,
             on_progress=lambda point: answer.send(frames.TracePoint(**frames.finite(point.to_dict()))),
-            stop=lambda: answer.end_early,
-            on_preview=answer.send_preview,
             measure=True,
         )
         size, db = len(encoded.data), encoded.stats.psnr

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 UNFINISHED = "unfinished"  # files that are being written, and probes
 FOLDERS = ("sources", "bitstreams", UNFINISHED)
 LATEST = 10  # attempts whose files go with their job
-_KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}(\.preview)?\.sg")
+_KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
 
 
 def source_key(job_id: str) -> str:
@@ -35,18 +35,13 @@ def bitstream_key(job_id: str, attempt: int) -> str:
     return f"bitstreams/{job_id}.{attempt}.sg"
 
 
-def preview_key(job_id: str, attempt: int) -> str:
-    """Return the key of an attempt's preview, which a slow store may write even after the bitstream."""
-    return f"bitstreams/{job_id}.{attempt}.preview.sg"
-
-
 def keys_of(job_id: str, attempts: int) -> list[str]:
     """Return the keys of the files that a job with so many attempts may have: a killed worker leaves its own behind.
 
     Only of the LATEST attempts, as a storage that was away for hours leaves thousands: the sweep finds older files.
     """
     latest = range(max(0, attempts - LATEST) + 1, attempts + 1)
-    return [source_key(job_id), *(key(job_id, attempt) for attempt in latest for key in (bitstream_key, preview_key))]
+    return [source_key(job_id), *(bitstream_key(job_id, attempt) for attempt in latest)]
 
 
 def job_of_key(key: str) -> str:

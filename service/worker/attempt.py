@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable
 from concurrent import futures
@@ -19,13 +17,12 @@ from service.jobs.job import FINAL_STATES, EncodeResult, Job, JobError, JsonObje
 from service.jobs.table import JobTable
 from service.logs import log_seldom
 from service.process.loops import StopSignal
-from service.storage.files import Storage, bitstream_key, preview_key, source_key
+from service.storage.files import Storage, bitstream_key, source_key
 
 T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-PREVIEW_ENDS_S = 1.0  # enough for a folder; the sweep removes what a bucket stores later
 # Minimum distance of trace points as a share of the time since the start, so that a trace has few points: 10 a second
 # at first, and some 500 after five minutes, which a page fetches repeatedly.
 POINTS_APART = 1 / 100
@@ -61,10 +58,8 @@ class Attempt:
         self._stop = stop
         self.claim = claim
         self.key = bitstream_key(claim.id, claim.attempt)
-        self.early_end_wanted = False  # requested by a client
         self._points: list[JsonObject] = []  # since the last heartbeat
         self._sent = 0
-        self._showing: threading.Thread | None = None
         self._late: JsonObject | None = None  # the last point, if it came too soon
         self._began = self._heard = time.monotonic()
         self._added = -math.inf
@@ -79,17 +74,6 @@ class Attempt:
         else:
             self._late = point
 
-    def show(self, bitstream: bytes) -> None:
-        """Store a preview in the background, since a storage may be slow; drop it while another is being stored."""
-        if self._showing is not None and self._showing.is_alive():
-            return
-        self._showing = threading.Thread(target=self._store_preview, args=(bitstream,), daemon=True)
-        self._showing.start()
-
-    def _store_preview(self, bitstream: bytes) -> None:
-        with contextlib.suppress(OSError):  # a preview is optional
-            self._storage.put(preview_key(self.claim.id, self.claim.attempt), bitstream)
-
     def beat(self, *, now: bool = False) -> None:
         """Renew the lease and send the trace, if it is time to or `now`. Raises ClaimLostError.
 
@@ -102,15 +86,14 @@ class Attempt:
             self._points.append(self._late)
             self._late = None
         try:
-            job = self._table.heartbeat(self.claim, self._points, self._sent)
+            is_ours = self._table.heartbeat(self.claim, self._points, self._sent)
         except JobTableError as error:
             silence = time.monotonic() - self._heard
             log_seldom(log, "job %s: no heartbeat for %.1f s: %s", self.claim.id, silence, error)
             self._next = time.monotonic() + PAUSE_AFTER_TROUBLE_S
             return
-        if job is None:
+        if not is_ours:
             raise ClaimLostError
-        self.early_end_wanted = job.stopped
         self._heard = time.monotonic()
         self._next = self._heard + HEARTBEAT_S
         self._sent += len(self._points)
@@ -169,9 +152,6 @@ class Attempt:
 
     def remove_leftovers(self) -> None:
         """Remove the image of a job that will not run again, and files of an unsuccessful attempt."""
-        if self._showing is not None:
-            self._showing.join(PREVIEW_ENDS_S)
-            self._storage.delete(preview_key(self.claim.id, self.claim.attempt))
         job = self._table.get(self.claim.id)
         if job is None or job.result is None or job.result.bitstream_key != self.key:
             self._storage.delete(self.key)

@@ -154,7 +154,7 @@ class Worker:
         return None
 
     def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
-        """Relay progress to the job table and previews to the storage until the encode ends or must be ended."""
+        """Relay progress to the job table until the encode ends or must be ended."""
         started = time.monotonic()
         while not self._stop.requested:
             messages = running.read(FOLLOW_S)
@@ -163,8 +163,6 @@ class Worker:
             for message in messages:
                 if isinstance(message, frames.TracePoint):
                     attempt.add(message.model_dump(exclude={"kind"}))
-                elif isinstance(message, frames.EncodePreview):
-                    attempt.show(message.file)
                 else:
                     attempt.beat(now=True)
                     return _outcome(message)
@@ -175,8 +173,6 @@ class Worker:
                 limit_s = self._settings.job_timeout_s
                 return JobError("timed_out", f"the encode took longer than {limit_s:g} s")
             attempt.beat()
-            if attempt.early_end_wanted:
-                running.end_early()
         raise StoppedError
 
 

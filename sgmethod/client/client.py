@@ -167,10 +167,6 @@ class Client:
         """
         return self._connection.ask("GET", f"/decode/{job_id}.{kind}", params=view).content
 
-    def stop(self, job_id: str) -> None:
-        """Finish a running job early, keeping its result so far. Raises ServerError if the job is queued."""
-        self._connection.ask("POST", f"/jobs/{job_id}/stop")
-
     def decode(self, bitstream: File, kind: str = "png", **view: float | str) -> bytes:
         """Decode an .sg file (path or bytes) on the server, which does not store it; otherwise like `picture`."""
         data = bytes_of(bitstream, ServerError)

@@ -7,18 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from sgmethod.fitting.deadline import Clock
-from sgmethod.trace import OnPreview, Progress, TracePoint, share_of
+from sgmethod.trace import Progress, TracePoint, share_of
 
 REPORT_INTERVAL_S = 0.1
 
 
 @dataclass(frozen=True)
 class Recorder:
-    """Collector of the trace: reports a point at most every REPORT_INTERVAL_S; previews go to `preview`."""
+    """Collector of the trace: reports a point at most every REPORT_INTERVAL_S."""
 
     clock: Clock
     on_progress: Progress | None = None
-    preview: OnPreview | None = None
     points: list[TracePoint] = field(default_factory=list)
     _slow_s: list[float] = field(default_factory=list)  # duration of the last measurement for the trace
 

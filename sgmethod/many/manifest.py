@@ -23,7 +23,7 @@ from typing import Any, BinaryIO
 from sgmethod.errors import SgError
 
 FILE = "manifest.jsonl"
-CALLBACKS = "on_progress", "on_preview"  # options that do not change the bytes
+CALLBACK = "on_progress"  # the option that does not change the bytes
 BEGINNING = b'{"name": '  # of every line
 
 
@@ -49,7 +49,7 @@ def text_of(options: Mapping[str, object]) -> str:
 
     `stop` counts as one: its text differs in every run, because what it decides may differ too.
     """
-    return repr(sorted(option for option in options.items() if option[0] not in CALLBACKS))
+    return repr(sorted(option for option in options.items() if option[0] != CALLBACK))
 
 
 class Manifest:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend
-from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
@@ -28,7 +27,6 @@ from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings
-from sgmethod.trace import OnPreview
 
 Plane = NDArray[np.float32]
 
@@ -46,11 +44,9 @@ def encode(
     source = np.dstack([pixels, alpha])
     layer, error, steps = _alpha(source, problem.is_short, settings, rate, session, backend)
     colours = replace(problem, objective=problem.objective.under(pixels, draw_whole(layer)[..., 0]))
-    preview = session.recorder.preview
-    recorder = replace(session.recorder, preview=preview and _with_alpha(preview, layer))
     colour_rate, found = rate.beside_alpha(layer, error), list[tuple[float, StreamV2]]()
     for _ in session.deadline.attempts(settings.alpha.tries):
-        attempt = replace(session, deadline=session.deadline.at(1.0), recorder=recorder)
+        attempt = replace(session, deadline=session.deadline.at(1.0))
         stream, taken = pipeline.encode(colours, settings, colour_rate, attempt, backend)
         steps += taken
         stream = replace(stream, alpha=layer)
@@ -85,17 +81,6 @@ def _alpha(
 def _error(decoded: Pixels, source: Pixels) -> float:
     """Mean squared error of decoded pixels [H, W, 4], 1 being white."""
     return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(source)) / 10))
-
-
-def _with_alpha(preview: OnPreview, alpha: StreamV2) -> OnPreview:
-    """Wrap a preview so that it is given files with alpha."""
-
-    def shown(file: bytes) -> None:
-        stream = container.parse(file)
-        assert isinstance(stream, StreamV2)
-        preview(container.serialise(replace(stream, alpha=alpha)))
-
-    return shown
 
 
 def inpainted(pixels: Pixels, alpha: Pixels) -> Pixels:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MIN_QUANTUM, StreamV2
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
@@ -45,11 +44,9 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 
     Where bytes are left at the finest quantum, the picture may be exact already.
     """
-    problem, rate, preview = plan.problem, plan.rate, plan.session.recorder.preview
+    problem, rate = plan.problem, plan.rate
     stream = plan.session.deadline.coded(lambda: problem.stream(state.gaussians, state.quantum))
     now = FitSnapshot(plan, state, stream)
-    if preview is not None:
-        preview(container.serialise(stream))
     if stream.quantum <= MIN_QUANTUM and rate.is_enough(Coded(stream, problem.objective)):
         return replace(state, size=now.file_bytes, is_enough=True)
     quantum = rate.steered(state.quantum, stage.times, stage.at, now)

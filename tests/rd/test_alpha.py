@@ -159,13 +159,6 @@ def test_alpha_of_gaussians_without_shear_is_read_as_it_was_written(budget: Budg
     assert psnr(on_backgrounds(decoded), on_backgrounds(pixels)) > 20
 
 
-def test_previews_have_alpha() -> None:
-    files: list[bytes] = []
-    encode(seen_through(), bpp=1, on_preview=files.append)
-    assert files
-    assert all(decode(file).shape == (72, 96, 4) for file in files)
-
-
 def test_views_and_prefixes() -> None:
     file = sgmethod.open(encode(seen_through(), bpp=1.5).data)
     assert file.has_alpha

@@ -15,22 +15,32 @@ from typing import BinaryIO
 from service.jobs.job import EncodeRequest, new_job_id
 from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
-from service.sandbox.frames import Encode, EncodePreview, Message, Task, TracePoint
+from service.sandbox.frames import Encode, Message, Task, TracePoint
 from tests.support.data import ROOT
 from tests.support.processes import TIMEOUT_S, wait_until
 
-# In place of an encode or a preview, a program in the file runs where the codec would: confined, with `answer` at hand.
+# In place of an encode or a preview, a program in the file runs where the codec would: confined, with `answer` at hand,
+# and say() for words of up to 20 characters, which arrive as the phase of a trace point.
 TAKEN_OVER = """
 import ctypes, json, mmap, os, resource, signal, socket, sys, threading, time  # which a program cannot import any more
 from service.sandbox import confinement, frames, server, tasks
 
 def run(task, file, answer):
-    exec(file.decode(), {"task": task, "answer": answer, "frames": frames})
+    zeros = dict.fromkeys(("seconds", "step", "steps", "psnr", "bytes", "gaussians", "share"), 0)
+    say = lambda words: answer.send(frames.TracePoint(**zeros, phase=words))
+    exec(file.decode(), {"task": task, "answer": answer, "say": say})
 
 tasks.PERFORM[frames.Encode] = tasks.PERFORM[frames.MakePreview] = run
 
 """
-WAITS = b"import time\nwhile not answer.end_early:\n    time.sleep(0.01)\n"  # such a program, until it is to end
+# Such a program, until tests.support.processes.end_early() ends it.
+WAITS = b"""
+import signal, time
+asked = []
+signal.signal(signal.SIGUSR1, lambda *_: asked.append(1))
+while not asked:
+    time.sleep(0.01)
+"""
 
 
 @contextmanager
@@ -92,5 +102,5 @@ def until_end(running: RunningTask) -> Iterator[Message]:
     while True:
         for message in running.read(1.0):
             yield message
-            if not isinstance(message, TracePoint | EncodePreview):
+            if not isinstance(message, TracePoint):
                 return

@@ -6,6 +6,7 @@ import contextlib
 import os
 import random
 import re
+import signal
 import socket
 import subprocess
 import time
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from service.sandbox.frames import END_EARLY
 from tests.support.data import ROOT
 
 T = TypeVar("T")
@@ -22,6 +22,7 @@ Kind = Literal["web", "worker", "sandbox", "encoder"]
 
 TIMEOUT_S = 120.0  # far more than anything takes, on a busy machine too
 NAME_LENGTH = 15  # of a process, as the system shows it
+END = signal.SIGUSR1  # ends an encode of the fake codec: tests/support/child
 POLL_S = 0.05  # seldom enough to take little of a core
 # Of command lines; the sandbox's forks have the sandbox's. An encoder has its job's id for a name.
 KINDS: dict[Kind, str] = {
@@ -131,14 +132,14 @@ def worker_of(log: Path, job_id: str) -> int | None:
 
 
 def end_early(encoder: int) -> None:
-    """Let an encoder end with what it has, as the sandbox asks it to. What a test does to a running encode it does to
-    one that ends no sooner: however long the test itself has to wait for a core, it is not too late.
+    """Let an encoder of the fake codec (tests/support/child) end with what it has. What a test does to a running encode
+    it does to one that ends no sooner: however long the test itself has to wait for a core, it is not too late.
     """
 
     def listens() -> bool:  # before it does the signal would be its end
         status = Path("/proc", str(encoder), "status").read_text()
         caught = re.search(r"^SigCgt:\t([0-9a-f]+)$", status, re.MULTILINE)
-        return caught is not None and bool(int(caught[1], 16) >> (END_EARLY - 1) & 1)
+        return caught is not None and bool(int(caught[1], 16) >> (END - 1) & 1)
 
     wait_until(listens)
-    os.kill(encoder, END_EARLY)
+    os.kill(encoder, END)

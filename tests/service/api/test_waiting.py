@@ -138,7 +138,7 @@ def test_a_job_table_that_goes_away_meanwhile(start_service: StartService) -> No
     assert (answer.status_code, answer.headers["location"]) == (202, answer.json()["status_url"])
 
 
-@pytest.mark.parametrize("path", ["/jobs/{}/links", "/jobs/{}/stop", "/jobs/{}"])
+@pytest.mark.parametrize("path", ["/jobs/{}/links", "/jobs/{}"])
 def test_no_body_is_ignored(empty: Service, path: str) -> None:
     job_id = empty.accepted()
     method = "DELETE" if path == "/jobs/{}" else "POST"

@@ -132,19 +132,31 @@ def test_nothing_reads_the_whole_table_or_queue(path: Path) -> None:
         assert len(steps) < 20_000
 
 
-def test_a_table_of_a_later_version_in_postgresql(url: str, jobs: PostgresJobTable) -> None:
+# A version that this service does not read, and what to do then.
+OTHERS = pytest.mark.parametrize(
+    ("version", "words"),
+    [
+        (99, "has version 99, and this service reads versions 9 to 9; install the service that wrote it"),
+        (8, "has version 8, that of a release candidate; start with an empty data folder, or an empty database and"),
+    ],
+)
+
+
+@OTHERS
+def test_a_table_of_another_version_in_postgresql(url: str, jobs: PostgresJobTable, version: int, words: str) -> None:
     with psycopg.connect(url) as db:
-        db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
-    with pytest.raises(JobTableError, match="has version 99, and this service reads versions 8 to"):
+        db.execute("UPDATE sgmethod.version SET version = %s WHERE part = 'jobs'", (str(version),))
+    with pytest.raises(JobTableError, match=words):
         PostgresJobTable(url, settings())
     assert jobs.queued() == 0
 
 
-def test_a_table_of_a_later_version_in_sqlite(path: Path) -> None:
+@OTHERS
+def test_a_table_of_another_version_in_sqlite(path: Path, version: int, words: str) -> None:
     SqliteJobTable(path, settings()).close()
     with closing(sqlite3.connect(path)) as file:
-        file.execute("PRAGMA user_version = 99")
-    with pytest.raises(JobTableError, match="has version 99, and this service reads versions 8 to"):
+        file.execute(f"PRAGMA user_version = {version}")
+    with pytest.raises(JobTableError, match=words):
         SqliteJobTable(path, settings())
 
 

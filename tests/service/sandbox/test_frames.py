@@ -75,12 +75,7 @@ def test_messages_arrive_whole_and_in_order() -> None:
     reader, file = FrameReader(ENCODE), b"\xd3\xc2" + bytes(range(256)) * 100
     figures = frames.EncodeFigures(**{**FIGURES, "notes": ["alpha"], "bytes": len(file)})
     assert '"gaussians":1,' in figures.model_dump_json()  # a whole number stays one
-    sent = [
-        Begun(),
-        POINT,
-        frames.EncodePreview(file=b"so far"),
-        Result[frames.EncodeFigures](figures=figures, file=file),
-    ]
+    sent = [Begun(), POINT, Result[frames.EncodeFigures](figures=figures, file=file)]
     output = b"".join(map(packed, sent))
     assert [message for at in range(0, len(output), 7) for message in reader.take(output[at : at + 7])] == sent
 
@@ -91,7 +86,7 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, frame('{"kind": "other"}'), "union_tag_invalid"),
         (ENCODE, frames.FRAME_HEADER.pack(65537, 0), "too long"),
         (ENCODE, claiming(encoded(), frames.FILE_BYTES + 8 * 64 + 1), "too long"),
-        (ENCODE, claiming(packed(frames.EncodePreview()), frames.MAX_PREVIEW_BYTES + 1), "after the message preview"),
+        (ENCODE, claiming(packed(POINT), 1), "after the message trace"),
         (ENCODE, frame("[]"), "is wrong"),
         (ENCODE, frame("null"), "is wrong"),
         (ENCODE, frame("{"), "json_invalid"),
@@ -117,7 +112,6 @@ def test_messages_arrive_whole_and_in_order() -> None:
         (ENCODE, packed(POINT.model_copy(update={"step": 10**400})), "step"),
         (ENCODE, frame('{"kind": "begun"}', b"x"), "after the message begun"),
         (DRAW, packed(POINT), "union_tag_invalid"),
-        (DRAW, packed(frames.EncodePreview(file=b"x")), "union_tag_invalid"),
         (DRAW, packed(Begun()) * 4, "too many frames"),
         (DRAW, claiming(result(None), frames.FILE_BYTES + 4 * 64 + 1), "too long"),
         (DRAW, result(None, b"<script>"), "JPEG was asked for, and this is something else"),

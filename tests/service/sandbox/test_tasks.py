@@ -35,7 +35,7 @@ from sgmethod.io.formats import PLAIN
 from tests.service.sandbox_process import TAKEN_OVER, WAITS, begun, file_of, messages_of, sandbox, task, until_end
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
-from tests.support.processes import TIMEOUT_S, encoder_of, processes, wait_until
+from tests.support.processes import TIMEOUT_S, encoder_of, end_early, processes, wait_until
 from tests.support.service import FAKE_CODEC
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
@@ -205,15 +205,6 @@ def test_a_sandbox_that_hangs_is_replaced(monkeypatch: pytest.MonkeyPatch) -> No
         process.stop(time.monotonic() + TIMEOUT_S)
 
 
-def test_one_that_is_to_end_early(taken_over: Sandbox) -> None:
-    """Whenever it is asked to; and to ask again changes nothing."""
-    program = WAITS + b"answer.send(frames.EncodePreview(file=b'early'))"
-    with file_of(program) as file, taken_over.start(task(), file) as running:
-        for _ in range(3):
-            running.end_early()
-        wait_until(lambda: running.read(0.1) or running.end_early())
-
-
 @pytest.mark.parametrize(
     ("program", "end"),
     [
@@ -244,10 +235,10 @@ def test_one_that_lets_go_of_its_sandbox_holds_up_no_other(taken_over: Sandbox) 
 
 def test_a_picture_that_takes_long_gets_the_priority_of_an_encode() -> None:
     """Two of one client left an encode 2 % of a core. All its threads get it, and no short picture."""
-    program = b"import threading\ndef spin():\n    while True:\n        answer.end_early and None\n"
+    program = b"import threading\ndef spin():\n    while True:\n        pass\n"
     program += WAITS + b"threading.Thread(target=spin).start()\nspin()"
     what = frames.MakePreview(**LIMITS, max_bytes=100)
-    with sandbox(TAKEN_OVER) as (tasks, parent), begun(tasks, program, what) as running:
+    with sandbox(TAKEN_OVER) as (tasks, parent), begun(tasks, program, what):
         family = processes().items()
         (number,) = (number for number, one in family if (one.parent, one.name) == (parent, "preview"))
 
@@ -256,7 +247,8 @@ def test_a_picture_that_takes_long_gets_the_priority_of_an_encode() -> None:
 
         begins = min(os.getpriority(os.PRIO_PROCESS, 0) + server.PICTURE_NICENESS, server.ENCODE_NICENESS)
         assert set(niceness()) == {begins}  # of one thread, or of both
-        wait_until(lambda: running.end_early() or niceness() == 2 * [server.ENCODE_NICENESS])
+        end_early(number)
+        wait_until(lambda: niceness() == 2 * [server.ENCODE_NICENESS])
 
 
 @pytest.mark.parametrize(
@@ -267,7 +259,7 @@ def test_an_encode_says_what_a_busy_machine_cost_it(
 ) -> None:
     """With a time limit, its file got worse without a word."""
     monkeypatch.setattr(tasks.time, "thread_time", lambda: cpu_share * time.monotonic())
-    answers = SimpleNamespace(end_early=False, send=lambda _: None, send_preview=lambda _: None, send_result=Mock())
+    answers = SimpleNamespace(send=lambda _: None, send_result=Mock())
     tasks.perform(task(limit_s), SMALL, answers)
     figures, _ = answers.send_result.call_args.args
     words = "the service was busy: the encode had a core for 30% of its time, and its time limit cut it short"
@@ -313,20 +305,21 @@ def test_nonsense_is_the_end_of_its_task_alone(taken_over: Sandbox) -> None:
 
 def test_nonsense_in_place_of_a_task_costs_itself(taken_over: Sandbox) -> None:
     """It ended the sandbox, and every task with it."""
-    with begun(taken_over, WAITS) as running, file_of(b"") as file, socket.socket() as unconnected:
+    what = task()
+    with begun(taken_over, WAITS, what) as running, file_of(b"") as file, socket.socket() as unconnected:
         for message in (b"", b"nonsense"):
             for things in ([], [file], [file, file], [unconnected], [unconnected, file]):
                 socket.send_fds(taken_over._requests, [message], [thing.fileno() for thing in things])
         assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
-        running.end_early()
+        end_early(encoder_of(what.job_id) or 0)
         assert list(until_end(running)) == [Ended(status=0)]
 
 
 def test_a_client_that_reads_nothing_holds_up_no_other(taken_over: Sandbox) -> None:
     """Its task waits for it, and so does the word of its end; others are served."""
-    program = b"answer.send(frames.EncodePreview(file=bytes(1 << 20)))"
-    with file_of(program) as file, taken_over.start(task(), file) as running:
+    program = b"for number in range(3000):\n    say(str(number))"
+    with file_of(program) as file, taken_over.start(task(time_limit_s=100), file) as running:
         assert messages_of(taken_over, task(), b"pass")[-1] == Ended(status=0)
-        *_, preview, end = until_end(running)
-        assert preview == frames.EncodePreview(file=bytes(1 << 20))
+        *points, end = until_end(running)
+        assert [point.phase for point in points] == [str(number) for number in range(3000)]
         assert end == Ended(status=0)

@@ -194,7 +194,6 @@ def test_all_that_a_client_may_ask(start_service: StartService) -> None:
         assert web.client.get(client.links(first, 60)["bitstream_url"]).content == PICTURE
         with pytest.raises(ServerError, match=r"expires_s.*604800"):
             client.links(first, 10**9)
-        client.stop(first)  # nothing is left to do
         client.remove(first)
         for ask in (client.job, client.wait):
             with pytest.raises(ServerError, match="no such job"):

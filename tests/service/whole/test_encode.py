@@ -43,35 +43,6 @@ def test_a_finished_job_tells_its_figures_and_its_trace(done: dict[str, Any]) ->
     assert done["trace"][-1]["psnr"] == pytest.approx(result["psnr"], abs=0.5)
 
 
-@pytest.mark.thorough
-def test_an_encode_that_is_stopped(service: Service) -> None:
-    """It keeps to its budget, and takes nothing like its 100 seconds."""
-    job_id = service.accepted_slow()
-    first, *_ = wait_until(lambda: service.job(job_id)["trace"])
-    preview = wait_until(lambda: (answer := service.client.get(f"/jobs/{job_id}/preview.sg")).content and answer)
-    assert preview
-    assert sgmethod.decode(preview.content).shape == (768, 768, 3)
-    answer = service.client.post(f"/jobs/{job_id}/stop")
-    assert (answer.status_code, answer.headers["location"]) == (202, f"/jobs/{job_id}")
-    job = service.wait(job_id)
-    assert (job["state"], job["time_limit_s"]) == ("done", 100)
-    assert 0 < job["result"]["bpp"] <= 1
-    assert job["result"]["steps"] < first["steps"]
-    assert service.client.post(f"/jobs/{job_id}/stop").status_code == 202  # nothing is left to do
-    last = service.client.get(f"/jobs/{job_id}/preview.sg", headers={"If-None-Match": preview.headers["etag"]})
-    assert last.content == service.client.get(f"/bitstreams/{job_id}.sg").content
-    service.client.delete(f"/jobs/{job_id}")
-
-
-def test_a_preview_goes_with_its_job(service: Service) -> None:
-    job_id, waiting = service.accepted_slow(), service.accepted()
-    assert service.client.get(f"/jobs/{waiting}/preview.sg").status_code == 204  # for which there cannot be one yet
-    assert service.client.delete(f"/jobs/{waiting}").status_code == 204
-    wait_until(lambda: any(name.startswith(f"bitstreams/{job_id}") for name in service.files()))
-    assert service.client.delete(f"/jobs/{job_id}").status_code == 204
-    wait_until(lambda: not any(job_id in name for name in service.files()))
-
-
 def test_picture_and_bitstream_agree(service: Service, done: dict[str, Any]) -> None:
     bitstream = service.client.get(done["bitstream_url"])
     assert bitstream.status_code == 200

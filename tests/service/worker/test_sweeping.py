@@ -17,7 +17,7 @@ from service.jobs.table import JobTable
 from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
 from service.settings import Settings
-from service.storage.files import DiskStorage, Storage, bitstream_key, preview_key, source_key
+from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from service.worker.loop import Worker
 from service.worker.sweeping import SweepResult, pause_s, sweep
 from tests.support import job_table
@@ -69,10 +69,9 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     done = finished(table, storage)
     running, waiting = submitted(table, storage), submitted(table, storage)
     assert claimed(table).id == running
-    for key in (bitstream_key(running, 1), preview_key(running, 1)):
-        storage.put(key, b"not published yet")
+    storage.put(bitstream_key(running, 1), b"not published yet")
     needed = stored(storage)
-    kept = {bitstream_key(done, 1), bitstream_key(running, 1), preview_key(running, 1)}
+    kept = {bitstream_key(done, 1), bitstream_key(running, 1)}
     assert needed == {*kept, source_key(running), source_key(waiting)}
     orphans = {source_key(new_job_id()), source_key(done), bitstream_key(done, 2), "unfinished/" + new_job_id()}
     for key in orphans:
@@ -183,7 +182,7 @@ def test_a_job_with_many_attempts_goes_with_few_deletes(
     """While its storage was away for hours, it was claimed each second. The next sweep finds what is older."""
     old = bitstream_key(finished(table, storage), 1)
     change(table, "UPDATE jobs SET attempt = 5000")
-    storage.put(preview_key(table.page(1)[0].id, 5000), b"left over")
+    storage.put(bitstream_key(table.page(1)[0].id, 5000), b"left over")
     deleted: list[str] = []
     remove = storage.delete
 
@@ -203,8 +202,7 @@ def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Stor
     finished(table, storage)
     submitted(table, storage)
     killed = claimed(table)
-    for key in (bitstream_key(killed.id, 1), preview_key(killed.id, 1)):
-        storage.put(key, b"left over")
+    storage.put(bitstream_key(killed.id, 1), b"left over")
     assert table.release(killed)
     refused = claimed(table)
     assert table.fail(refused, REFUSED)

@@ -3,14 +3,15 @@
 Constants of the settings have the values of TEST_CONSTANTS, as JSON.
 
 With PYTHON_FAKE_CODEC (whose name the sandbox may see), `sgmethod.codec` is a fake, and the sandbox the real one up to
-there. The codec takes torch, and 2.5 s of a core. The fake takes the time limit to the letter unless it is asked to
-end early, no core, and makes a file of one Gaussian.
+there. The codec takes torch, and 2.5 s of a core. The fake takes the time limit to the letter unless a test's signal
+ends it, no core, and makes a file of one Gaussian.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +23,8 @@ from typing import Any
 
 NAME = "sgmethod.codec"
 STEPS = 4
-POLL_S = 0.05  # how soon it ends when it is to end early
+POLL_S = 0.05  # how soon it ends after the signal
+END = signal.SIGUSR1  # which tests.support.processes.end_early() sends
 
 
 def encode(
@@ -32,7 +34,6 @@ def encode(
     *,
     time_limit_s: float | None = None,
     on_progress: Callable[[Any], None] = lambda _: None,
-    stop: Callable[[], bool] = lambda: False,
     **_more: Any,
 ) -> Any:
     """As sgmethod.codec.encode has it."""
@@ -44,14 +45,15 @@ def encode(
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
 
-    limit_s = time_limit_s or 0.0
+    limit_s, asked = time_limit_s or 0.0, list[int]()
+    signal.signal(END, lambda number, _frame: asked.append(number))
     pixels = read_input(image, keep_alpha=True)
     for step in range(STEPS + 1):
         seconds = limit_s * step / STEPS
         on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint", step / STEPS))
         if step < STEPS:
-            _sleep(limit_s / STEPS, stop)
-        if stop():
+            _sleep(limit_s / STEPS, asked)
+        if asked:
             break
     height, width = pixels.shape[:2]
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
@@ -64,9 +66,9 @@ def encode(
     return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, warnings=[], to_dict=lambda: figures))
 
 
-def _sleep(seconds: float, stop: Callable[[], bool]) -> None:
+def _sleep(seconds: float, asked: Sequence[int]) -> None:
     until = time.monotonic() + seconds
-    while not stop() and (left := until - time.monotonic()) > 0:
+    while not asked and (left := until - time.monotonic()) > 0:
         time.sleep(min(left, POLL_S))
 
 
