@@ -29,7 +29,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.api.callers import Authentication
 from service.api.context import Context, PictureCache
 from service.api.metrics import VERSION, Metrics
-from service.api.middleware import BodyLimit, RequestLog, SpanIds
+from service.api.middleware import BodyLimit, RequestLog
 from service.api.probes import Probes
 from service.api.problems import PAGE, install_problem_handlers
 from service.api.routes import add_routes
@@ -175,14 +175,13 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         Probes(table, storage),
     )
     install_problem_handlers(app)
-    app.add_middleware(SpanIds)
     # Authentication checks the key; this documents it.
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
     decoder = PageFiles(FILE_POLICY, packages=[("sgmethod", "javascript/src")])  # with <sg-img>
     app.mount("/static/sgmethod", decoder)
     app.mount("/static", PageFiles(FILE_POLICY, directory=STATIC))
     pages = PageFiles(PAGE_POLICY, directory=STATIC)
-    for path, file in (("/", "index.html"), ("/docs", "docs.html"), (PAGE, "problems.html")):
+    for path, file in (("/", "index.html"), (PAGE, "docs.html")):
         app.add_api_route(path, pages.page(file), include_in_schema=False)
     app.add_api_route("/openapi.json", _document(app), include_in_schema=False)
     return _with_middleware(app, context)

@@ -19,7 +19,7 @@ from service.keys import KeyRing, Link
 from service.settings import Settings, listed
 
 # The page loads before a user can enter a key, and probes have none.
-OPEN_PATHS = frozenset({"/", "/docs", PAGE, "/livez", "/readyz", "/openapi.json"})
+OPEN_PATHS = frozenset({"/", PAGE, "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
 METRICS, METRICS_PATH = "metrics", "/metrics"  # the owner of keys that may do nothing else, for a Prometheus
 NETWORK_BITS = 64  # of an IPv6 address, which identify a customer's network

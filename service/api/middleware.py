@@ -13,7 +13,6 @@ from http import HTTPStatus
 from typing import Any
 
 from anyio import to_thread
-from opentelemetry import trace
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -33,7 +32,7 @@ RESPONSE_HEADERS = {  # defaults
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
 # Probes, and what clients ask again and again while they wait: seven in ten lines of a bulk run.
-OFTEN = frozenset({"/livez", "/readyz", "/metrics", "/jobs/{job_id}", "/jobs/{job_id}/preview.sg"})
+OFTEN = frozenset({"/livez", "/readyz", "/metrics", "/jobs/{job_id}"})
 COPIES = 2  # of an upload: the temporary file, and what the storage keeps
 MAX_LOGGED_PATH = 200  # characters of the log; our own paths are shorter
 _GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -90,17 +89,6 @@ def _log_request(fields: Mapping[str, Any], route: str) -> None:
     key = f" key {fields['key']}" if "key" in fields else ""
     words = f"{what}{key} {fields.get(REFUSAL, '')}".rstrip()
     log.log(logging.DEBUG if often else logging.INFO, "%s", words, extra={FIELDS: fields})
-
-
-class SpanIds:
-    """Middleware within FastAPI's span, if OpenTelemetry records it: notes the id of the request, which the log has."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        trace.get_current_span().set_attribute(f"http.response.header.{ID_HEADER.lower()}", [request_id.get()])
-        await self._app(scope, receive, send)
 
 
 class BodyLimit:

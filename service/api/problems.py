@@ -23,7 +23,7 @@ from sgmethod.errors import BudgetError, ViewError
 log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
-PAGE = "/problems"  # which explains each reason
+PAGE = "/docs"  # which explains each reason
 METHODS = ("DELETE", "GET", "POST")  # that any route has
 PROBLEM: dict[str, Any] = {
     "schema": {
@@ -36,7 +36,7 @@ PROBLEM: dict[str, Any] = {
             "detail": {"type": "string", "description": "one sentence"},
         },
     },
-    "example": {"type": "/problems#unknown", "title": "Not Found", "status": 404, "detail": "there is no such job"},
+    "example": {"type": "/docs#unknown", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
 RETRYABLE = (429, 503)  # refusals that say when to ask again
 RETRY_AFTER = {"Retry-After": "5"}  # seconds

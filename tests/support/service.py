@@ -290,7 +290,7 @@ def assert_problem(answer: httpx2.Response, status: int, *words: str) -> dict[st
     problem: dict[str, Any] = answer.json()
     assert problem["status"] == status
     assert problem["title"]
-    assert re.fullmatch(r"(/\w+)*/problems#\w+", problem["type"])
+    assert re.fullmatch(r"(/\w+)*/docs#\w+", problem["type"])
     for word in words:
         assert word in problem["detail"]
     return problem

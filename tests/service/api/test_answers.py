@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import json
 import logging
@@ -13,16 +12,13 @@ from contextlib import ExitStack
 from datetime import datetime, timedelta
 from email.utils import parsedate_to_datetime
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
-from opentelemetry import trace
 from PIL import Image
 
 from service import logs
-from service.api.middleware import SpanIds
 from service.keys import digest
-from service.logs import request_id
 from service.pictures import MEDIA_TYPES
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
@@ -93,7 +89,7 @@ def test_head_of_everything(web: Service, done: str) -> None:
 
 def test_browsers_ask_again_for_the_page_and_its_decoder(web: Service) -> None:
     """They kept both for days after an upgrade, and an older decoder cannot read new files."""
-    for path in ("/", "/docs", "/problems", "/static/main.js", "/static/sgmethod/file.js", "/openapi.json"):
+    for path in ("/", "/docs", "/static/main.js", "/static/sgmethod/file.js", "/openapi.json"):
         answer, fresh = web.client.get(path), "max-age=10" if path.startswith("/static/") else "no-cache"
         assert (answer.status_code, answer.headers["cache-control"]) == (200, fresh), path
         if etag := answer.headers.get("etag"):
@@ -156,26 +152,6 @@ def test_a_level_of_logs(run_command: RunCommand, tmp_path: Path) -> None:
         names = ("service.api.middleware", "python_multipart")
         assert tuple(logging.getLogger(name).getEffectiveLevel() for name in names) == expected
     logs.set_up_logging()
-
-
-def test_a_span_has_the_id_of_its_request() -> None:
-    """With which its lines in the log are found."""
-    noted: dict[str, Any] = {}
-
-    class Span(trace.NonRecordingSpan):
-        def set_attribute(self, key: str, value: Any) -> None:
-            noted[key] = value
-
-    async def app(*_: Any) -> None:
-        noted["passed on"] = True
-
-    async def ask() -> None:
-        request_id.set("mine-1")
-        with trace.use_span(Span(trace.INVALID_SPAN_CONTEXT)):
-            await SpanIds(app)({}, cast(Any, None), cast(Any, None))
-
-    asyncio.run(ask())
-    assert noted == {"http.response.header.x-request-id": ["mine-1"], "passed on": True}
 
 
 @pytest.mark.thorough

@@ -39,11 +39,11 @@ def test_every_kind_of_problem_is_explained(web: Service) -> None:
     named = {word for pair in re.findall(r'reason="(\w+)"|LimitError\("(\w+)"', sources) for word in pair if word}
     assert named <= {*REASONS.values(), *NAMED_REASONS}
     kinds = {*REASONS.values(), *NAMED_REASONS}
-    kinds |= {*re.findall(r"problems#(\w+)", (ROOT / "docs" / "nginx.conf").read_text())}
+    kinds |= {*re.findall(r"/docs#(\w+)", (ROOT / "docs" / "nginx.conf").read_text())}
     problem = assert_problem(web.client.get("/nowhere"), 404)
     page = web.client.get(problem["type"])
     assert (page.status_code, page.headers["content-type"]) == (200, "text/html; charset=utf-8")
-    assert sorted(re.findall(r'<dt id="(\w+)"', page.text)) == sorted(kinds)
+    assert sorted(re.findall(r'<tr id="(\w+)"', page.text)) == sorted(kinds)
 
 
 def test_page_names_nothing_elsewhere(web: Service) -> None:
@@ -62,7 +62,7 @@ def test_page_names_nothing_elsewhere(web: Service) -> None:
 def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert_problem(web.client.get("/nowhere"), 404)
     for path in ("/static/nothing.js", "/static/sgmethod/nothing.js"):
-        assert assert_problem(web.client.get(path), 404)["type"] == "/problems#unknown"
+        assert assert_problem(web.client.get(path), 404)["type"] == "/docs#unknown"
     answer = web.client.put(f"/jobs/{GOOD_ID}")
     assert_problem(answer, 405)
     assert answer.headers["allow"] == "DELETE, GET"
