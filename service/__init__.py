@@ -10,7 +10,7 @@ The packages and modules; each imports only from those above it:
     keys            API keys, and links that work without a key
     logs            what the processes write to standard error
     settings        the operator's settings
-    process/        the processes of a service, and how they end
+    processes       processes and how they end
     storage/        source images and bitstreams, in a folder or in a bucket
     pictures        picture files of bitstreams and images
     jobs/           the job table, in SQLite or in PostgreSQL

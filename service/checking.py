@@ -75,8 +75,9 @@ def _storage(settings: Settings) -> str:
     key, data = f"{UNFINISHED}/{secrets.token_hex(16)}", secrets.token_bytes(1024)
     storage.put(key, data)
     try:
-        if storage.get(key) != data:
-            raise CheckError("a stored file came back changed")
+        with storage.open(key) as file:
+            if file.read() != data:
+                raise CheckError("a stored file came back changed")
     finally:
         storage.delete(key)
     return f"{settings.storage_url or settings.data_dir}: stored, read and removed a file"

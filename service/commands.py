@@ -19,8 +19,7 @@ from pydantic_core import ErrorDetails
 from service.errors import JobTableError, MissingPackagesError
 from service.logs import set_up_logging
 from service.opening import open_job_table, open_storage
-from service.process.loops import StopSignal
-from service.process.supervisor import is_loopback, listen, supervise, url
+from service.processes import StopSignal, is_loopback, listen, supervise, url
 from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
 from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
 from service.settings import Settings, add_secrets, unknown_settings

@@ -37,8 +37,7 @@ from service.api.turns import ClientTasks, Shares, Turns
 from service.keys import KeyRing
 from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
-from service.process.loops import log_errors
-from service.process.supervisor import BACKLOG
+from service.processes import BACKLOG, log_errors
 from service.sandbox.client import Sandbox
 from service.settings import Settings, listed
 

@@ -95,9 +95,7 @@ def _accept(context: Context, new: NewJob, image: bytes) -> Job:
     except (LimitError, KeyReusedError):
         context.discard(source_key(new.id))
         raise
-    if is_new:
-        context.metrics.accepted.inc()
-    else:
+    if not is_new:
         context.discard(source_key(new.id))
     return job
 

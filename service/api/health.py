@@ -7,7 +7,6 @@ import logging
 from fastapi import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from service.api import models
 from service.api.context import UseContext
 from service.api.metrics import VERSION
 from service.api.probes import TIMEOUT_S
@@ -15,15 +14,16 @@ from service.api.problems import ProblemError
 
 log = logging.getLogger(__name__)
 
+OK = {"status": "ok", "version": VERSION}
 STALLED_LEASES = 4  # for which jobs may wait while no worker reports
 
 
-async def live() -> models.HealthView:
+async def live() -> dict[str, str]:
     """Return 200 while the web process runs."""
-    return models.HealthView(status="ok", version=VERSION)
+    return OK
 
 
-async def ready(context: UseContext) -> models.HealthView:
+async def ready(context: UseContext) -> dict[str, str]:
     """Return 200 if jobs are accepted and processed.
 
     The job table and the storage accept writes, the disk has room, the sandbox does tasks, and workers take jobs.
@@ -44,7 +44,7 @@ async def ready(context: UseContext) -> models.HealthView:
     if trouble := await context.tasks.trouble(TIMEOUT_S):
         log.error("the sandbox is not working: %s", trouble)
         raise ProblemError(503, "the sandbox is not working, so images cannot be read", reason="sandbox")
-    return models.HealthView(status="ok", version=VERSION)
+    return OK
 
 
 async def metrics(context: UseContext) -> Response:
@@ -52,6 +52,5 @@ async def metrics(context: UseContext) -> Response:
     parts = await context.probes.parts()
     if parts.free_bytes is not None:
         context.metrics.free_bytes.set(parts.free_bytes)
-    context.metrics.cache_bytes.set(context.pictures.bytes)
     context.metrics.waits.set(context.waits.total)
     return Response(context.metrics.text(parts.counts), media_type=CONTENT_TYPE_LATEST)

@@ -13,7 +13,7 @@ from prometheus_client.registry import Collector
 from starlette.types import Scope
 
 from service.api.problems import NAMED_REASONS, REASONS, REFUSAL
-from service.jobs import outcomes
+from service.jobs import tallies
 from service.jobs.job import Counts
 from service.sandbox.confinement import LAYERS
 
@@ -61,12 +61,12 @@ class _TableFigures(Collector):
 
 
 def _totals(so_far: Mapping[str, float]) -> Iterator[Metric]:
-    for outcome in outcomes.OUTCOMES:
+    for outcome in tallies.OUTCOMES:
         words = f"Jobs {outcome.replace('_', ' ')}, since the job table was made."
         yield CounterMetricFamily(f"sgmethod_jobs_{outcome}", words, so_far.get(outcome, 0.0))
     for name, words in (
-        (outcomes.ENCODING, "From the claim of a job to its file."),
-        (outcomes.QUEUEING, "From the acceptance of a job to its last claim, of jobs that ended."),
+        (tallies.ENCODING, "From the claim of a job to its file."),
+        (tallies.QUEUEING, "From the acceptance of a job to its last claim, of jobs that ended."),
     ):
         number, seconds = int(so_far.get(f"{name}_count", 0)), so_far.get(f"{name}_sum", 0.0)
         yield SummaryMetricFamily(f"sgmethod_{name}", words, number, seconds)
@@ -92,17 +92,12 @@ class Metrics:
         for reason in (*REASONS.values(), *NAMED_REASONS):
             self.refusals.labels(reason)  # increase() does not see the value that a series begins with
         self.waits = Gauge("sgmethod_waits", "Requests that wait for a job.", registry=registry)
-        self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.decode_seconds = Histogram(
             "sgmethod_decode_seconds",
             "Drawing a picture, with the wait for its turn.",
             buckets=BUCKETS_S,
             registry=registry,
         )
-        self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
-        for found in ("no", "yes"):
-            self.cache.labels(found)
-        self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
         self.free_bytes = Gauge("sgmethod_free_bytes", "Free bytes of the storage.", registry=registry)
         layer = "Whether a layer of the sandbox holds."
         layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)

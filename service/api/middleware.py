@@ -110,13 +110,14 @@ class BodyLimit:
         # The server refuses what is no number below 2 ** 64, but takes any number of zeros before it.
         declared, received = int(headers.get("content-length", "").lstrip("0") or 0), 0
         expected = self._max_bytes if "transfer-encoding" in headers else declared
-        reserved: int | None = None  # for this body
+        needed, reserved = COPIES * expected if expected > IN_MEMORY_BYTES else 0, 0  # bytes of the disk
 
         async def limited() -> Message:
-            nonlocal received, reserved
+            nonlocal needed, received, reserved
             self._check(declared)
-            if reserved is None:
-                reserved = await self._reserve(COPIES * expected if expected > IN_MEMORY_BYTES else 0)
+            if needed:
+                await self._reserve(needed)
+                needed, reserved = 0, needed
             message = await receive()
             size = len(message.get("body", b""))
             received += size
@@ -129,19 +130,17 @@ class BodyLimit:
         try:
             await self._app(scope, limited, send)
         finally:
-            self._reserved -= reserved or 0
+            self._reserved -= reserved
 
     def _check(self, size: int) -> None:
         if size > self._max_bytes:
             detail = f"the body is larger than {self._max_bytes} bytes"
             raise ProblemError(413, detail, max_bytes=self._max_bytes)
 
-    async def _reserve(self, size: int) -> int:
-        """Reserve disk space, and return its size. Raises ProblemError 503 if there is too little."""
-        if size:
-            usage = await to_thread.run_sync(shutil.disk_usage, tempfile.gettempdir())
-            if usage.free - self._reserved - size < self._min_free_bytes:
-                detail = "the disk has no room for this upload, with those that are on their way"
-                raise ProblemError(503, detail, reason="disk", headers=RETRY_AFTER)
-            self._reserved += size
-        return size
+    async def _reserve(self, size: int) -> None:
+        """Reserve disk space. Raises ProblemError 503 if there is too little."""
+        usage = await to_thread.run_sync(shutil.disk_usage, tempfile.gettempdir())
+        if usage.free - self._reserved - size < self._min_free_bytes:
+            detail = "the disk has no room for this upload, with those that are on their way"
+            raise ProblemError(503, detail, reason="disk", headers=RETRY_AFTER)
+        self._reserved += size

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from service.jobs.job import Job, JobError, JobState, JsonObject, Priority
 from service.settings import Settings
@@ -16,36 +15,6 @@ from sgmethod.trace import seconds_left
 Figure = float | int | str | None
 
 EXAMPLE_ID = "5f1c0e9ab0d4467f8a3d2b6c7e8f9012"
-EXAMPLE_JOB: dict[str, Any] = {
-    "id": EXAMPLE_ID,
-    "status_url": f"/jobs/{EXAMPLE_ID}",
-    "decode_url": f"/decode/{EXAMPLE_ID}.png",
-    "bitstream_url": f"/bitstreams/{EXAMPLE_ID}.sg",
-    "state": "running",
-    "position": None,
-    "budget": {"kind": "bpp", "value": 0.3},
-    "profile": "rd",
-    "tune": "visual",
-    "effort": 5,
-    "time_limit_s": 60.0,
-    "priority": "interactive",
-    "image": {"format": "JPEG", "width": 768, "height": 512, "bytes": 91235},
-    "attempt": 1,
-    "created_at": "2026-01-31T12:00:00Z",
-    "started_at": "2026-01-31T12:00:01Z",
-    "finished_at": None,
-    "expires_at": None,
-    "image_expires_at": None,
-    "result": None,
-    "notes": [],
-    "error": None,
-    "progress": 0.15,
-    "seconds_left": 4.1,
-    "trace": [
-        {"seconds": 0.8, "step": 87, "steps": 350, "psnr": 28.4, "bytes": 41217, "gaussians": 12578}
-        | {"phase": "joint", "share": 0.15},
-    ],
-}
 
 
 class AcceptedView(BaseModel):
@@ -110,8 +79,6 @@ class JobView(JobSummary):
         "over), oldest first; sparser with time"
     )
 
-    model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE_JOB]})
-
 
 class JobPage(BaseModel):
     """Jobs, newest first."""
@@ -126,13 +93,6 @@ class LinksView(BaseModel):
     decode_url: str = Field(description="URL of the picture; its extension and view parameters can be changed")
     bitstream_url: str
     expires_at: datetime
-
-
-class HealthView(BaseModel):
-    """The answer of a health check."""
-
-    status: str
-    version: str
 
 
 def accepted(job: Job, settings: Settings) -> AcceptedView:

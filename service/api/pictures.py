@@ -188,7 +188,6 @@ async def _cached_response(
         return answer
     context = context_of(request)
     file = context.pictures.get(headers["ETag"])
-    context.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
         file = await requests.while_client_waits(request, make())
         context.pictures.put(headers["ETag"], file)

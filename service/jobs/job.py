@@ -154,7 +154,7 @@ class Counts:
     """Counts over the table. Times are in seconds, by the table's own clock.
 
     jobs: by state; waiting_s: how long the oldest queued job has waited, None if none waits; stored_bytes: of images
-    and bitstreams; workers: seconds since each last reported, by name; totals: see outcomes.py.
+    and bitstreams; workers: seconds since each last reported, by name; totals: see tallies.py.
     """
 
     jobs: Mapping[JobState, int]

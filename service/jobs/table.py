@@ -10,10 +10,11 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from itertools import islice
 from typing import Any
 
 from service.errors import KeyReusedError, LimitError
-from service.jobs import outcomes, statements as sql, stored
+from service.jobs import statements as sql, tallies
 from service.jobs.job import (
     FINAL_STATES,
     JOB_STATES,
@@ -39,6 +40,7 @@ WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
 MAX_LOSSES = 20  # until a job fails: few jobs are the cause of a lost worker, but one might be
 PUT_OFF_S = 60.0  # until a job whose image is lost is tried again, so that others go on and operators have 20 minutes
+KEYS_AT_ONCE = 500  # of a query
 FORGET_AFTER_S = 900.0  # a worker that is silent for longer is removed
 
 
@@ -105,9 +107,9 @@ class JobTable(ABC):
 
     def _check_quotas(self, db: Database, owner: str | None, size_bytes: int) -> None:
         quota, own_quota = self._settings.quota_bytes, self._settings.quota_bytes_per_key
-        if owner and own_quota and stored.stored_bytes(db, owner) + size_bytes > own_quota:
+        if owner and own_quota and tallies.stored_bytes(db, owner) + size_bytes > own_quota:
             raise LimitError("own_quota", "this API key has reached its storage quota; remove jobs first")
-        if quota and stored.stored_bytes(db) + size_bytes > quota:
+        if quota and tallies.stored_bytes(db) + size_bytes > quota:
             raise LimitError("quota", "the service has reached its storage quota; remove jobs first")
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
@@ -126,10 +128,10 @@ class JobTable(ABC):
 
     def counts(self) -> Counts:
         with self._connection() as db:
-            counted, stored_bytes = stored.by_state(db)
+            counted, stored_bytes = tallies.by_state(db)
             figures = db.execute(sql.COUNTS).fetchone()
             seen = db.execute(sql.SEEN).fetchall()
-            so_far = outcomes.totals(db)
+            so_far = tallies.totals(db)
         return Counts(
             jobs={state: counted.get(state, 0) for state in JOB_STATES},
             workers={row["name"]: row["seconds"] for row in seen},
@@ -164,7 +166,7 @@ class JobTable(ABC):
         with self._transaction() as db:
             row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *", (job_id,)).fetchone()
             if row is not None and row["state"] not in FINAL_STATES:
-                outcomes.count(db, "cancelled")
+                tallies.count(db, "cancelled")
         return None if row is None else job_of(row)
 
     def reconcile(self) -> list[Job]:
@@ -236,7 +238,7 @@ class JobTable(ABC):
         with self._transaction() as db:
             job = self._change(db, claim, sql.DONE, text, result.size_bytes, int(self.keeps_sources))
             if job is not None:
-                outcomes.conclude(db, job)
+                tallies.conclude(db, job)
                 return True
             # A commit that succeeded may be reported as failed; then the repeated call must succeed.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.id,)).fetchone()
@@ -259,7 +261,7 @@ class JobTable(ABC):
         if job is not None and not again:
             job = _update(db, sql.FAIL, "WHERE id = ?", int(self.keeps_sources), job.id)
         if job is not None:
-            outcomes.conclude(db, job, put_off=again and error == IMAGE_LOST)
+            tallies.conclude(db, job, put_off=again and error == IMAGE_LOST)
         return job
 
     @property
@@ -284,9 +286,10 @@ class JobTable(ABC):
 
     def unneeded(self, keys: Iterable[str]) -> Iterator[str]:
         """Yield those of the storage keys that no job needs."""
-        for batch in stored.batches(keys):
+        rest = iter(keys)
+        while batch := list(islice(rest, KEYS_AT_ONCE)):
             with self._connection() as db:
-                unneeded = stored.unneeded(db, batch)
+                unneeded = tallies.unneeded(db, batch)
             yield from unneeded
 
     def source_removed(self, job_id: str) -> None:

@@ -72,28 +72,29 @@ function section(method, path, operation) {
   return element;
 }
 
-function examples(schemas) {
-  const shown = Object.entries(schemas).filter(([, schema]) => schema.examples);
-  return shown.map(([name, schema]) => {
-    const text = JSON.stringify(schema.examples[0], null, 2);
-    return make("details", make("summary", make("code", name), " an example"), make("pre", make("code", text)));
+/** The fields of JSON objects. */
+function fields(schemas) {
+  return Object.entries(schemas).filter(([, schema]) => schema.properties).map(([name, { description, properties }]) => {
+    const rows = Object.entries(properties).map(([field, one]) => [make("code", field), kind(one), prose(one.description)]);
+    const heading = make("summary", make("code", name), ` ${description}`);
+    return make("details", heading, table(["field", "value", "meaning"], rows));
   });
 }
 
 async function show() {
-  const main = document.getElementById("operations");
+  const problems = document.getElementById("problems"); // the last section
   try {
     const api = await (await fetch("openapi.json")).json();
     const local = (source) => source.replaceAll("http://127.0.0.1:8000/", new URL(".", location).href);
     for (const [path, methods] of Object.entries(api.paths)) {
       for (const [method, operation] of Object.entries(methods)) {
         for (const sample of operation["x-codeSamples"] ?? []) sample.source = local(sample.source);
-        main.append(section(method, path, operation));
+        problems.before(section(method, path, operation));
       }
     }
-    main.append(...examples(api.components.schemas));
+    problems.before(...fields(api.components.schemas));
   } catch (error) {
-    main.append(make("p", `the document cannot be read: ${error.message}`));
+    problems.before(make("p", `the document cannot be read: ${error.message}`));
   }
   const named = location.hash && document.getElementById(location.hash.slice(1));
   if (named) {

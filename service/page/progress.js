@@ -1,7 +1,7 @@
 // The progress of a job: place in the queue, seconds left, and the chart of the fit.
 
 import { $ } from "./parts.js";
-import { count, decibels, seconds, size } from "./words.js";
+import { count, decibels, seconds } from "./words.js";
 
 const [WIDTH, HEIGHT] = [560, 240];
 const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
@@ -57,20 +57,10 @@ export function drawTrace(trace, end = null) {
   const places = points.map((point) => `${x(point.seconds).toFixed(1)},${y(point.psnr).toFixed(1)}`);
   parts.push(shape("polyline", { points: places.join(" ") }));
   if (end !== null) parts.push(shape("circle", { cx: x(last), cy: y(end), r: 4 }));
-  $("chart-words").textContent = `${wordsOf(points)}${end === null ? "" : ` The dot is the file: ${decibels(end)}.`}`;
+  const dot = end === null ? "" : ` The dot is the file: ${decibels(end)}.`;
+  $("chart-words").textContent = `Higher is closer to the original; dropping Gaussians that help least costs a little.${dot}`;
   chart.setAttribute("aria-label", `Quality against time: ${decibels(points.at(-1).psnr)} after ${seconds(last)}`);
   chart.replaceChildren(...parts);
-}
-
-/** Explain why the curve falls, if it does. */
-function wordsOf(points) {
-  const largest = Math.max(...points.map(({ bytes }) => bytes));
-  const last = points.at(-1).bytes;
-  if (largest < 1.2 * last) return "Higher is closer to the original.";
-  return (
-    `Higher is closer to the original. The fit starts with more Gaussians than it keeps, at first ${size(largest)} of them, ` +
-    "and then drops those that help least, again in each round. That is where the curve falls."
-  );
 }
 
 /** Describe what a job is doing, and its progress from 0 to 1; null if unknown. */

@@ -15,8 +15,7 @@ import time
 from collections.abc import Collection, Iterator
 from typing import Any, BinaryIO
 
-from service.process.loops import PeriodicThread, StopSignal
-from service.process.supervisor import WATCH_S, Supervised
+from service.processes import WATCH_S, PeriodicThread, StopSignal, Supervised
 from service.sandbox import frames
 from service.sandbox.confinement import environment
 from service.settings import Settings

@@ -45,7 +45,6 @@ LIBRARIES = 4  # that may have a pool of threads each: the kernels, OpenCV, and 
 Count = Annotated[int, Field(ge=0, le=2**53)]  # which every database and JSON can hold
 Sentence = Annotated[str, Field(max_length=MAX_SENTENCE_LENGTH)]
 Figure = float | None
-File = Annotated[bytes, Field(exclude=True)]  # follows the JSON
 Refusal = Literal["ImageError", "BitstreamError", "ViewError", "BudgetError", "SgError", "MemoryError"]
 REFUSALS = get_args(Refusal)
 
@@ -110,7 +109,7 @@ class Result(Model, Generic[Figures]):
 
     kind: Literal["result"] = "result"
     figures: Figures
-    file: File = b""
+    file: Annotated[bytes, Field(exclude=True)] = b""  # follows the JSON
 
 
 Outcome = Begun | Refused | Crashed | Ended  # of any task

@@ -75,7 +75,6 @@ class Server:
     def __init__(self, requests: socket.socket, absent: Collection[str]) -> None:
         self._requests = requests
         self._absent = absent
-        self._cannot_fork = False
         self._waiting: list[TaskProcess] = []
         self._forks: dict[int, TaskProcess] = {}  # all that have not ended, by number
         self._selector = selectors.DefaultSelector()
@@ -117,11 +116,8 @@ class Server:
                         run_fork(theirs.fileno(), parent, self._absent)
                 self._forks[number] = TaskProcess(number, ours)
                 self._waiting.append(self._forks[number])
-            self._cannot_fork = False
-        except OSError as error:  # as when processes or memory run out
-            if not self._cannot_fork:  # it is tried each second
-                log.error("the sandbox cannot fork: %s", error)
-            self._cannot_fork = True
+        except OSError as error:  # as when processes or memory run out; it is tried again each second
+            log_seldom(log, "the sandbox cannot fork: %s", error)
 
     def _take(self) -> bool:
         """Hand a task to a fork, and drop malformed requests. Returns False once all clients have disconnected."""

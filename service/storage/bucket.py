@@ -83,12 +83,9 @@ class BucketStorage:
             # One request for the whole object, so that a broken upload leaves no parts behind.
             obstore.put(self._patient, check_key(key), data, use_multipart=False)
 
-    def get(self, key: str) -> bytes:
-        with _as_os_errors():
-            return bytes(obstore.get(self._store, check_key(key)).bytes())
-
     def open(self, key: str) -> BinaryIO:
-        data = self.get(key)
+        with _as_os_errors():
+            data = bytes(obstore.get(self._store, check_key(key)).bytes())
         try:
             file = tempfile.TemporaryFile()  # noqa: SIM115
         except FileNotFoundError as error:  # whose type would mean that the bucket lacks the object

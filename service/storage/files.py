@@ -67,9 +67,6 @@ class Storage(Protocol):
     def put(self, key: str, data: bytes) -> None:
         """Store data. When this returns, it survives a power cut. Raises OSError."""
 
-    def get(self, key: str) -> bytes:
-        """Return the stored bytes. Raises FileNotFoundError."""
-
     def open(self, key: str) -> BinaryIO:
         """Open the stored bytes as a file. Raises FileNotFoundError."""
 
@@ -106,9 +103,6 @@ class DiskStorage:
 
     def put(self, key: str, data: bytes) -> None:
         write_atomically(self._path(key), data, unfinished=self._root / UNFINISHED)
-
-    def get(self, key: str) -> bytes:
-        return self._path(key).read_bytes()
 
     def open(self, key: str) -> BinaryIO:
         return self._path(key).open("rb")

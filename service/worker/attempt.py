@@ -16,7 +16,7 @@ from service.errors import JobTableError
 from service.jobs.job import FINAL_STATES, EncodeResult, Job, JobError, JsonObject
 from service.jobs.table import JobTable
 from service.logs import log_seldom
-from service.process.loops import StopSignal
+from service.processes import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
 
 T = TypeVar("T")

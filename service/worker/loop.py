@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from service.jobs.job import Job, JobError
 from service.jobs.table import IMAGE_LOST, JobTable
-from service.process.loops import PeriodicThread, StopSignal, log_errors
+from service.processes import PeriodicThread, StopSignal, log_errors
 from service.sandbox import frames
 from service.sandbox.client import KILLED, RunningTask, Sandbox, SandboxUnavailableError
 from service.settings import Settings

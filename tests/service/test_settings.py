@@ -12,7 +12,7 @@ from pathlib import Path
 import certifi
 import pytest
 
-from service.process import supervisor
+from service import processes
 from service.settings import Settings, add_secrets
 from sgmethod import machine
 from sgmethod.io.image import ImageLimits
@@ -201,15 +201,15 @@ def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) 
 
 
 def test_web_process_and_worker_never_import_torch() -> None:
-    modules = "sys, service.api.app, service.worker.loop, service.process.supervisor"
+    modules = "sys, service.api.app, service.worker.loop, service.processes"
     assert run(sys.executable, "-c", f"import {modules}; sys.exit('torch' in sys.modules)").status == 0
 
 
 @pytest.mark.thorough
 def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """As when the system is out of memory or processes for a moment: the supervisor outlives it."""
-    monkeypatch.setattr(supervisor, "FIRST_PAUSE_S", 0.0)
-    process = supervisor.Supervised("worker 1", [sys.executable, "--version"], ())
+    monkeypatch.setattr(processes, "FIRST_PAUSE_S", 0.0)
+    process = processes.Supervised("worker 1", [sys.executable, "--version"], ())
     process.process.wait()
     errors = [OSError(11, "Resource temporarily unavailable")] * 3
     monkeypatch.setattr(subprocess, "Popen", failing(subprocess.Popen, *errors))

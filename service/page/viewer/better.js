@@ -6,7 +6,6 @@ import { save } from "../download.js";
 import { trouble } from "../status.js";
 import { withoutSuffix } from "../words.js";
 
-const MAX_PIXELS = 3e6; // for which the service makes an AVIF
 const FILES = { webp: "lossless WebP", avif: "AVIF" };
 
 /** Show the advice, with a button while the service keeps the job's image. */
@@ -15,9 +14,8 @@ export function showAdvice({ id, name, job }) {
   if (!better) return; // another picture is shown by now
   const button = element("button", { type: "button" }, `Save as ${FILES[better]}`);
   button.addEventListener("click", () => take(id, `${withoutSuffix(name)}.${better}`, better));
-  const isMade = better === "webp" || job.image.width * job.image.height <= MAX_PIXELS;
-  const isKept = Date.now() < Date.parse(job.image_expires_at);
-  refill($("advice"), [`${advice}. `, ...(isMade && isKept ? [button] : [])]);
+  const isMade = better === "webp" || job.image.width * job.image.height <= 3e6; // more are too many for an AVIF
+  refill($("advice"), [`${advice}. `, ...(isMade && Date.now() < Date.parse(job.image_expires_at) ? [button] : [])]);
 }
 
 async function take(id, name, kind) {

@@ -67,7 +67,6 @@ def test_counters_are_there_before_they_count(web: Service) -> None:
     names = web.figures()
     reasons = {*REASONS.values(), *NAMED_REASONS}
     assert {f'sgmethod_refusals_total{{reason="{reason}"}}' for reason in reasons} <= names.keys()
-    assert {f'sgmethod_decode_cache_total{{found="{found}"}}' for found in ("yes", "no")} <= names.keys()
 
 
 def _case(changes: dict[str, str | None], alerts: list[str]) -> dict[str, Any]:

@@ -11,8 +11,8 @@ import pytest
 from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.job import EncodeResult
-from service.jobs.outcomes import ENCODING, OUTCOMES, QUEUEING
 from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, JobTable
+from service.jobs.tallies import ENCODING, OUTCOMES, QUEUEING
 from service.storage.files import source_key
 from tests.support.job_table import (
     CRASH,

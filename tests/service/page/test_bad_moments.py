@@ -312,7 +312,7 @@ def test_requests_for_people(page: Chromium, web: Service) -> None:
     operations = {what["operationId"]: what for methods in document["paths"].values() for what in methods.values()}
     page.open(f"{web.url}/docs")
     shown = "return document.querySelectorAll('#operations details').length"
-    wait_until(lambda: page.run(shown) > len(operations))  # and examples after them
+    wait_until(lambda: page.run(shown) > len(operations))  # and the fields of answers after them
     assert page.text("#operations summary").startswith("POST /encode ")
     for name, operation in operations.items():
         assert operation["summary"] in page.text(f"#{name} summary")

@@ -245,5 +245,5 @@ def test_a_killed_run_finds_its_jobs_again(
             patch.setattr(Connection, "ask", killed)
             assert encode_many(client, pictures, tmp_path, time_limit_s=0.1).failed == 2
         assert encode_many(client, pictures, tmp_path, resume=True, time_limit_s=0.1).encoded == 2
-    assert service.figures()["sgmethod_jobs_accepted_total"] == 2
+    assert service.log.read_text().count(": attempt 1 of worker") == 2
     assert service.client.get("/jobs").json()["jobs"] == []

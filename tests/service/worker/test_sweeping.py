@@ -14,7 +14,7 @@ import pytest
 from service.errors import JobTableError
 from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import JobTable
-from service.process.loops import StopSignal
+from service.processes import StopSignal
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key

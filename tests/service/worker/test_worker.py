@@ -15,7 +15,7 @@ from service.jobs import table as table_module
 from service.jobs.job import EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import IMAGE_LOST, MAX_LOSSES
-from service.process.loops import StopSignal
+from service.processes import StopSignal
 from service.sandbox.client import Sandbox, SandboxUnavailableError
 from service.sandbox.frames import MAX_TASK_BYTES
 from service.settings import Settings

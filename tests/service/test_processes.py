@@ -14,7 +14,7 @@ import pytest
 from service import logs
 from service.api import app
 from service.keys import KeyRing
-from service.process.loops import PeriodicThread, StopSignal
+from service.processes import PeriodicThread, StopSignal
 from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 

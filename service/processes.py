@@ -1,7 +1,8 @@
-"""Runs the sandbox, the web process and the workers, restarts those that die, and stops them all together.
+"""Processes and how they end: loops that a signal stops and no exception ends, and the supervisor.
 
-The supervisor opens the listening socket and passes it to the web process: while a dead web process is being replaced,
-connections wait in the socket's queue and are not refused.
+The supervisor runs the sandbox, the web process and the workers, restarts those that die, and stops them all together.
+It opens the listening socket and passes it to the web process: while a dead web process is being replaced, connections
+wait in the socket's queue and are not refused.
 """
 
 from __future__ import annotations
@@ -9,13 +10,18 @@ from __future__ import annotations
 import ipaddress
 import logging
 import os
+import select
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
-from service.process.loops import StopSignal
+from service.errors import JobTableError
+from service.logs import log_seldom
 from service.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -25,6 +31,77 @@ WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 MAX_PAUSE_S = 10.0
 STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its start
+
+
+class StopSignal:
+    """A request to stop, set by a signal handler or another thread, and awaited by the main loop.
+
+    Not a threading.Event: its set() takes a lock that the interrupted wait() may hold.
+    """
+
+    def __init__(self) -> None:
+        self._read_end, self._write_end = os.pipe()
+        self.requested = False
+
+    def request(self) -> None:
+        """Ask the loop to end."""
+        self.requested = True
+        os.write(self._write_end, b"!")
+
+    def wait(self, timeout_s: float) -> bool:
+        """Sleep for timeout_s seconds, or until stopping is requested. Returns whether it is."""
+        if not self.requested:
+            select.select([self._read_end], [], [], timeout_s)
+        return self.requested
+
+    def on_signals(self) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda _number, _frame: self.request())
+
+
+@contextmanager
+def log_errors(what: str) -> Iterator[None]:
+    """Log any exception so that the loop continues.
+
+    Wrap each round of a loop in it: a thread or task that an exception ends would otherwise end in silence.
+    """
+    try:
+        yield
+    except (JobTableError, OSError) as error:
+        log_seldom(log, f"{what} has to wait: %s", error)
+    except Exception:
+        log.exception("%s failed unexpectedly and will be tried again", what)
+
+
+class PeriodicThread(threading.Thread):
+    """Repeats background work until stopping is requested, whatever a round raises.
+
+    name: for the log; do: one round; pause_s: seconds between rounds; at_end: called last.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        do: Callable[[], None],
+        pause_s: float,
+        until: StopSignal,
+        at_end: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(name=name, daemon=True)
+        self._do = do
+        self._pause_s = pause_s
+        self._until = until
+        self._at_end = at_end
+
+    def run(self) -> None:
+        self._run_logged(self._do)
+        while not self._until.wait(self._pause_s):
+            self._run_logged(self._do)
+        self._run_logged(self._at_end)
+
+    def _run_logged(self, step: Callable[[], None]) -> None:
+        with log_errors(self.name):
+            step()
 
 
 class Supervised:
