@@ -27,7 +27,6 @@ The packages and modules, in the order of the pipeline; each imports only from t
     decoder     bytes -> Gaussians -> pixels
     metrics/    PSNR, SSIMULACRA 2; whether another format does better
     encode_arguments  an encode's arguments, checked
-    start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
     paper/      profile paper
     rd/         profile rd

@@ -35,10 +35,9 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.paper import fit as paper
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.scene import Gaussians, Scene
-from sgmethod.settings.paper import PAPER
-from sgmethod.settings.shared import StartSettings
-from sgmethod.start.placement import place_by_structure
+from sgmethod.settings.paper import PAPER, StartSettings
 
 PIXELS = 768 * 512
 Measured = dict[str, Any]  # a row of a JSON

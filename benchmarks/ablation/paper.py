@@ -29,11 +29,11 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
 from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import fit, level_of
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER, PaperSettings
-from sgmethod.start.placement import place_by_structure
 
 RANDOM = replace(PAPER.start, structure_guided=False)
 # What GaussianImage codes: random start, no regularisation, 6 bits of a factor, 16 of a position. Our optimiser.

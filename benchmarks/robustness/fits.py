@@ -21,12 +21,11 @@ from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import PROFILES, TUNES, Profile, Tune
-from sgmethod.rd import place as rd
+from sgmethod.rd import encode as rd
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 from sgmethod.settings.shared import OptimiserSettings
-from sgmethod.start.placement import place_by_structure
 
 BPP = 1.0
 LIMITS_S = (1e-9, 0.01, 0.1)
@@ -35,7 +34,7 @@ SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
 SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB = 0.5, 1.0
 Settings = PaperSettings | RdSettings
 Patch = Callable[[], AbstractContextManager[None]]
-PLACED_BY = {"rd": rd, "paper": paper}  # each calls place_by_structure by that name
+PLACED_BY = {"rd": (rd, "place"), "paper": (paper, "place_by_structure")}  # each calls it by that name
 KINDS: dict[str, tuple[Profile, Tune]] = {
     "profile rd": ("rd", "psnr"),
     "profile rd for the eye": ("rd", "visual"),
@@ -80,15 +79,18 @@ def cases(side: int, seeds: int, generations: int) -> Cases:
 def starts(profile: str) -> dict[str, Patch]:
     """Ways in which the first Gaussians may be wrong."""
 
+    module, name = PLACED_BY[profile]
+    place = getattr(module, name)
+
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
         def placed(*arguments: Any) -> Gaussians:
-            gaussians = place_by_structure(*arguments).copy()
+            gaussians: Gaussians = place(*arguments).copy()
             spoil(gaussians)
             return gaussians
 
         @contextmanager
         def patched() -> Iterator[None]:
-            with patch.object(PLACED_BY[profile], "place_by_structure", side_effect=placed) as called:
+            with patch.object(module, name, side_effect=placed) as called:
                 yield
             assert called.called  # or it would be the start as it is
 

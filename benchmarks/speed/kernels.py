@@ -26,9 +26,9 @@ from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
 from sgmethod.paper.fit import fit, level_of
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
-from sgmethod.start.placement import place_by_structure
 from tests.support.data import PHOTOGRAPHS
 
 SIZE = (768, 512)

@@ -1,10 +1,10 @@
-"""The compiled kernels: superpixels, drawing, gradients, the optimiser's step, the entropy coder, refining.
+"""The compiled kernels: drawing, gradients, the optimiser's step, the entropy coder, refining.
 
 Arguments are NumPy arrays, and results are written to arrays provided by the caller. Tensors would be accepted too, but
 torch exports their memory in Python code, and an interrupt that arrives there is lost: the binding takes any error for
 "not an array of this kind". The build writes the module's types (_native.pyi) beside it. The C++ sources lie beside
-this file, in folders that include and link only those before them: core/ (constants, threads, vectors), start/
-(superpixels), texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd:
+this file, in folders that include and link only those before them: core/ (constants, threads, vectors),
+texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd:
 integers, entropy coder) and refine/ (search over the integers, one Gaussian at a time) know nothing of Python.
 bindings/ is the interface to Python.
 

@@ -20,11 +20,11 @@ from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
 from sgmethod.paper.fit import fit, level_of
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Pixels
 from sgmethod.settings.paper import PaperSettings
-from sgmethod.start.placement import place_by_structure
 
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
 PSNR_UNTIL = (0.22, 0.46, 0.72, 1.0)  # of the time: when attempts end, each a little longer, so that the next has time

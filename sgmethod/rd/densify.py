@@ -1,4 +1,4 @@
-"""Prune and densify: drop Gaussians that are not worth their bits, add new ones that are worth more than theirs."""
+"""Place, prune and densify: begin with few Gaussians, drop those that are not worth their bits, add those that are."""
 
 from __future__ import annotations
 
@@ -13,6 +13,19 @@ from sgmethod.fitting.matching_pursuit import candidates
 from sgmethod.rd.plan import MANY_VALUES, Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
+
+
+def place(plan: Plan) -> Gaussians:
+    """Place a part of the expected Gaussians, where they gain most on the empty picture.
+
+    As they are few, a small picture shows enough; if time is short, a smaller one has to do.
+    """
+    s = plan.settings.place
+    share = max(int(plan.rate.expected_gaussians() * s.share), s.fewest)
+    n = min(share, plan.allowed_gaussians(plan.settings.effort.times, 1.0))
+    few = plan.settings.pyramid.pixels_while_few
+    level = plan.pyramid.coarsest(few * (n // 4 if plan.session.deadline.is_short() else n))
+    return _found(plan, Gaussians.empty(0), level, n, 0.0)
 
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:
@@ -56,7 +69,7 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     min_gain = price * s.bits_of_new / level.frame.spacing**2
     if level.values > MANY_VALUES:
         release_memory()  # of the steps
-    new = _found(plan, state, level, limit, min_gain)
+    new = _found(plan, state.gaussians, level, limit, min_gain)
     saturated = price if len(new) < min(limit, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
@@ -72,16 +85,14 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     return grown.rows(np.argsort(bands, kind="stable"))
 
 
-def _found(plan: Plan, state: State, level: Level, limit: int, min_gain: float) -> Gaussians:
-    """Find round Gaussians that gain most on the residual of a level.
+def _found(plan: Plan, others: Gaussians, level: Level, limit: int, min_gain: float) -> Gaussians:
+    """Find round Gaussians that gain most on what others leave of a level.
 
     Their colours are solved together: neighbours overlap, and would overshoot.
     """
     suppression_levels = plan.problem.objective.suppression_levels(plan.settings.effort)
     size = level.frame.height, level.frame.width
-    means, factors = candidates(level.residual(state.gaussians), size, limit, min_gain, suppression_levels)
+    means, factors = candidates(level.residual(others), size, limit, min_gain, suppression_levels)
     if len(means) == 0:
         return Gaussians.empty(0)
-    return level.solve_colors(
-        level.shapes(means, factors), plan.settings.densify.color_solve_steps, others=state.gaussians
-    )
+    return level.solve_colors(level.shapes(means, factors), plan.settings.densify.color_solve_steps, others)

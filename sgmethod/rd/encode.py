@@ -1,6 +1,6 @@
 """Profile rd in the order in which it runs. Each step is a function from the plan and the state to the next state.
 
-place           few Gaussians, where the picture has structure                    place.py
+place           few Gaussians, where they gain most                                densify.py
 prune           drop Gaussians whose energy is not worth their bits               densify.py
 steer           move the quantum, which sets all quantiser steps, to the budget   steer.py
 densify         add Gaussians where they gain more than their bits are worth      densify.py
@@ -22,9 +22,8 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.fitting.deadline import Pace
-from sgmethod.rd.densify import densify, prune, prune_to_limit
+from sgmethod.rd.densify import densify, place, prune, prune_to_limit
 from sgmethod.rd.fit import fit
-from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages
 from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import Coded, RateControl

@@ -4,7 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sgmethod.settings.shared import ADAM, STRUCTURE, OptimiserSettings, StartSettings
+from sgmethod.settings.shared import ADAM, OptimiserSettings
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """Settings of structure-guided initialisation (paper, section III-B)."""
+
+    structure_guided: bool = True  # False: uniformly random places (GaussianImage)
+    ratio: tuple[float, float, float] = (6.0, 2.0, 1.0)  # phi_1 : phi_2 : phi_3, section IV-A
+    ratio_exponent: float = 10.0  # gamma, section IV-A
+    ratio_start: int = 10_000  # n_0, section IV-A
+    threshold_factor: float = 0.6455  # k of N_t = k (H W)^alpha; not in the paper: N_t = 70,000 at 768x512
+    threshold_exponent: float = 0.9  # alpha; not in the paper: N_t x 4 from 0.6 to 2.8 megapixels
+    gaussians_per_region: int = 10  # SLIC regions follow the number of Gaussians
+    compactness: float = 10.0  # of SLIC: its balance of distance and colour
+
+
+STRUCTURE = StartSettings()
 
 
 @dataclass(frozen=True)

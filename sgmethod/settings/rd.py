@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from sgmethod.settings.shared import STRUCTURE, OptimiserSettings, StartSettings
+from sgmethod.settings.shared import OptimiserSettings
 
-# OpenCV's SLIC, a kernel here, saves 0.3 s of imports; eight photographs of Kodak have 29.479 dB instead of 29.476.
-START = replace(STRUCTURE, follows_gradient=True, shared_by_area=False, superpixels="opencv")
 # newton_steps shortens the steps, so rates may be high and need not fall much.
 NEWTON_ADAM = OptimiserSettings(
     mean_rate=0.14, factor_rate=0.14, color_rate=0.14, final_rate=0.5, newton_steps=2.0, min_scale_px=0.5
@@ -132,12 +130,10 @@ class PyramidSettings:
 
 @dataclass(frozen=True)
 class PlaceSettings:
-    """The initial Gaussians, placed by structure."""
+    """The initial Gaussians."""
 
     share: float = 0.1  # of the expected number; the others are added by growth
     fewest: int = 4
-    color_solve_steps: int = 4  # conjugate-gradient steps
-    start: StartSettings = START
 
 
 @dataclass(frozen=True)

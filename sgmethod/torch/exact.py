@@ -19,9 +19,8 @@ from sgmethod.fitting.level import Pyramid
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.numerics import quiet
-from sgmethod.rd.densify import prune_to_limit
+from sgmethod.rd.densify import place, prune_to_limit
 from sgmethod.rd.encode import run
-from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, first_run
 from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import GaussianCount, surplus

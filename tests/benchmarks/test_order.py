@@ -6,8 +6,9 @@ import pytest
 
 from benchmarks.robustness.fits import PLACED_BY
 from benchmarks.robustness.order import EFFORT, SIZE, Row, checks, judged, spread
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.profiles import Tune
-from sgmethod.start.placement import place_by_structure
+from sgmethod.rd.densify import place
 
 
 def row(figure: float, *, bpp: float = 0.25, effort: int = 5, seed: int = 0, tune: Tune = "psnr") -> Row:
@@ -32,4 +33,4 @@ def test_spread_is_over_seeds_alone() -> None:
 
 def test_bad_starts_spoil_what_each_profile_calls() -> None:
     """Under its former name they spoiled nothing, and the failures were counted as the encoder's."""
-    assert all(vars(module)["place_by_structure"] is place_by_structure for module in PLACED_BY.values())
+    assert [vars(module)[name] for module, name in PLACED_BY.values()] == [place, place_by_structure]

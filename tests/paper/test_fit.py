@@ -22,10 +22,10 @@ from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_input
 from sgmethod.paper.fit import fit, level_of
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER, PaperSettings
-from sgmethod.start.placement import place_by_structure
 from sgmethod.trace import TracePoint
 from tests.backend.cases import single
 from tests.definitions import drawing

@@ -19,9 +19,9 @@ from sgmethod.decoder import draw
 from sgmethod.paper.codebook import ResidualCodebook, kmeans
 from sgmethod.paper.fit import level_of
 from sgmethod.paper.lattice import codes, quantise
+from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.tuning import Tuner
 from sgmethod.settings.paper import PAPER
-from sgmethod.start.placement import place_by_structure
 from tests.support.pictures import photo
 
 DIFFERENCE = 1e-6  # of the central differences, in float64

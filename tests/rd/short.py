@@ -14,9 +14,9 @@ from sgmethod.budget import Budget
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.rd.densify import place
 from sgmethod.rd.encode import KERNELS, encode
 from sgmethod.rd.picture import rate_of
-from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl

@@ -13,9 +13,8 @@ from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.rd.densify import densify
+from sgmethod.rd.densify import densify, place
 from sgmethod.rd.fit import fit
-from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, State, fit_to_steps, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings

@@ -10,7 +10,6 @@
 #include "fit/loss.h"
 #include "fit/optimiser.h"
 #include "fit/pixels.h"
-#include "start/superpixels.h"
 
 using namespace nb::literals;
 
@@ -90,18 +89,6 @@ void gains(Plane red, Plane green, Plane blue, Numbers sigmas, Numbers scales, P
             chosen.data());
 }
 
-auto superpixels(Image lab, int region, float compactness) {
-  const int height = side(lab, 1), width = side(lab, 2);
-  require(1 <= region && region <= std::min(width, height), "a region has 1 pixel along a side, or up to the image's");
-  std::vector<int32_t> labels;
-  {
-    const Unlocked unlocked;
-    labels = sg::superpixels(lab.data(), width, height, region, compactness);
-  }
-  using Labels = nb::ndarray<nb::numpy, int32_t, nb::shape<-1, -1>>;
-  return own<Labels>(std::move(labels), {static_cast<size_t>(height), static_cast<size_t>(width)});
-}
-
 }  // namespace
 
 void bind_fit(nb::module_& m) {
@@ -130,6 +117,4 @@ void bind_fit(nb::module_& m) {
         "chosen"_a.noconvert(), "isa"_a = -1,
         "Blur a residual's planes, mirrored at their edges, by each sigma [N].\n\n"
         "gain: the largest of a scale times the sum of the blurred planes' squares; chosen: whose it is.");
-  m.def("superpixels", &superpixels, "lab"_a, "side"_a, "compactness"_a,
-        "Labels of an image in CIELAB, as cv2.ximgproc's SLIC has them.");
 }
