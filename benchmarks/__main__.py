@@ -52,8 +52,8 @@ SMALL = {
     "rd/kodak": f"rd {KODAK} --bpp 0.5",
     "convergence/0.4-megapixels": f"convergence {KODAK} --bpp 0.5 --most 1 --megapixels 0.1 --seconds 6 --limits 0.5 "
     "--paper-limits 2 --few",
-    "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
-    "stability": "robustness extremes --sets kernels,fits --seeds 3 --generations 4",
+    "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --only bpp",
+    "stability": "robustness extremes --sets kernels,fits --generations 4",
     "kernels": f"speed kernels {KODAK} --steps 100 --rounds 10",
     "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
     "ablation": f"ablation {KODAK} --most 1 --seeds 1 --fit-steps 200 --tune-steps 100",
@@ -86,11 +86,12 @@ FULL = {
     "convergence/12-megapixels": f"convergence {TWO_LARGE} 12 --few --limits 4 {BUT_PAPER}",
     "convergence/0.4-megapixels-1-core": f"convergence {EIGHT} {ONE_CORE}",
     "convergence/4-megapixels-1-core": f"convergence {TWO_LARGE} 4 {ONE_CORE}",
-    "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
+    "stiff": "robustness stiff --only bpp,psnr",
     "stability": "robustness extremes --sets kernels,fits",
     "strict": "robustness extremes --sets strict",
-    "order": f"robustness order {SIX} --efforts 1,2,3,4,5,6,7,8,9 + robustness order {SIX} --seeds 4 "
+    "order": f"robustness order {SIX} --efforts 1,2,3,4,5,6,7,8,9 "
     "+ robustness order --images {photographs}/unseen --most 40",
+    "mirrors": f"robustness order {SIX} --mirrors 4",
     "growth": "speed growth --images {photographs}/large --most 99 --pictures dahlia,peony,red_lake "
     "--megapixels 0.75,3,12 --bytes 500,2000,10000,50000 --repeats 1",
     "scenes": f"scenes {KODAK}",

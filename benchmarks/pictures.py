@@ -16,6 +16,7 @@ from tests.support.data import PHOTOGRAPHS
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
+MIRRORS = 4  # images of a picture
 RATIO = 4 / 3  # of a mosaic's sides
 Pixels = NDArray[np.uint8]
 
@@ -72,6 +73,11 @@ def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:
         canvas[y : y + band] = laid[:, :width]
         y += band
     return canvas
+
+
+def mirrored(pixels: Pixels, number: int) -> Pixels:
+    """A mirror image of a picture [H, W, 3]: 0 as it is, 1 left and right exchanged, 2 top and bottom, 3 both."""
+    return np.ascontiguousarray(pixels[:: -1 if number & 2 else 1, :: -1 if number & 1 else 1])
 
 
 def photograph(side: int) -> Pixels:

@@ -17,7 +17,7 @@ from sgmethod.io.files import checked_path
 from sgmethod.io.image import Input, read_input
 from sgmethod.numerics import quiet
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Settings, Tune
-from sgmethod.trace import Progress, Stop
+from sgmethod.trace import Progress
 
 
 @quiet
@@ -34,10 +34,8 @@ def encode(
     tune: Tune | None = None,
     effort: AnyInt = DEFAULT_EFFORT,
     settings: Settings | None = None,
-    seed: AnyInt = 0,
     time_limit_s: AnyFloat | None = None,
     on_progress: Progress | None = None,
-    stop: Stop | None = None,
     measure: bool = False,
 ) -> Encoded:
     """Encode a picture within a budget.
@@ -60,21 +58,18 @@ def encode(
     that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
     settings: all parameters of the method, for experiments; replaces profile and effort.
-    seed: random seed. Without a time limit, the same call gives the same file on the same machine.
     time_limit_s: limit for the whole encode, which uses it up unless it needs less. About 0.1 s per megapixel, divided
-    by the cores, is needed in any case.
+    by the cores, is needed in any case. Without a limit, the same call gives the same file on the same machine.
     on_progress: called with each point of the trace; if it raises, the encode is abandoned.
-    stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
-    3 s.
     measure: also measure SSIMULACRA 2, which takes a large part of the time of a small encode.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
     BudgetError for a budget that no file can meet, OSError for a path that cannot be read, and MemoryError.
     """
-    clock, limit_s = Clock(stop), checked_time_limit(time_limit_s)
+    clock, limit_s = Clock(), checked_time_limit(time_limit_s)
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = only_budget(budget, kinds | {"gaussians": gaussians})
-    asked = EncodeArguments.checked(only, profile, tune, effort, settings, seed)
+    asked = EncodeArguments.checked(only, profile, tune, effort, settings)
     pixels = read_input(image, keep_alpha=asked.profile == "rd")
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)

@@ -6,14 +6,12 @@ import sys
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sgmethod.arguments import AnyFloat, AnyInt, checked_integer, finite_number
+from sgmethod.arguments import AnyFloat, AnyInt, finite_number
 from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, default_budget
 from sgmethod.errors import BudgetError
 from sgmethod.profiles import Profile, Settings, Tune, checked_effort, checked_profile, profile_of, settings_of, tuning
 from sgmethod.scene import Pixels
-
-MAX_SEED = 2**63 - 1  # a seed of torch is below 2^64, and each stage of a codebook adds to it
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,6 @@ class EncodeArguments:
     tune: Tune
     effort: int | None
     settings: Settings
-    seed: int
 
     @classmethod
     def checked(
@@ -35,16 +32,14 @@ class EncodeArguments:
         tune: Tune | None,
         effort: AnyInt,
         settings: Settings | None,
-        seed: AnyInt,
     ) -> EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
-        seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
         profile = checked_profile(profile) if settings is None else profile_of(settings)
         tuned_for = tuning(tune, profile, budget)
         if settings is not None:
-            return cls(budget, profile, tuned_for, None, settings, seed)
+            return cls(budget, profile, tuned_for, None, settings)
         effort = checked_effort(effort)
-        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort), seed)
+        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort))
 
     @property
     def objective(self) -> Tune:

@@ -68,4 +68,3 @@ def seconds_left(trace: Sequence[Mapping[str, Any]], seconds: float, limit_s: fl
 
 
 Progress = Callable[[TracePoint], None]
-Stop = Callable[[], bool]

@@ -2,8 +2,8 @@
 
     python -m benchmarks.robustness extremes [--sets kernels,fits,strict] [--cases "aspect ratio"] [--out FILE]
 
-kernels: extreme Gaussians against the definition in float64. fits: bad starts, rates, budgets; seeds and generations.
-strict: hard pictures where warnings and NumPy's underflow are errors.
+kernels: extreme Gaussians against the definition in float64. fits: bad starts, rates, budgets, mirror images and
+generations. strict: hard pictures where warnings and NumPy's underflow are errors.
 Damaged files are `make sanitize` and `make fuzz`.
 """
 
@@ -20,7 +20,7 @@ from benchmarks.robustness.case import Cases
 
 SETS: dict[str, Callable[[argparse.Namespace], Cases]] = {
     "kernels": lambda _: kernels.cases(),
-    "fits": lambda options: fits.cases(options.side, options.seeds, options.generations),
+    "fits": lambda options: fits.cases(options.side, options.generations),
     "strict": lambda _: fits.strict_cases(),
 }
 
@@ -30,7 +30,6 @@ def main() -> None:
     parser.add_argument("--sets", type=some_of(SETS, "set"), default=",".join(SETS))
     parser.add_argument("--cases", default="", help="those whose name begins so; all")
     parser.add_argument("--side", type=int, default=64, help="pixels along the picture that is fitted")
-    parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--generations", type=int, default=10)
     parser.add_argument("--out", type=Path, default=RUNS / "stability.json")
     options = parser.parse_args()

@@ -1,8 +1,8 @@
 """Profile rd on pictures that are hard for it: lines, letters, single pixels, noise, pictures of one row or one pixel.
 
-    python -m benchmarks.robustness stiff [--pictures text,noise] [--seeds 3] [--only bpp,psnr] [--out PATH]
+    python -m benchmarks.robustness stiff [--pictures text,noise] [--only bpp,psnr] [--out PATH]
 
-Each picture is encoded under budgets of two kinds, one encode at a time, and the rows of each picture and seed are
+Each picture is encoded under budgets of two kinds, one encode at a time, and the rows of each picture are
 checked against RULES.
 """
 
@@ -44,7 +44,6 @@ class Row:
     """
 
     picture: str
-    seed: int
     kind: str
     value: float
     max_bytes: int | None = None
@@ -69,14 +68,14 @@ class Row:
         return EXACT_DB if self.psnr is None else min(self.psnr, EXACT_DB)
 
 
-def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
+def measure(picture: str, pixels: Pixels, budget: Budget) -> Row:
     """Encode a picture [H, W, 3] once. An encode that fails is a row too, and the next one follows."""
     height, width = pixels.shape[:2]
     max_bytes = budget.max_bytes(width, height)
-    asked = Row(picture, seed, budget.kind, budget.value, max_bytes)
+    asked = Row(picture, budget.kind, budget.value, max_bytes)
     clipped_before = native.rd_clipped_values()
     try:
-        encoded = encode(pixels, budget, tune="psnr", seed=seed)
+        encoded = encode(pixels, budget, tune="psnr")
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         too_small = isinstance(error, BudgetError) and max_bytes is not None
@@ -101,7 +100,7 @@ def not_finite(encoded: Encoded) -> int:
     return sum(int(np.count_nonzero(~np.isfinite(values))) for values in gaussians.arrays)
 
 
-# A rule is a function of the rows of one picture and seed. For each row that it applies to, it yields by how much the
+# A rule is a function of the rows of one picture. For each row that it applies to, it yields by how much the
 # row breaks it, 0 at best. Its docstring is the rule in words.
 Found = Iterator[tuple[Row, float]]
 
@@ -165,9 +164,9 @@ RULES: dict[Callable[[Sequence[Row]], Found], tuple[float, str]] = {
 
 def judged(rows: Sequence[Row]) -> Iterator[list[Any]]:
     """For each rule: its words, its tolerance, the checks, those that fail, and the worst of them."""
-    groups: dict[tuple[str, int], list[Row]] = {}
+    groups: dict[str, list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.picture, row.seed), []).append(row)
+        groups.setdefault(row.picture, []).append(row)
     for rule, (tolerance, unit) in RULES.items():
         checks = [check for group in groups.values() for check in rule(group)]
         broken = [check for check in checks if check[1] > tolerance]
@@ -181,16 +180,14 @@ def judged(rows: Sequence[Row]) -> Iterator[list[Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pictures", type=some_of(PICTURES, "picture"), default=",".join(PICTURES))
-    parser.add_argument("--seeds", type=int, default=3, help="encodes of each picture and budget")
     parser.add_argument("--only", type=some_of(BUDGETS, "kind of budget"), default=",".join(BUDGETS))
     parser.add_argument("--out", type=Path, default=RUNS / "stiff.json")
     options = parser.parse_args()
     record = Record(options.out, "benchmarks.robustness stiff", {})
     for picture in options.pictures:
         pixels = PICTURES[picture]()
-        for seed in range(options.seeds):
-            for budget in (Budget(kind, value) for kind in options.only for value in BUDGETS[kind]):
-                if not record.has(picture=picture, seed=seed, kind=budget.kind, value=budget.value):
-                    record.add(asdict(measure(picture, pixels, seed, budget)))
+        for budget in (Budget(kind, value) for kind in options.only for value in BUDGETS[kind]):
+            if not record.has(picture=picture, kind=budget.kind, value=budget.value):
+                record.add(asdict(measure(picture, pixels, budget)))
     lines = list(judged([Row(**row) for row in record.rows]))
     print(f"\n{table('rule | tolerance | checks | failed | worst case', lines)}")

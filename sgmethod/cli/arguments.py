@@ -19,7 +19,6 @@ BUDGET_HELP = {
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
     "gaussians": ("N", "number of Gaussians; with profile rd, at most this many"),
 }
-MAX_SEED = 2**32 - 1
 SUGGESTION_CUTOFF = 0.7  # similarity of words, from which one may have been meant
 
 # argparse's own usage would not show inputs and outputs as separate names.
@@ -203,9 +202,6 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="time limit for each picture")
     parser.add_argument("--server", metavar="URL", help="encode on this server, with the API key in SG_API_KEY")
-    parser.add_argument(
-        "--seed", type=_whole_number("a seed", 0, MAX_SEED), default=0, metavar="N", help="random seed (default: 0)"
-    )
     parser.add_argument("--trace", type=_path, metavar="FILE.json", help="write the error over time (one picture only)")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object per picture")
     _add_common_arguments(parser)

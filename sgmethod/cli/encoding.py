@@ -49,7 +49,7 @@ def _encode_all(arguments: argparse.Namespace) -> int:
     if arguments.trace is not None:
         raise CommandError("--trace cannot be combined with --output-dir")
     options = {"budget": _only_budget(arguments), **_choices(arguments)}
-    options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
+    options |= {name: getattr(arguments, name) for name in ("profile", "server")}
     manifest = Manifest(arguments.output_dir, options)
     conversions = naming.into_folder(arguments, naming.PICTURES, naming.sg_beside, manifest.sources)
     paths.check_outputs([one.input for one in conversions], [one.target for one in conversions])
@@ -61,8 +61,6 @@ def _encode_all(arguments: argparse.Namespace) -> int:
 def _check_method(arguments: argparse.Namespace) -> None:
     """Fail once, not for each picture, if a server or a profile cannot be used. Raises SgError."""
     if arguments.server is not None:
-        if arguments.seed != 0:
-            raise CommandError("--seed cannot be combined with --server")
         _client_for(arguments)
     elif arguments.profile != "rd":
         import_module("sgmethod.paper")
@@ -131,7 +129,6 @@ def _encode_here(began: float, _: Conversion, arguments: argparse.Namespace, ima
         _only_budget(arguments),
         arguments.profile,
         **choices,
-        seed=arguments.seed,
         on_progress=show,
         measure=arguments.json,
     )

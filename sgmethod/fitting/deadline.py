@@ -15,27 +15,20 @@ from typing import TypeVar
 
 from sgmethod.backend.protocol import thread_count
 from sgmethod.settings.rd import DeadlineSettings
-from sgmethod.trace import Stop
 
 Result = TypeVar("Result")
 STEPS_S = 0.05  # duration of steps that are taken together
 
 
 class Clock:
-    """A stopwatch of an encode, which also notes when it was asked to stop."""
+    """A stopwatch of an encode."""
 
-    def __init__(self, stop: Stop | None = None) -> None:
-        self._start, self._stop, self._stopped_s = time.perf_counter(), stop, math.inf
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
 
     def seconds(self) -> float:
         """Seconds since the encode began."""
         return time.perf_counter() - self._start
-
-    def stopped_s(self) -> float:
-        """Poll the stop; return the second at which it was first seen, infinity before."""
-        if self._stop is not None and math.isinf(self._stopped_s) and self._stop():
-            self._stopped_s = self.seconds()
-        return self._stopped_s
 
 
 @dataclass(frozen=True)
@@ -66,11 +59,11 @@ class Deadline:
     def after(self, share: float) -> Deadline:
         """A deadline after `share` of the time left."""
         now_s = self.clock.seconds()
-        return replace(self, began_s=now_s, end_s=now_s + share * (self._until_s(1.0) - now_s))
+        return replace(self, began_s=now_s, end_s=now_s + share * (self.end_s - now_s))
 
     def left_s(self) -> float:
         """Seconds left, at least 0; infinity without a limit."""
-        return max(self._until_s(1.0) - self.clock.seconds(), 0.0)
+        return max(self.end_s - self.clock.seconds(), 0.0)
 
     def left_to_fit_s(self) -> float:
         """Seconds left, without those for the search over the file's integers."""
@@ -120,8 +113,8 @@ class Deadline:
         return min(times)
 
     def has_limit(self) -> bool:
-        """Whether time is now limited, by a limit or a stop."""
-        return math.isfinite(self.left_s())
+        """Whether time is limited."""
+        return math.isfinite(self.end_s)
 
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
         """Yield a pace for each run of these lengths: the first in any case, others as far as there is time."""
@@ -140,7 +133,7 @@ class Deadline:
 
     def pace(self, steps: int) -> Pace:
         """A pace for one run of this many steps."""
-        return Pace(self.clock, steps, lambda: self._until_s(1.0))
+        return Pace(self.clock, steps, lambda: self.end_s)
 
     def _run_until_s(self, least_s: float) -> float:
         return max(self._fit_until_s(), least_s)
@@ -148,14 +141,7 @@ class Deadline:
     def _fit_until_s(self) -> float:
         """Second at which the search begins."""
         search_s = self.drawings_s + self.settings.search_codings * sum(self._coding_s)
-        return min(self._until_s(1 - self.settings.search_share), self.end_s - search_s)
-
-    def _until_s(self, share: float) -> float:
-        """Second at which `share` of the time is over. A stop shortens the rest of the schedule, like a limit."""
-        stopped_s = self.clock.stopped_s()
-        s = self.settings
-        winding_down_s = min(s.winding_down * stopped_s, s.max_winding_down_s)
-        return min(share * self.end_s, stopped_s + share * winding_down_s)
+        return min((1 - self.settings.search_share) * self.end_s, self.end_s - search_s)
 
 
 def cosine(final_rate: float, progress: float) -> float:
@@ -181,7 +167,7 @@ class Pace:
     def together(self, end: float, limit: Callable[[], int]) -> Iterator[list[float]]:
         """Yield the progress before each of some steps, at most limit() at a time, until it reaches `end`.
 
-        A stop is seen after about STEPS_S. Once time is limited, each step comes alone.
+        Progress is reported about every STEPS_S. If time is limited, each step comes alone.
         """
         end, step_s, seen_s, end_s = min(end, 1.0), math.inf, self._clock.seconds(), self._until_s()
         while self.progress < end:

@@ -45,10 +45,7 @@ class Row:
 
 
 def text_of(options: Mapping[str, object]) -> str:
-    """Return the options that decide the bytes, as text.
-
-    `stop` counts as one: its text differs in every run, because what it decides may differ too.
-    """
+    """Return the options that decide the bytes, as text."""
     return repr(sorted(option for option in options.items() if option[0] != CALLBACK))
 
 

@@ -26,6 +26,7 @@ from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Pixels
 from sgmethod.settings.paper import PaperSettings
 
+SEED = 0  # of the initial places and of the codebook
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
 PSNR_UNTIL = (0.22, 0.46, 0.72, 1.0)  # of the time: when attempts end, each a little longer, so that the next has time
 EXPECTED_GROUPS = 2  # bitwidths: most Gaussians have the least, and some one bit more
@@ -41,7 +42,6 @@ class PaperProblem:
     settings: PaperSettings
     deadline: Deadline
     recorder: Recorder
-    seed: int = 0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -57,7 +57,7 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     budget, settings = asked.budget, asked.settings
     assert isinstance(settings, PaperSettings)
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, pixels.shape[0] * pixels.shape[1])
-    problem = PaperProblem(pixels, asked.profile, settings, deadline, recorder, asked.seed)
+    problem = PaperProblem(pixels, asked.profile, settings, deadline, recorder)
     with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
             stream, steps = reach_psnr(problem, budget.value)
@@ -109,9 +109,9 @@ def run(problem: PaperProblem, n: int, max_bytes: int | None) -> tuple[StreamV1,
     image = problem.pixels.astype(np.float32)
     image /= 255
     level = level_of(problem.pixels)
-    start = place_by_structure(image, n, s.start, np.random.default_rng(problem.seed))
+    start = place_by_structure(image, n, s.start, np.random.default_rng(SEED))
     fitted, fit_steps = fit(level, start, s, recorder, problem.deadline.after(FIT_SHARE))
-    tuner = Tuner(fitted, level, s, max_bytes, problem.seed)
+    tuner = Tuner(fitted, level, s, max_bytes, SEED)
     schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate)
     steps = fit_steps + schedule.run(problem.deadline, recorder, tuner.step)
     return tuner.stream(problem.profile), steps

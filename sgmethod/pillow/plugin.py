@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FORMAT = "SGM"
 OPTIONS = (
     *("bpp", "bytes", "quality", "psnr", "gaussians", "budget"),
-    *("profile", "tune", "effort", "seed", "time_limit_s", "on_progress"),
+    *("profile", "tune", "effort", "time_limit_s", "on_progress"),
 )
 
 

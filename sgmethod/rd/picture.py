@@ -33,7 +33,7 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     objective = Objective.from_pixels(colours, asked.objective, settings.objective)
     rate = rate_of(asked.budget, (width, height), settings, has_alpha=has_alpha)
     problem = Problem(objective, rate.is_short(objective, has_alpha=has_alpha))
-    session = Session(deadline, recorder, asked.seed)
+    session = Session(deadline, recorder)
     if has_alpha:
         stream, steps = alpha.encode(problem, np.ascontiguousarray(pixels[..., 3]), settings, rate, session)
     else:

@@ -62,8 +62,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Session:
-    """One run of the encoder: its time, where it reports its progress, and its random seed."""
+    """One run of the encoder: its time, and where it reports its progress."""
 
     deadline: Deadline
     recorder: Recorder
-    seed: int = 0

@@ -293,14 +293,12 @@ class AlphaSettings:
 
 @dataclass(frozen=True)
 class DeadlineSettings:
-    """Planning for a time limit and a stop."""
+    """Planning for a time limit."""
 
     # Reserved for writing and measuring the file; the shared part is divided by the number of threads.
     reserve_s: float = 0.005
     reserve_s_per_megapixel: float = 0.002
     shared_s_per_megapixel: float = 0.015
-    winding_down: float = 0.25  # a stopped encode ends within this part of the time so far ...
-    max_winding_down_s: float = 3.0  # ... and within this
     # The search over the file's integers has this part of the limit, or more if these take longer: drawings of the
     # whole picture, its texture, and drawings of the finest level, in gradients with few Gaussians; and trial codings.
     search_share: float = 0.1

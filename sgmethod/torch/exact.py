@@ -62,7 +62,6 @@ class ExactFit:
     gaussians: int
     steps: int | None = None
     quantum: float = 0.0
-    seed: int = 0
 
     @quiet
     def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
@@ -71,7 +70,7 @@ class ExactFit:
         steps = self.steps or round(EXACT.share_of_steps * first_run(RD, rate))
         settings = exact_schedule(steps)
         problem = Problem(Objective.from_pixels(pixels, "psnr", settings.objective))
-        session = Session(Deadline.from_limit(clock), _Shares(clock, total=steps, on_step=on_step), self.seed)
+        session = Session(Deadline.from_limit(clock), _Shares(clock, total=steps, on_step=on_step))
         whole = whole_of(problem, backend)
         pyramid = Pyramid.from_whole(whole, settings.pyramid, rate.expected_gaussians())
         plan = Plan(problem, settings, rate, session, pyramid).within_pixels()
@@ -93,7 +92,7 @@ class ExactFit:
 def _complete(plan: Plan, state: State, n: int) -> State:
     """Return the state with exactly n Gaussians. Those still missing are placed at random where most error is left."""
     state = prune_to_limit(plan, state, plan.settings.effort.times)
-    more, level, lot = n - len(state.gaussians), plan.finest, np.random.default_rng(plan.session.seed)
+    more, level, lot = n - len(state.gaussians), plan.finest, np.random.default_rng(0)
     if more == 0:
         return state
     error = np.square(level.missing(state.gaussians)(0, level.frame.height), dtype=np.float64).sum(0).ravel() + 1e-12

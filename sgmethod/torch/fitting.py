@@ -19,7 +19,6 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.budget import MAX_GAUSSIANS
-from sgmethod.encode_arguments import MAX_SEED
 from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.fitting.deadline import Clock
 from sgmethod.io.decoding import check_range
@@ -29,7 +28,6 @@ from sgmethod.scene import Pixels
 from sgmethod.torch.devices import checked_device, has_tiles
 from sgmethod.torch.exact import Exact, ExactFit
 from sgmethod.torch.tensors import Tensors
-from sgmethod.trace import Stop
 
 OnProgress = Callable[[float], None]
 MAX_STEPS = 1_000_000
@@ -56,10 +54,8 @@ def fit(
     gaussians: AnyInt,
     *,
     steps: AnyInt | None = None,
-    seed: AnyInt = 0,
     tune: Literal["psnr"] = "psnr",
     quantum: AnyFloat | None = None,
-    stop: Stop | None = None,
     on_progress: OnProgress | None = None,
 ) -> Fit:
     """Fit exactly N Gaussians to each picture of a batch.
@@ -73,23 +69,21 @@ def fit(
     device, which also does the work.
     gaussians: number for each picture, at most its number of pixels. The largest come first.
     steps: the default, 150 to 340 depending on the Gaussians per pixel, has about the PSNR of encode(gaussians=N).
-    seed: random seed. A picture's result depends neither on the others nor on the number of threads.
     tune: only "psnr", which is squared error.
     quantum: also minimise the bits that pack() will need with this quantum. By default, bits are free.
-    stop: polled; once it returns True, the pictures that are left get few steps, in a quarter of the time so far, at
-    most 3 s.
     on_progress: called with the share that is done, 0 to 1; if it raises, the fits are abandoned.
 
     If a batch has at least as many pictures as there are cores, each core fits one picture at a time. In a smaller
-    batch, all cores fit one picture after the other. On a GPU with Triton, pictures take their steps in one batch.
+    batch, all cores fit one picture after the other. On a GPU with Triton, pictures take their steps in one batch. A
+    picture's result depends neither on the others nor on the number of threads.
 
     Raises ImageError for anything but a batch of pictures, and BudgetError.
     """
     if tune != "psnr":
         raise BudgetError(f"fits of tensors can only be tuned for psnr, not {tune!r}")
     pictures, device = pictures_of(images), images.device
-    task = task_of(gaussians, images.shape[2:].numel(), steps, seed, quantum)
-    found = fit_pictures(pictures, task, device, stop, on_progress)
+    task = task_of(gaussians, images.shape[2:].numel(), steps, quantum)
+    found = fit_pictures(pictures, task, device, on_progress)
     arrays = zip(*(one.gaussians.arrays for one in found), strict=True) if found else ((), (), ())
     means, factors, colors = (
         torch.from_numpy(np.array(values, np.float32).reshape(len(found), task.gaussians, width)).to(device)
@@ -100,30 +94,29 @@ def fit(
     return Fit(means, factors, colors, levels.reshape(-1, 3) / 255, error)
 
 
-def task_of(gaussians: AnyInt, pixels: int, steps: AnyInt | None, seed: AnyInt, quantum: AnyFloat | None) -> ExactFit:
+def task_of(gaussians: AnyInt, pixels: int, steps: AnyInt | None, quantum: AnyFloat | None) -> ExactFit:
     """Check the arguments of a fit of pictures that have at least this many pixels. Raises BudgetError."""
     gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MAX_GAUSSIANS), BudgetError)
     steps = None if steps is None else checked_integer(steps, "steps", 1, MAX_STEPS, BudgetError)
     price = 0.0 if quantum is None else finite_number(quantum)
     if price is None or (quantum is not None and not MIN_QUANTUM <= price <= MAX_QUANTUM):
         raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
-    return ExactFit(gaussians, steps, price, checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError))
+    return ExactFit(gaussians, steps, price)
 
 
 def fit_pictures(
     pictures: Sequence[Pixels],
     task: ExactFit,
     device: torch.device,
-    stop: Stop | None = None,
     on_progress: OnProgress | None = None,
 ) -> list[Exact]:
     """Fit pictures of any sizes: on the CPU one a core if there are enough, on a GPU many in one batch.
 
-    The work is done in threads, and stop and on_progress are called in this one.
+    The work is done in threads, and on_progress is called in this one.
     """
-    watch = _Watch(len(pictures), stop, on_progress)
+    watch = _Watch(len(pictures), on_progress)
     places, backends = _backends(pictures, device, watch.abandoned)
-    clock = Clock(watch.stopped.is_set)
+    clock = Clock()
 
     def fitted(index: int) -> Exact:
         with backends[index] as backend:
@@ -157,11 +150,11 @@ def _backends(
 
 
 class _Watch:
-    """Fits in other threads, as their caller sees them. stopped: they must finish soon; abandoned: they must end."""
+    """Fits in other threads, as their caller sees them. abandoned: they must end."""
 
-    def __init__(self, fits: int, stop: Stop | None, on_progress: OnProgress | None) -> None:
-        self._shares, self._stop, self._on_progress = [0.0] * fits, stop, on_progress
-        self.stopped, self.abandoned = Event(), Event()
+    def __init__(self, fits: int, on_progress: OnProgress | None) -> None:
+        self._shares, self._on_progress = [0.0] * fits, on_progress
+        self.abandoned = Event()
 
     def note(self, index: int, share: float) -> None:
         """Note a fit's progress, in its thread. Raises SgError if the fits were abandoned."""
@@ -170,13 +163,11 @@ class _Watch:
             raise SgError("the fits were abandoned")
 
     def results(self, futures: Sequence[Future[Exact]]) -> list[Exact]:
-        """Wait for all, and meanwhile call stop and on_progress. Raises the first error."""
+        """Wait for all, and meanwhile call on_progress. Raises the first error."""
         while wait(futures, POLLED_S, FIRST_EXCEPTION).not_done:
             for future in futures:
                 if future.done():
                     future.result()  # raises its error
-            if self._stop is not None and self._stop():
-                self.stopped.set()
             if self._on_progress is not None:
                 self._on_progress(math.fsum(self._shares) / len(self._shares))
         found = [future.result() for future in futures]

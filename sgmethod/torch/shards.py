@@ -56,7 +56,6 @@ def fit_many(
     *,
     shard: AnyInt = 1000,
     steps: AnyInt | None = None,
-    seed: AnyInt = 0,
     quantum: AnyFloat | None = None,
     device: object = None,
     resume: bool = False,
@@ -67,7 +66,7 @@ def fit_many(
     dataset: map-style; each item is a picture or a pair (picture, label). A picture is a tensor [3, H, W] as fit()
     takes it, or what encode() takes, of any size; a label is a whole number or a dict for JSON.
     shard: pictures in a file, which are in memory at the same time.
-    gaussians, steps, seed, quantum: as in fit(); device: where the work is done.
+    gaussians, steps, quantum: as in fit(); device: where the work is done.
     resume: skip shards that the manifest has, if their files are there, and version, options and the data set's length
     are the same.
     on_row: called with each finished shard's line of the manifest, and with the run so far, which counts shards.
@@ -76,7 +75,7 @@ def fit_many(
     line names it, with its error, and a run that resumes makes that shard again. Raises BudgetError for wrong options,
     SgError for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
-    fit = task_of(gaussians, MAX_GAUSSIANS, steps, seed, quantum)
+    fit = task_of(gaussians, MAX_GAUSSIANS, steps, quantum)
     shard, where = checked_integer(shard, "pictures in a shard", 1, MAX_IN_A_SHARD), checked_device(device)
     folder, pictures = checked_path(output_dir), len(dataset)
     folder.mkdir(parents=True, exist_ok=True)
@@ -100,7 +99,7 @@ def fit_many(
         mean = float(np.mean([one.error for one in fitted]))
         return replace(row, bytes=len(data), figures={"pictures": len(fitted), "error": mean})
 
-    asked = {"gaussians": gaussians, "steps": steps, "seed": seed, "quantum": quantum}
+    asked = {"gaussians": gaussians, "steps": steps, "quantum": quantum}
     with Manifest(folder, {**asked, "shard": shard, "pictures": pictures}) as manifest:
         run = Run[Row](manifest, resume, -(-pictures // shard))
         return run.finish(finish_locally(partial(caught, written), run.rest(_tasks(pictures, shard)), 1), on_row)

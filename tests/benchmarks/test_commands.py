@@ -46,7 +46,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "setting",
         ["random", "dynamic", "fixed"],
     ),
-    "robustness stiff": ("--pictures pixel-1x1,row-300x1 --seeds 1 --only bpp", "value", [0.1, 0.3, 1, 2, 4, 8]),
+    "robustness stiff": ("--pictures pixel-1x1,row-300x1 --only bpp", "value", [0.1, 0.3, 1, 2, 4, 8]),
     "robustness extremes": (
         "--sets fits --cases 'photograph, profile rd, every second mean not a number at the start'",
         "verdict",

@@ -86,9 +86,9 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(codec, "encode", spy)
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
-        given = ["--profile", "paper", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
+        given = ["--profile", "paper", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
-        named = {"tune": None, "effort": 5, "seed": 7, "measure": False}
+        named = {"tune": None, "effort": 5, "measure": False}
         given_budget, options = calls.pop()
         assert 0 < options.pop("time_limit_s") <= 5  # counted from the start of the command
         assert (given_budget, options) == ((budget, "paper"), named)

@@ -24,7 +24,6 @@ from sgmethod.rd.sparse import pyramid_of
 from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.rd import RD, RdSettings
 from sgmethod.settings.shared import Tune
-from sgmethod.trace import Stop
 
 
 def short(steps: int, **of_effort: Any) -> RdSettings:
@@ -41,8 +40,8 @@ def shortened(steps: int, phase_steps: tuple[int, int] | None = None) -> dict[st
 class SlowClock(Clock):
     """Each look at it takes a hundredth of a second, and nothing else does."""
 
-    def __init__(self, stop: Stop | None = None, look_s: float = 0.01) -> None:
-        super().__init__(stop)
+    def __init__(self, look_s: float = 0.01) -> None:
+        super().__init__()
         self.now, self.look_s = 0.0, look_s
 
     def seconds(self) -> float:

@@ -73,7 +73,7 @@ def test_a_psnr_is_met_closely(target_db: float, beyond_db: float) -> None:
 
 def test_a_fit_stays_where_the_file_can_put_it() -> None:
     """Centres that drifted off were moved back by the file, and the quantum ran away: 10,388 bytes at 42.3 dB."""
-    encoded = encode(photo("kodim05-crop"), Budget("psnr", 36), RD, seed=1)
+    encoded = encode(photo("kodim05-crop"), Budget("psnr", 36), RD)
     assert 36 <= encoded.stats.psnr < 36.5
     assert len(encoded.data) < 5000
 
@@ -169,7 +169,7 @@ def test_odd_pictures(name: str, budget: Budget) -> None:
 
 def test_a_picture_that_is_exact_takes_no_more_bytes_and_steps_where_more_are_allowed() -> None:
     step = np.full((96, 96, 3), 100, np.uint8)
-    step[:, 48:] = 101
+    step[48:] = 101
     found = [sgmethod.encode(step, bpp=bpp, tune="psnr") for bpp in (0.1, 0.5, 3)]
     assert all(np.array_equal(decode(one.data), step) for one in found)
     assert max(len(one.data) for one in found) < 70  # seen: 40; once 372

@@ -120,7 +120,7 @@ def test_a_step_leaves_the_state_that_it_was_given() -> None:
 
 
 def test_a_surplus_that_no_pruning_has_taken_back_is_dropped_at_the_end_of_a_run() -> None:
-    """A stop in the middle of a step may skip the last pruning."""
+    """A time limit that ends in the middle of a step may skip the last pruning."""
     plan, state = asked(CROP, Budget("gaussians", 20)).begun()
     for at in RD.effort.times.growth_at[:4]:
         state = densify(plan, state, stage_of(plan, 100, at))

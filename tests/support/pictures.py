@@ -12,12 +12,18 @@ from PIL import Image, ImageDraw
 from tests.support.data import PHOTOGRAPHS
 
 FloatArray = NDArray[np.float32]
+CROPS = "kodim04-crop", "kodim05-crop", "kodim23-crop"
 
 
 def photo(name: str = "kodim23-crop") -> NDArray[np.uint8]:
     """A photograph [H, W, 3] of 128 x 96 pixels; kodim04-crop is as high as that is wide."""
     with Image.open(PHOTOGRAPHS / f"{name}.png") as picture:
         return np.array(picture.convert("RGB"))
+
+
+def mirrored(picture: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+    """A picture [H, W, 3] and its mirror images, over which the mean of what chance changes is taken."""
+    return [np.ascontiguousarray(picture[::y, ::x]) for y in (1, -1) for x in (1, -1)]
 
 
 def grey(values: object) -> FloatArray:

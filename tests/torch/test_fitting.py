@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from itertools import product
 from unittest.mock import Mock
 
 import numpy as np
@@ -17,7 +15,7 @@ from sgmethod.errors import BudgetError, ImageError, SgError
 from sgmethod.metrics import psnr
 from sgmethod.torch import Fit, fit, render
 from sgmethod.torch.exact import ExactFit
-from tests.support.pictures import photo
+from tests.support.pictures import CROPS, mirrored, photo
 
 PHOTO = torch.from_numpy(photo()).permute(2, 0, 1)
 HEIGHT, WIDTH = 33, 47
@@ -44,17 +42,17 @@ def test_a_batch() -> None:
 
 
 def test_as_good_as_an_encode_of_as_many() -> None:
-    """On average over a photograph and its mirror images: of one alone, the last digit of a processor decides.
+    """On average over photographs and their mirror images: of one alone, the last digit of a processor decides.
 
-    One fit differs from its encode by -0.2 to 0.5 dB; means of twelve were 0.05 and 0.14, as last digits changed.
+    One fit differs from its encode by -0.2 to 0.5 dB; the mean of eleven photographs at this size was 0.08 dB.
     """
     behind = []
-    for mirrored, seed in product(((), (1,), (2,), (1, 2)), range(3)):
-        photo = PHOTO.flip(mirrored)
-        wanted = photo.permute(1, 2, 0).numpy().copy()
-        shown = pictures(fit(photo[None], 100, seed=seed), (128, 96))[0].clamp(0, 1).permute(1, 2, 0).numpy()
-        found = psnr(np.rint(255 * shown).astype(np.uint8), wanted)
-        behind.append(sgmethod.encode(wanted, gaussians=100, tune="psnr", seed=seed).stats.psnr - found)
+    for name in CROPS:
+        for wanted in mirrored(photo(name)[:96, :128]):
+            batch = torch.from_numpy(wanted).permute(2, 0, 1)[None]
+            shown = pictures(fit(batch, 100), (128, 96))[0].clamp(0, 1).permute(1, 2, 0).numpy()
+            found = psnr(np.rint(255 * shown).astype(np.uint8), wanted)
+            behind.append(sgmethod.encode(wanted, gaussians=100, tune="psnr").stats.psnr - found)
     assert np.mean(behind) < 0.2
 
 
@@ -67,7 +65,6 @@ def test_neither_threads_nor_neighbours_nor_type_matter(set_threads: Callable[[i
     assert same(fit(BATCH[1:2], 30, steps=20), Fit(*(values[1:2] for values in alone)))
     assert same(fit(BATCH.float() / 255, 30, steps=20), alone)
     assert same(fit(BATCH.permute(0, 2, 3, 1).contiguous().permute(0, 3, 1, 2), 30, steps=20), alone)
-    assert not same(fit(BATCH, 30, steps=20, seed=1), alone)
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 9), (7, 3), (64, 33)])
@@ -111,18 +108,13 @@ def test_a_price_of_bits_makes_the_file_smaller() -> None:
     assert priced < 0.9 * free
 
 
-def test_progress_and_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures that have not begun get their Gaussians too."""
+def test_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sgmethod.torch.fitting.POLLED_S", 0.001)  # or all might be done before the first look
     seen: list[float] = []
     fit(BATCH, 20, steps=400, on_progress=seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1
     assert any(0 < share < 1 for share in seen)
-    began = time.perf_counter()
-    found = fit(BATCH, 50, steps=1_000_000, stop=lambda: time.perf_counter() > began + 0.3)
-    assert time.perf_counter() - began < 10
-    assert found.means.shape == (3, 50, 2)
 
 
 def test_an_error_of_the_caller_ends_the_fits() -> None:
@@ -152,7 +144,6 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
         (lambda: fit(BATCH, 0), BudgetError, "gaussians must be a whole number from 1 to 1551, got 0"),
         (lambda: fit(BATCH, 1552), BudgetError, "from 1 to 1551, got 1552"),
         (lambda: fit(BATCH, 5, steps=0), BudgetError, "steps must be a whole number from 1"),
-        (lambda: fit(BATCH, 5, seed=-1), BudgetError, "the seed must be a whole number"),
         (lambda: fit(BATCH, 5, quantum=0), BudgetError, "the quantum must be from"),
         (lambda: fit(BATCH, 5, tune="visual"), BudgetError, "only be tuned for psnr, not 'visual'"),
         (lambda: fit(BATCH.to("meta"), 5), SgError, "no device 'meta' here"),

@@ -121,8 +121,8 @@ def test_what_is_done_is_skipped() -> None:
     assert many(data, resume=True) == (1, 2, 0)
     assert data.asked == [2, 3]
     assert shards() == first
-    assert many(resume=True, seed=1) == (3, 0, 0)
-    assert many(Labelled(4), resume=True, seed=1) == (2, 0, 0)  # another data set
+    assert many(resume=True, steps=3) == (3, 0, 0)
+    assert many(Labelled(4), resume=True, steps=3) == (2, 0, 0)  # another data set
 
 
 def test_a_shard_that_fails_is_tried_again() -> None:

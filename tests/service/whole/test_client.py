@@ -169,11 +169,11 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
     assert trace["trace"]
 
     (tmp_path / "out.sg").unlink()
-    for refused, words in ((encode(key="wrong"), "unknown API key; set SG_API_KEY"), (encode("--seed", 1), "--seed")):
-        assert refused.status == 2
-        assert words in refused.stderr
-        assert refused.stderr.count("\n") == 1
-        assert not (tmp_path / "out.sg").exists()
+    refused = encode(key="wrong")
+    assert refused.status == 2
+    assert "unknown API key; set SG_API_KEY" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    assert not (tmp_path / "out.sg").exists()
 
 
 @pytest.mark.thorough
