@@ -46,7 +46,7 @@ def encode(
     from sgmethod.trace import TracePoint
 
     limit_s, asked = time_limit_s or 0.0, list[int]()
-    signal.signal(END, lambda number, _frame: asked.append(number))
+    before = signal.signal(END, lambda number, _frame: asked.append(number))
     pixels = read_input(image, keep_alpha=True)
     for step in range(STEPS + 1):
         seconds = limit_s * step / STEPS
@@ -55,6 +55,7 @@ def encode(
             _sleep(limit_s / STEPS, asked)
         if asked:
             break
+    signal.signal(END, before)  # forks of a sandbox that has warmed up do not listen before they encode
     height, width = pixels.shape[:2]
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
