@@ -19,7 +19,7 @@ serve: $(VENV)/.service ## set up, then run the service on http://127.0.0.1:8000
 	$(BIN)/python -m service serve
 
 # What needs neither PyTorch nor a service: reading pictures, coding, decoding.
-QUICK = tests/fitting/test_texture.py tests/bitstream tests/io tests/test_decoder.py tests/test_view.py
+QUICK = tests/fitting/test_texture.py tests/bitstream tests/paper/test_stream.py tests/paper/test_format.py tests/paper/test_decoder.py tests/io tests/test_decoder.py tests/test_view.py
 quick: $(VENV)/.quick ## a first check in three minutes, without PyTorch: lint, format, types, tests of the codec
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .

@@ -18,6 +18,7 @@ from service.settings import IDLE_BYTES, MIN_FREE_UPLOADS, Settings
 from service.storage.files import UNFINISHED
 from sgmethod import machine
 from sgmethod.errors import SgError
+from sgmethod.profiles import PROFILE_NAMES, method_of
 
 SANDBOX_STARTS_S = 30.0  # at the latest
 ENCODE_BYTES = 650_000_000  # the least SG_JOB_MEMORY_BYTES with which 12 megapixels were encoded by default
@@ -95,9 +96,9 @@ def _free_disk(settings: Settings) -> str:
 def _kernels(_settings: Settings) -> str:
     from sgmethod.native import native
 
-    missing = find_spec("torch") is None
-    paper = "needs PyTorch: pip install 'sgmethod[torch]'" if missing else "is available"
-    return f"{ISA_NAMES[native.best_isa()]}; profile paper {paper}"
+    lacking = [name for name in PROFILE_NAMES if not all(map(find_spec, method_of(name).packages))]
+    needed = [f"profile {name} needs PyTorch: pip install 'sgmethod[torch]'" for name in lacking]
+    return "; ".join([ISA_NAMES[native.best_isa()], *needed])
 
 
 def _sandbox(settings: Settings) -> str:

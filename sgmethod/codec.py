@@ -1,4 +1,4 @@
-"""Encoding: run a profile's pipeline (rd/picture.py or paper/encode.py) and measure the file."""
+"""Encoding: run a profile's pipeline, such as rd/picture.py, and measure the file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.files import checked_path
 from sgmethod.io.image import Input, read_input
 from sgmethod.numerics import quiet
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Settings, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Settings, Tune, encoder_of, method_of
 from sgmethod.trace import Progress
 
 
@@ -53,7 +53,7 @@ def encode(
     warning.
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp, but at most 50,000 bytes.
-    profile: "rd" or "paper".
+    profile: one of sgmethod.profiles.PROFILE_NAMES.
     tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same without the noise
     that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
@@ -70,15 +70,11 @@ def encode(
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = only_budget(budget, kinds | {"gaussians": gaussians})
     asked = EncodeArguments.checked(only, profile, tune, effort, settings)
-    pixels = read_input(image, keep_alpha=asked.profile == "rd")
+    pixels = read_input(image, keep_alpha=method_of(asked.profile).keeps_alpha)
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     asked = asked.with_default_for(pixels)
     recorder = Recorder(clock, on_progress)
-    if asked.profile == "rd":
-        from sgmethod.rd.picture import encode as run
-    else:
-        from sgmethod.paper.encode import encode as run  # imports torch
-    data, steps = run(pixels, asked, limit_s, recorder)
+    data, steps = encoder_of(asked.profile)(pixels, asked, limit_s, recorder)
     stats = measured(pixels, data, steps, recorder, asked, measure)
     return Encoded(data, replace(stats, source_bytes=source_bytes), recorder.points)
 

@@ -117,12 +117,12 @@ class SgFile:
 
     @quiet
     def gaussians(self) -> Gaussians:
-        """Return the Gaussians of the colours, without alpha and texture. In version 2, the largest come first.
+        """Return the Gaussians of the colours, without alpha and texture, in a file of profile rd the largest first.
 
         >>> sgmethod.open("photo.sg").gaussians().means.dtype
         dtype('float32')
 
-        Gaussians of version 1 extend farther, and are converted to the closest ones of version 2. Raises
+        Gaussians of other profiles extend farther, and are converted to the closest ones of profile rd. Raises
         BitstreamError and MemoryError.
         """
         scene = self._stream.scene()

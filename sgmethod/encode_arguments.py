@@ -6,11 +6,11 @@ import sys
 from dataclasses import dataclass, replace
 from typing import Any
 
+from sgmethod import profiles
 from sgmethod.arguments import AnyFloat, AnyInt, finite_number
-from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, default_budget
 from sgmethod.errors import BudgetError
-from sgmethod.profiles import Profile, Settings, Tune, checked_effort, checked_profile, profile_of, settings_of, tuning
+from sgmethod.profiles import Profile, Settings, Tune
 from sgmethod.scene import Pixels
 
 
@@ -34,12 +34,13 @@ class EncodeArguments:
         settings: Settings | None,
     ) -> EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
-        profile = checked_profile(profile) if settings is None else profile_of(settings)
-        tuned_for = tuning(tune, profile, budget)
+        profile = profiles.checked_profile(profile if settings is None else settings.profile)
+        profiles.check_kind(budget, profile)
+        tuned_for = profiles.tuning(tune, profile, budget)
         if settings is not None:
             return cls(budget, profile, tuned_for, None, settings)
-        effort = checked_effort(effort)
-        return cls(budget, profile, tuned_for, effort, settings_of(profile, effort))
+        effort = profiles.checked_effort(effort)
+        return cls(budget, profile, tuned_for, effort, profiles.settings_of(profile, effort))
 
     @property
     def objective(self) -> Tune:
@@ -51,7 +52,7 @@ class EncodeArguments:
         if self.budget is not DEFAULT_BUDGET:
             return self
         height, width, channels = pixels.shape
-        least = smallest_file(self.settings, has_alpha=channels == 4)
+        least = profiles.smallest_file(self.settings, has_alpha=channels == 4)
         return replace(self, budget=default_budget(width, height, least))
 
 

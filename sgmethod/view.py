@@ -171,7 +171,7 @@ def _resized(
 def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
     """Convert Gaussians cut off at sigma = cutoff to the closest ones cut off at new_cutoff.
 
-    Each is the cut-off of a file version, or NO_CUTOFF. The default is the cut-off of version 2.
+    Each is the cut-off of a profile, or NO_CUTOFF. The default is that of profile rd.
     """
     new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
@@ -184,7 +184,7 @@ def recut_factors(cutoff: float, new_cutoff: float) -> tuple[float, float]:
     """Return what recut() multiplies factors and colours by."""
     # Least-squares widening for cut-off CUTOFF_V2 at the same integral. The root mean square of the difference is 5 %
     # and 6 % of the Gaussian's.
-    wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, NO_CUTOFF: 1.108}
+    wider_by = {native.CUTOFF_V2: 1.0, native.MAX_CUTOFF: 1.094, NO_CUTOFF: 1.108}
     wider = wider_by[cutoff] / wider_by[new_cutoff]
     return wider, _integral(cutoff) / (_integral(new_cutoff) * wider**2)
 

@@ -121,15 +121,20 @@ RULES = {
         IMPORT + r"((sgmethod\.)?torch|triton)\b|from sgmethod import .*\btorch\b",
         "sgmethod/paper/ sgmethod/torch/",
     ),
-    "profile paper has one door": (
+    "profile paper is imported by itself alone": (
         "sgmethod service",
         IMPORT + r"sgmethod\.paper\b|from sgmethod import .*\bpaper\b",
-        "sgmethod/codec.py sgmethod/paper/",
+        "sgmethod/paper/",
     ),
-    "the encoder computes through its backend": (
+    "the registry of profiles alone names it": (
+        "sgmethod service",
+        r"\bprofile paper\b|[\"'./]paper[\"'./]|PaperS",
+        "sgmethod/__init__.py sgmethod/profiles.py sgmethod/paper/",
+    ),
+    "the encoder computes through its backend": (  # and the reader of profile paper's files draws
         "sgmethod/rd sgmethod/fitting sgmethod/paper",
         IMPORT + r"sgmethod\.native",
-        "",
+        "sgmethod/paper/stream.py",
     ),
 }
 

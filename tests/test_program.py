@@ -23,10 +23,10 @@ import sgmethod
 import sgmethod.torch
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
-from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
+from sgmethod.profiles import DEFAULT_EFFORT, PROFILE_NAMES
 from sgmethod.threads import in_parallel
-from tests.rd.short import shortened
 from tests.support.data import ROOT
+from tests.support.profiles import OTHER, shorten
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
 TIMEOUT_S = 60
@@ -34,8 +34,7 @@ TIMEOUT_S = 60
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, settings in shortened(20, (5, 5)).items():
-        monkeypatch.setitem(PROFILES, name, settings)
+    shorten(monkeypatch, 20)
 
 
 def encoded(**more: object) -> bytes:
@@ -63,9 +62,7 @@ def in_child(function: Callable[[], bytes]) -> bytes:
     raise AssertionError("the child waits for ever")
 
 
-@pytest.mark.parametrize(
-    "more", [{}, {"profile": "paper", "bytes": 300, "effort": DEFAULT_EFFORT}], ids=["rd", "torch"]
-)
+@pytest.mark.parametrize("more", [{}, {"profile": OTHER, "bytes": 300, "effort": DEFAULT_EFFORT}], ids=["rd", "torch"])
 def test_a_forked_child_encodes_as_its_parent_did(more: dict[str, object], set_threads: Callable[[int], None]) -> None:
     set_threads(2)
     expected = encoded(**more)
@@ -177,7 +174,7 @@ import sys, threading
 import sgmethod
 from sgmethod.threads import in_parallel
 from tests.support.data import golden_path
-data = golden_path("v1-paper.sg").read_bytes()
+data = golden_path("v2-color.sg").read_bytes()
 works = {
     "decode": lambda: sgmethod.decode(data),
     "info": lambda: sgmethod.info(data),
@@ -227,7 +224,7 @@ STATES: dict[str, Callable[[], AbstractContextManager[object]]] = {
 
 
 @pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("profile", ["rd", "paper"])
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_files_are_the_same_whatever_a_program_has_set(state: str, profile: str) -> None:
     more = {} if profile == "rd" else {"profile": profile, "bytes": 300, "effort": DEFAULT_EFFORT}
     expected = encoded(**more)
@@ -266,5 +263,5 @@ def test_arithmetic_that_underflows_is_no_error_of_a_program_that_has_numpy_rais
 def test_torchs_default_type_stays_the_programs_while_a_profile_computes() -> None:
     seen: list[torch.dtype] = []
     with default_dtype(torch.float64):
-        encoded(profile="paper", effort=DEFAULT_EFFORT, on_progress=lambda _: seen.append(torch.get_default_dtype()))
+        encoded(profile=OTHER, effort=DEFAULT_EFFORT, on_progress=lambda _: seen.append(torch.get_default_dtype()))
     assert set(seen) == {torch.float64}

@@ -18,13 +18,12 @@ from PIL import Image, UnidentifiedImageError
 import sgmethod
 from service.api.requests import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, SgError, SgFile, View
-from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.io import profiles
 from tests.io.test_image import exif_with
-from tests.rd.short import short
 from tests.support.data import golden_path
 from tests.support.pictures import photo
+from tests.support.profiles import OTHER, shorten
 
 PIXELS = photo()  # 128 x 96
 PHOTO = Image.fromarray(PIXELS)
@@ -35,7 +34,7 @@ GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 def in_folder(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """photo.jpg too, and encodes of less than a second."""
     PHOTO.save(files / "photo.jpg", quality=95)
-    monkeypatch.setitem(PROFILES, "rd", short(60))
+    shorten(monkeypatch, 60)
 
 
 def encoded(image: Any) -> bytes:
@@ -123,7 +122,7 @@ def test_importing_takes_neither_numpy_nor_torch() -> None:
     assert ran.stdout == "\n"
 
 
-WITHOUT_EXTRAS = """
+WITHOUT_EXTRAS = f"""
 import sys
 for name in ("httpx2", "torch"):
     sys.modules[name] = None  # to import it is an ImportError
@@ -132,7 +131,7 @@ picture = numpy.zeros((8, 8), numpy.uint8)
 for use in (
     "from sgmethod.client import Client",
     "import sgmethod.torch",
-    "sgmethod.encode(picture, profile='paper')",
+    "sgmethod.encode(picture, profile={OTHER!r})",
 ):
     try:
         exec(use)
@@ -182,7 +181,7 @@ def test_a_warning_points_at_the_callers_line() -> None:
     clear = PHOTO.convert("RGBA")
     clear.putalpha(100)
     clear.save("clear.png")
-    settings = {"profile": "paper", "gaussians": 4, "time_limit_s": 0.01}
+    settings = {"profile": OTHER, "gaussians": 4, "time_limit_s": 0.01}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         first = sys._getframe().f_lineno + 1

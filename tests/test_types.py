@@ -35,7 +35,7 @@ def pictures() -> Iterator[tuple[str, bytearray]]:
 for picture in ("a.png", Path("a.png"), b"", bytearray(), memoryview(b""), Image.new("L", (8, 8)), pixels / 255):
     sgmethod.encode(picture, bytes=n, effort=np.int8(1), time_limit_s=half, tune="psnr")
 sgmethod.encode(pixels, bytes="20k")
-sgmethod.encode(pixels, bpp=Fraction(1, 2), profile="paper")
+sgmethod.encode(pixels, bpp=Fraction(1, 2), profile="rd")
 sgmethod.encode(pixels, quality="web")
 sgmethod.encode(pixels, quality=60, tune="vizual")  # type: ignore[arg-type]
 sgmethod.encode(pixels, profile="rb")  # type: ignore[arg-type]

@@ -103,11 +103,11 @@ def test_sizes(data: bytes, scale: float, region: tuple[int, int, int, int] | No
     assert decode(data, view=asked).shape == (size[1], size[0], 3)
 
 
-def scene(gaussians: Gaussians, cutoff: float = native.CUTOFF_V1) -> Scene:
+def scene(gaussians: Gaussians, cutoff: float = native.MAX_CUTOFF) -> Scene:
     return Scene(gaussians, WIDTH, HEIGHT, (90, 90, 90), cutoff)
 
 
-@pytest.mark.parametrize("cutoff", [native.CUTOFF_V1, native.CUTOFF_V2])
+@pytest.mark.parametrize("cutoff", [native.MAX_CUTOFF, native.CUTOFF_V2])
 def test_the_covariance_grows_by_what_is_missing(cutoff: float) -> None:
     gaussians = scattered()
     shrunk = View(0.25).apply(scene(gaussians, cutoff)).gaussians
@@ -124,7 +124,7 @@ def test_the_covariance_grows_by_what_is_missing(cutoff: float) -> None:
 
 
 def test_what_adds_nothing_stays_so() -> None:
-    """Version 1 can hold scales below zero; widening must not bring them to life."""
+    """Some files can hold scales below zero; widening must not bring them to life."""
     gaussians = scattered(60)
     gaussians.factors[::3, 0] *= -1
     gaussians.factors[1::3, 2] = 0
@@ -132,18 +132,6 @@ def test_what_adds_nothing_stays_so() -> None:
     for asked in (View(0.3), View(region=(5, 5, 100, 100))):
         with_them, without = (draw(asked.apply(scene(g))) for g in (gaussians, visible))
         assert np.array_equal(with_them, without)
-
-
-@pytest.mark.parametrize("name", sorted(golden(1)))
-def test_version_1_has_views_but_no_prefix(name: str) -> None:
-    data = golden(1)[name]
-    whole = decode(data).astype(int)
-    height, width = whole.shape[:2]
-    part = decode(data, view=View(region=(1, 2, width - 2, height - 3)))
-    assert np.abs(part - whole[2 : height - 1, 1 : width - 1]).max() <= 1
-    assert decode(data, view=View(2.0)).shape == (2 * height, 2 * width, 3)
-    with pytest.raises(ViewError, match="prefix"):
-        decode(data, view=View(prefix=0.5))
 
 
 def test_a_prefix_comes_nearer(data: bytes) -> None:

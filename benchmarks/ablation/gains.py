@@ -28,7 +28,7 @@ from benchmarks.machine import RUNS, Record
 from benchmarks.ms_ssim import ms_ssim
 from benchmarks.pictures import Pixels, add_options, middle_of, named_in
 from benchmarks.tables import mean, number, standard_error, table
-from sgmethod.backend.protocol import CUTOFF_V1
+from sgmethod.backend.protocol import MAX_CUTOFF
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.recorder import Recorder
@@ -36,8 +36,8 @@ from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.paper import fit as paper
 from sgmethod.paper.placement import place_by_structure
+from sgmethod.paper.settings import PAPER, StartSettings
 from sgmethod.scene import Gaussians, Scene
-from sgmethod.settings.paper import PAPER, StartSettings
 
 PIXELS = 768 * 512
 Measured = dict[str, Any]  # a row of a JSON
@@ -94,7 +94,7 @@ def measure(pixels: Pixels, start: Gaussians, steps: int) -> Measured:
     settings, deadline = replace(PLAIN, fit_steps=steps), Deadline.from_limit(clock, None)
     gaussians = paper.fit(paper.level_of(pixels), start, settings, Recorder(clock), deadline)[0]
     height, width = pixels.shape[:2]
-    shown = draw(Scene(gaussians, width, height, (0, 0, 0), CUTOFF_V1, False))
+    shown = draw(Scene(gaussians, width, height, (0, 0, 0), MAX_CUTOFF, False))
     seen = ms_ssim(shown, pixels) if min(width, height) > 160 else None
     return {"gaussians": len(gaussians), "psnr": psnr(shown, pixels), "ms_ssim": seen}
 

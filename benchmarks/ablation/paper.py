@@ -21,7 +21,6 @@ from torch import Tensor
 
 from benchmarks.ablation.gains import PIXELS, pixels_of
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Level
@@ -31,9 +30,10 @@ from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.schedule import Schedule
+from sgmethod.paper.settings import PAPER, PaperSettings
+from sgmethod.paper.stream import file_bytes
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PAPER, PaperSettings
 
 RANDOM = replace(PAPER.start, structure_guided=False)
 # What GaussianImage codes: random start, no regularisation, 6 bits of a factor, 16 of a position. Our optimiser.
@@ -120,7 +120,7 @@ def measure(
         tuner = Tuner(gaussians, level, settings, budget if settings.bits_by_budget else None, seed)
         schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate)
         schedule.run(Deadline.from_limit(clock), Recorder(clock), tuner.step)
-        stream = tuner.stream("paper")
+        stream = tuner.stream()
     seconds = time.perf_counter() - began
     data = container.serialise(stream)
     return {

@@ -20,10 +20,10 @@ from benchmarks.robustness.drawings import PICTURES as HARD, text
 from sgmethod import Budget, BudgetError, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import PROFILES, TUNES, Profile, Tune
+from sgmethod.paper.settings import PaperSettings
+from sgmethod.profiles import TUNES, Profile, Settings, Tune, method_of
 from sgmethod.rd import encode as rd
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 from sgmethod.settings.shared import OptimiserSettings
 
@@ -32,7 +32,6 @@ LIMITS_S = (1e-9, 0.01, 0.1)
 RULE = "dB that the file is worse than the first error of its trace, or than one colour"
 SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
 SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB = 0.5, 1.0
-Settings = PaperSettings | RdSettings
 Patch = Callable[[], AbstractContextManager[None]]
 PLACED_BY = {"rd": (rd, "place"), "paper": (paper, "place_by_structure")}  # each calls it by that name
 KINDS: dict[str, tuple[Profile, Tune]] = {
@@ -61,7 +60,7 @@ def cases(side: int, generations: int) -> Cases:
             for start, patched in starts(profile).items():
                 measure = partial(worse, picture, budget, profile, tune, patched)
                 yield Case(f"{name}, {kind}, {start}", RULE, 0.0, measure)
-            measure = partial(worse, picture, budget, profile, tune, settings=fast(PROFILES[profile]))
+            measure = partial(worse, picture, budget, profile, tune, settings=fast(method_of(profile).settings))
             yield Case(f"{name}, {kind}, rates ten times too high", RULE, 0.0, measure)
         for limit_s in LIMITS_S:
             measure = partial(worse, pixels, budget, profile, tune, limit_s=limit_s)
@@ -125,6 +124,7 @@ def fast(settings: Settings) -> Settings:
 
     if isinstance(settings, PaperSettings):
         return replace(settings, optimiser=faster(settings.optimiser))
+    assert isinstance(settings, RdSettings)
     return replace(settings, fit=replace(settings.fit, optimiser=faster(settings.fit.optimiser)))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.robustness.case import Case, Cases, Found
-from sgmethod.backend.protocol import CUTOFF, CUTOFF_V1, Frame
+from sgmethod.backend.protocol import CUTOFF, MAX_CUTOFF, Frame
 from sgmethod.bitstream.v2 import MAX_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
@@ -31,7 +31,7 @@ VALUE_RULE = "error of a pixel, over the sum of the magnitudes of the colours th
 GRADIENT_RULE = "error of a gradient against float64, over the largest of its kind, 1e-30 at least"
 
 
-FRAMES = {"version 1": Frame(*SIZE, CUTOFF_V1, pyramid=False), "version 2": Frame(*SIZE, CUTOFF)}
+FRAMES = {"version 1": Frame(*SIZE, MAX_CUTOFF, pyramid=False), "version 2": Frame(*SIZE, CUTOFF)}
 
 
 def cases() -> Cases:

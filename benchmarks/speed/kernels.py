@@ -27,8 +27,8 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.placement import place_by_structure
+from sgmethod.paper.settings import PAPER
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PAPER
 from tests.support.data import PHOTOGRAPHS
 
 SIZE = (768, 512)

@@ -27,10 +27,8 @@ from pydantic.json_schema import SkipJsonSchema
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, Priority, SourceImage
 from sgmethod import profiles
-from sgmethod.bitstream.container import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, QUALITIES, Budget, bytes_value, default_budget
 from sgmethod.metrics.visual import SMALLEST_SIDE
-from sgmethod.settings.rd import RdSettings
 
 
 def _given(description: str, example: float, **extra: Any) -> Any:
@@ -113,19 +111,16 @@ class EncodeOptions(BaseModel):
         budget, profile = self.budget, profiles.checked_profile(self.profile)
         tune = profiles.tuning(self.tune, profile, budget)
         settings = profiles.settings_of(profile, self.effort)
-        is_rd = isinstance(settings, RdSettings)
-        if not is_rd and find_spec("torch") is None:
+        if not all(map(find_spec, profiles.method_of(profile).packages)):
             raise ProblemError(422, f"profile {profile} needs PyTorch, which this service lacks; use profile rd")
-        if budget.kind == "quality" and not is_rd:
-            detail = f"profile {profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians"
-            raise ProblemError(422, detail)
+        profiles.check_kind(budget, profile)
         if budget.kind == "quality" and min(image.width, image.height) < SMALLEST_SIDE:
             raise ProblemError(422, f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
         if budget.kind == "gaussians":
             budget.max_gaussians(image.width, image.height)  # raises BudgetError
         if budget is DEFAULT_BUDGET:
-            budget = default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
-        allowed, min_bytes = budget.max_bytes(image.width, image.height), smallest_file(settings)
+            budget = default_budget(image.width, image.height, profiles.smallest_file(settings, has_alpha=True))
+        allowed, min_bytes = budget.max_bytes(image.width, image.height), profiles.smallest_file(settings)
         if allowed is not None and allowed < min_bytes:
             detail = f"a file of profile {profile} takes at least {min_bytes} bytes, the budget is {allowed}"
             raise ProblemError(422, detail)

@@ -21,12 +21,13 @@ import sgmethod
 from service.pictures import MEDIA_TYPES, Drawing, PictureOptions, comparison_file, encode_picture
 from service.sandbox import frames
 from sgmethod import machine
+from sgmethod.bitstream.container import reader_of
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import FORMATS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
-from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, PROFILE_NAMES, READERS, Profile, Tune, method_of
 
 CUT_SHORT = 0.9  # of the time limit: an encode that takes longer was cut short by it
 FAIR_CPU_SHARE = 0.5
@@ -38,7 +39,11 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 TRIM_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
 # Modules that tasks do not need, or that need PyTorch.
 NOT_IMPORTED = {
-    f"sgmethod.{name}" for name in ("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch")
+    f"sgmethod.{name}"
+    for name in (
+        *("__main__", "cli", "client", "exchange", "many", "pillow", "torch"),
+        *(name for name in PROFILE_NAMES if method_of(name).packages),
+    )
 }
 
 CORES = machine.cores()  # asked here: a confined task opens no file
@@ -77,6 +82,8 @@ def warm_up() -> None:
     """Import and set up all that tasks need, since they can open no file. No thread may remain: forks would lack it."""
     set_threads(1)
     _import_all(sgmethod.__path__, "sgmethod.")
+    for version in READERS:
+        reader_of(version)
     Image.preinit()
     for module in (*(known.reader[0] for known in FORMATS.values()), *IMPORTED_LATE):
         with contextlib.suppress(ImportError):  # in an extra that is not installed
@@ -190,7 +197,7 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
     request = task.request
     began_s, began_cpu_s = time.monotonic(), time.thread_time()
     with noted() as notes:
-        pixels = read_input(file, keep_alpha=request.profile == "rd")
+        pixels = read_input(file, keep_alpha=method_of(request.profile).keeps_alpha)
         encoded = encode(
             pixels,
             Budget(request.budget_kind, request.budget_value),

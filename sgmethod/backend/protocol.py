@@ -22,7 +22,7 @@ Target = NDArray[np.int16]  # [3, H, W], the sum that Gaussians should reach; TA
 TARGET_WHITE = native.TARGET_WHITE
 VISIBLE = native.VISIBLE  # a visibility of 1
 COARSE_SIDE = native.COARSE_SIDE  # pixels of the whole picture
-CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V2  # sigma at which a Gaussian ends, in versions 1 and 2
+CUTOFF, MAX_CUTOFF = native.CUTOFF_V2, native.MAX_CUTOFF  # sigma at which a Gaussian ends; a profile may have a wider
 # Distance of a centre beyond the picture, in scales of the Gaussian. Files allow two cells of the grid, at least 1.68.
 GRID_REACH = 1.6
 TILE_HEIGHT = native.TILE_HEIGHT

@@ -1,11 +1,10 @@
-"""The .sg file: signature, version and checksum, and which module reads which version.
+"""The .sg file: signature, version and checksum, around what the reader of its version makes of the rest.
 
 signature, 2 bytes, with the version | header and payload | checksum, 1 or 4 bytes
 """
 
 from __future__ import annotations
 
-import importlib
 import zlib
 
 from sgmethod.bitstream.stream import (
@@ -20,12 +19,7 @@ from sgmethod.bitstream.stream import (
     Stream,
 )
 from sgmethod.errors import BitstreamError
-from sgmethod.settings.paper import PaperSettings
-from sgmethod.settings.rd import RdSettings
-
-# A new version of the format is a module beside this one, and a line here. A module is imported when a file needs it,
-# because each delays a decode from a cold start.
-STREAMS = {1: "v1.StreamV1", 2: "v2.StreamV2"}
+from sgmethod.profiles import READERS, imported
 
 
 def serialise(stream: Stream) -> bytes:
@@ -39,7 +33,7 @@ def with_checksum(begun: bytes) -> bytes:
 
 
 def _checksum_bytes(data: bytes) -> int:
-    """Size of the checksum: short if the first bit after the signature is set, which it never is in version 1."""
+    """Size of the checksum: short if the first bit after the signature is set."""
     return SHORT_CHECKSUM if data[SIGNATURE_BYTES] & 0x80 else LONG_CHECKSUM
 
 
@@ -54,7 +48,7 @@ def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
     """Parse a file of any version. Raises BitstreamError unless it is whole, intact and within the limits."""
     if len(data) < SIGNATURE_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
-    version = _stream_of(version_of(data))
+    version = reader_of(version_of(data))
     if len(data) < version.MIN_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
     end = len(data) - _checksum_bytes(data)
@@ -63,11 +57,11 @@ def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
     return version.parse(memoryview(data)[SIGNATURE_BYTES:end], limits)
 
 
-def _stream_of(version: int) -> type[Stream]:
-    if version not in STREAMS:
+def reader_of(version: int) -> type[Stream]:
+    """Import what reads a version, now that a file needs it: it delays a decode from a cold start."""
+    if version not in READERS:
         raise BitstreamError(f"format version {version} is not supported: update sgmethod")
-    module, name = STREAMS[version].split(".")
-    found: type[Stream] = getattr(importlib.import_module(f"sgmethod.bitstream.{module}"), name)
+    found: type[Stream] = imported(READERS[version])
     return found
 
 
@@ -79,14 +73,3 @@ def checksum(data: bytes) -> str:
 def info(data: bytes, limits: Limits = NO_LIMITS) -> Info:
     """Describe a file. Raises BitstreamError."""
     return parse(data, limits).info(len(data), checksum(data), limits)
-
-
-def smallest_file(settings: RdSettings | PaperSettings, *, has_alpha: bool = False) -> int:
-    """Bytes of the smallest file that a profile writes for the largest picture."""
-    if isinstance(settings, RdSettings):
-        from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE
-
-        return SMALLEST_FILE + (SMALLEST_ALPHA if has_alpha else 0)
-    from sgmethod.bitstream.v1 import file_bytes, record_bits
-
-    return file_bytes(record_bits(settings.position_bits, settings.min_bitwidth), 1)

@@ -12,57 +12,6 @@ from sgmethod.errors import BitstreamError
 
 
 @dataclass(frozen=True)
-class Field:
-    """An unsigned big-endian integer between low and high."""
-
-    name: str
-    bytes: int
-    low: int
-    high: int
-
-    def allows(self, value: int) -> bool:
-        """Whether a file may hold the value."""
-        return self.low <= value <= self.high
-
-    @property
-    def range(self) -> str:
-        """Format the range as docs/format.md does."""
-        return f"{self.low}..{self.high}"
-
-
-@dataclass(frozen=True)
-class Header:
-    """A header of consecutive fields."""
-
-    fields: tuple[Field, ...]
-
-    @property
-    def size(self) -> int:
-        """Size in bytes."""
-        return sum(f.bytes for f in self.fields)
-
-    def read(self, data: memoryview | bytes) -> dict[str, int]:
-        """Read each field. Raises BitstreamError for a value out of range and for truncated data."""
-        values, at = {}, 0
-        for f in self.fields:
-            if len(data) < at + f.bytes:
-                raise BitstreamError("the file is truncated in its header")
-            value = int.from_bytes(data[at : at + f.bytes], "big")
-            if not f.allows(value):
-                raise BitstreamError(f"header field {f.name} is {value}, outside {f.range}")
-            values[f.name] = value
-            at += f.bytes
-        return values
-
-    def write(self, values: dict[str, int]) -> bytes:
-        """Write a value for each field. Raises ValueError for a value out of range."""
-        for f in self.fields:
-            if not f.allows(values[f.name]):
-                raise ValueError(f"{f.name} = {values[f.name]} is outside {f.range}")
-        return b"".join(values[f.name].to_bytes(f.bytes, "big") for f in self.fields)
-
-
-@dataclass(frozen=True)
 class BitField:
     """An unsigned integer of `bits` bits, most significant first.
 

@@ -44,6 +44,11 @@ SHORT_BYTES = 1024  # largest short file that the encoder writes: beyond, a shor
 SMALLEST_FILE, SMALLEST_ALPHA = 12, 3  # bytes without Gaussians: of the largest picture, and of opaque alpha
 
 
+def smallest_file(_: object, has_alpha: bool) -> int:
+    """Bytes of the smallest file for the largest picture."""
+    return SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
+
+
 def quantum_of(code: int) -> float:
     """Decode a quantum, (1 + f / 256) 2^(3 - e) with e the upper four bits and f the lower eight; exact in float64."""
     return (1 + (code & 0xFF) / 256) * 2.0 ** (3 - (code >> 8))

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from sgmethod.cli.paths import CommandError
 from sgmethod.cli.several import Figures, convert_all, convert_one
 from sgmethod.cli.terminal import progress_line, redraw
 from sgmethod.many.manifest import Manifest
+from sgmethod.profiles import DEFAULT_PROFILE, encoder_of, method_of
 from sgmethod.trace import TracePoint
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ def _check_method(arguments: argparse.Namespace) -> None:
     """Fail once, not for each picture, if a server or a profile cannot be used. Raises SgError."""
     if arguments.server is not None:
         _client_for(arguments)
-    elif arguments.profile != "rd":
-        import_module("sgmethod.paper")
+    elif arguments.profile != DEFAULT_PROFILE:
+        encoder_of(arguments.profile)
 
 
 def _only_budget(arguments: argparse.Namespace) -> Budget | None:
@@ -120,7 +120,7 @@ def _encode_here(began: float, _: Conversion, arguments: argparse.Namespace, ima
     from sgmethod.codec import encode
     from sgmethod.metrics.advice import advice, better_file
 
-    pixels, notes = paths.read_pixels(image, keep_alpha=arguments.profile == "rd")
+    pixels, notes = paths.read_pixels(image, keep_alpha=method_of(arguments.profile).keeps_alpha)
     choices = _choices(arguments)
     if arguments.time_limit is not None and arguments.time_limit > 0:
         choices["time_limit_s"] = max(arguments.time_limit - (time.perf_counter() - began), SHORTEST_LIMIT_S)

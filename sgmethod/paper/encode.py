@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from sgmethod.bitstream import container, v1
-from sgmethod.bitstream.container import smallest_file
-from sgmethod.bitstream.v1 import StreamV1
+from sgmethod.bitstream import container
 from sgmethod.decoder import draw
 from sgmethod.encode_arguments import EncodeArguments
 from sgmethod.errors import BudgetError
@@ -22,9 +20,10 @@ from sgmethod.metrics import psnr
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.schedule import Schedule
+from sgmethod.paper.settings import PaperSettings
+from sgmethod.paper.stream import PaperStream, file_bytes, smallest_file
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.scene import Pixels
-from sgmethod.settings.paper import PaperSettings
 
 SEED = 0  # of the initial places and of the codebook
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
@@ -38,7 +37,6 @@ class PaperProblem:
     """A picture to encode, uint8 [H, W, 3], and what its run has at hand."""
 
     pixels: Pixels
-    profile: str
     settings: PaperSettings
     deadline: Deadline
     recorder: Recorder
@@ -57,32 +55,28 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     budget, settings = asked.budget, asked.settings
     assert isinstance(settings, PaperSettings)
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, pixels.shape[0] * pixels.shape[1])
-    problem = PaperProblem(pixels, asked.profile, settings, deadline, recorder)
+    problem = PaperProblem(pixels, settings, deadline, recorder)
     with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
             stream, steps = reach_psnr(problem, budget.value)
         elif budget.kind == "gaussians":
             stream, steps = run(problem, budget.max_gaussians(*problem.size), None)
-        elif budget.kind == "quality":
-            raise BudgetError(f"profile {problem.profile} cannot aim at a quality; use bpp, bytes, psnr or gaussians")
         else:
             stream, steps = within_bytes(problem, budget.max_bytes(*problem.size) or 0)
     return container.serialise(stream), steps
 
 
-def within_bytes(problem: PaperProblem, max_bytes: int) -> tuple[StreamV1, int]:
+def within_bytes(problem: PaperProblem, max_bytes: int) -> tuple[PaperStream, int]:
     """Encode to at most max_bytes."""
     s, (width, height), smallest = problem.settings, problem.size, smallest_file(problem.settings)
     if max_bytes < smallest:
-        raise BudgetError(
-            f"a file of profile {problem.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
-        )
-    bits = 8 * (max_bytes - v1.file_bytes(0, EXPECTED_GROUPS))
+        raise BudgetError(f"a file of profile paper takes at least {smallest} bytes, the budget is {max_bytes}")
+    bits = 8 * (max_bytes - file_bytes(0, EXPECTED_GROUPS))
     n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
     return run(problem, n, max_bytes)
 
 
-def reach_psnr(problem: PaperProblem, target_db: float) -> tuple[StreamV1, int]:
+def reach_psnr(problem: PaperProblem, target_db: float) -> tuple[PaperStream, int]:
     """Search for the smallest stream that reaches target_db; return the best found if none does.
 
     Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the logarithm of
@@ -90,7 +84,7 @@ def reach_psnr(problem: PaperProblem, target_db: float) -> tuple[StreamV1, int]:
     """
     pixels = problem.size[0] * problem.size[1]
     n, steps = max(pixels // 300, 1), 0
-    tried: dict[int, tuple[float, StreamV1]] = {}
+    tried: dict[int, tuple[float, PaperStream]] = {}
     for attempt in problem.deadline.attempts(len(PSNR_UNTIL)):
         part = replace(problem, deadline=problem.deadline.at(PSNR_UNTIL[attempt]))
         stream, taken = run(part, n, None)
@@ -103,7 +97,7 @@ def reach_psnr(problem: PaperProblem, target_db: float) -> tuple[StreamV1, int]:
     return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1], steps
 
 
-def run(problem: PaperProblem, n: int, max_bytes: int | None) -> tuple[StreamV1, int]:
+def run(problem: PaperProblem, n: int, max_bytes: int | None) -> tuple[PaperStream, int]:
     """Encode n Gaussians, within max_bytes or else with bitwidths set by lambda_b; return stream and steps."""
     s, recorder = problem.settings, problem.recorder
     image = problem.pixels.astype(np.float32)
@@ -114,7 +108,7 @@ def run(problem: PaperProblem, n: int, max_bytes: int | None) -> tuple[StreamV1,
     tuner = Tuner(fitted, level, s, max_bytes, SEED)
     schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate)
     steps = fit_steps + schedule.run(problem.deadline, recorder, tuner.step)
-    return tuner.stream(problem.profile), steps
+    return tuner.stream(), steps
 
 
 @contextmanager
@@ -148,7 +142,7 @@ def _memory_errors() -> Iterator[None]:
         raise MemoryError("not enough memory for this encode") from error
 
 
-def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, limit: int) -> int:
+def _next_count(tried: dict[int, tuple[float, PaperStream]], target_db: float, limit: int) -> int:
     """Number of Gaussians to try next, from the two attempts nearest to the target."""
     nearest = sorted(tried, key=lambda m: abs(tried[m][0] - target_db))[:2]
     n, db, slope = nearest[0], tried[nearest[0]][0], PSNR_PER_DOUBLING_DB

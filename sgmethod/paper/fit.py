@@ -7,21 +7,21 @@ import math
 import numpy as np
 
 from sgmethod.backend.kernels import Kernels, Loss
-from sgmethod.backend.protocol import CUTOFF_V1, Frame, Moments
+from sgmethod.backend.protocol import MAX_CUTOFF, Frame, Moments
 from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level, target_of
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.paper.schedule import Schedule
+from sgmethod.paper.settings import PaperSettings
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PaperSettings
 
 KERNELS = Kernels()
 
 
 def level_of(pixels: np.ndarray) -> Level:
-    """Build the level that Gaussians of a version 1 file are fitted to, from pixels uint8 [H, W, 3]."""
-    return Level(KERNELS, Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
+    """Build the level that Gaussians of a file are fitted to, from pixels uint8 [H, W, 3]."""
+    return Level(KERNELS, Frame(pixels.shape[1], pixels.shape[0], MAX_CUTOFF, pyramid=False), target_of(pixels))
 
 
 def loss_of(level: Level, lambda_g: float) -> Loss:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.paper import structure
+from sgmethod.paper.settings import StartSettings
 from sgmethod.paper.structure import Structure
 from sgmethod.scene import FloatArray, Gaussians
-from sgmethod.settings.paper import StartSettings
 
 MIN_START_SCALE_PX = 0.5
 

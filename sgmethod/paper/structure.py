@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from skimage.segmentation import slic
 
 from sgmethod.opencv import cv2
+from sgmethod.paper.settings import StartSettings
 from sgmethod.scene import FloatArray
-from sgmethod.settings.paper import StartSettings
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
@@ -51,7 +52,5 @@ def analyse(image: FloatArray, regions: int, settings: StartSettings) -> Structu
 
 
 def _slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int32]:
-    from skimage.segmentation import slic  # takes 0.3 s to import
-
     labels = slic(image, n_segments=regions, compactness=compactness, start_label=0, channel_axis=-1)
     return np.asarray(labels, np.int32)

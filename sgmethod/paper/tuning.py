@@ -17,14 +17,14 @@ import torch
 from torch import Tensor
 
 from sgmethod.backend.protocol import Moments
-from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, StreamV1, file_bytes, record_bits
 from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.adam import Adam
 from sgmethod.paper.codebook import ResidualCodebook
 from sgmethod.paper.fit import KERNELS, loss_of
+from sgmethod.paper.settings import PaperSettings
+from sgmethod.paper.stream import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, PaperStream, file_bytes, record_bits
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PaperSettings
 
 MIN_SPAN_PX = 1e-3
 FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
@@ -182,7 +182,7 @@ class Tuner:
         self.optimiser.step(others, rate)
         self._widen()
 
-    def stream(self, profile: str) -> StreamV1:
+    def stream(self) -> PaperStream:
         """Code the best Gaussians as syntax elements, grouped by bitwidth, from top to bottom in each group."""
         self.fit_budget()
         self._restore_best()
@@ -196,8 +196,8 @@ class Tuner:
             rows = np.flatnonzero(hard == bitwidth)
             rows = rows[np.argsort(positions[rows, 1], kind="stable")]
             groups.append(Group(int(bitwidth), positions[rows], factors[rows], colors[rows]))
-        return StreamV1(
-            profile=profile,
+        return PaperStream(
+            profile="paper",
             width=self.level.frame.width,
             height=self.level.frame.height,
             position_bits=self.settings.position_bits,

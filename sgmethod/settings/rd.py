@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from sgmethod.settings.shared import OptimiserSettings
 
@@ -318,6 +319,7 @@ class DeadlineSettings:
 class RdSettings:
     """Hyper-parameters of profile rd (ours), in one group per step."""
 
+    profile: ClassVar[str] = "rd"
     effort: Effort = EFFORTS[DEFAULT_EFFORT]
     schedule: ScheduleSettings = ScheduleSettings()
     pyramid: PyramidSettings = PyramidSettings()

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, Protocol, get_args
 
 Tune = Literal["psnr", "fidelity", "visual"]
 TUNES: tuple[Tune, ...] = get_args(Tune)
+
+
+class Settings(Protocol):
+    """All numbers of a profile."""
+
+    profile: ClassVar[str]
 
 
 @dataclass(frozen=True)

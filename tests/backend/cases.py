@@ -6,14 +6,14 @@ from itertools import product
 
 import numpy as np
 
-from sgmethod.backend.protocol import CUTOFF, CUTOFF_V1, TARGET_WHITE, VISIBLE, Frame, Target, Visibility
+from sgmethod.backend.protocol import CUTOFF, MAX_CUTOFF, TARGET_WHITE, VISIBLE, Frame, Target, Visibility
 from sgmethod.scene import FloatArray, Gaussians
 
 SIZE = (40, 35)  # of a frame: of several tiles, and not of whole ones
 FRAMES = {
     f"{'pyramid' if pyramid else 'plain'}, spacing {spacing}": Frame(*SIZE, CUTOFF, pyramid, spacing)
     for pyramid, spacing in product((True, False), (1, 2))
-} | {"version 1": Frame(*SIZE, CUTOFF_V1, pyramid=False)}
+} | {"wide cut-off": Frame(*SIZE, MAX_CUTOFF, pyramid=False)}
 VISIBILITIES = ("none", "eye", "alpha", "coarse")
 
 

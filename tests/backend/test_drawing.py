@@ -69,7 +69,7 @@ def test_regularised(frame: Frame, lambda_g: float) -> None:
     """A loss is asked twice, as the second time it must not remember the first."""
     loss, exact = (each.regularised(frame, image(0), lambda_g) for each in (KERNELS, REFERENCE))
     for gaussians in (over(frame, 0), over(frame, 1)):
-        with torch.no_grad():  # as profile paper calls it
+        with torch.no_grad():  # as a caller of PyTorch may have it
             mse, gradient = loss(gaussians)
         wanted_mse, wanted = exact(gaussians)
         assert mse == pytest.approx(wanted_mse, rel=3e-6)  # worst seen 8.3e-7

@@ -12,9 +12,8 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Coding, Descent, Frame, Moments, Visibility
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PAPER
 from sgmethod.settings.rd import RD
-from sgmethod.settings.shared import OptimiserSettings
+from sgmethod.settings.shared import ADAM, OptimiserSettings
 from tests.backend.cases import FRAMES, VISIBILITIES, scattered, single, target, visibility
 from tests.definitions.backend import MAX_AMPLITUDE, MAX_SCALE, MAX_SLANT, Reference, step_by_step
 
@@ -45,7 +44,7 @@ def moved(backend: Kernels | Reference, settings: OptimiserSettings, seen: Visib
     return gaussians
 
 
-@pytest.mark.parametrize("settings", [PAPER.optimiser, RD.fit.optimiser], ids=["adam", "no longer than Gauss-Newton"])
+@pytest.mark.parametrize("settings", [ADAM, RD.fit.optimiser], ids=["adam", "no longer than Gauss-Newton"])
 @pytest.mark.parametrize("kind", VISIBILITIES)
 def test_step(settings: OptimiserSettings, kind: str) -> None:
     seen = visibility(kind, 2)

@@ -2,7 +2,7 @@
 (tests/native/fuzz): BitstreamError, or pixels of the size that the header says; nothing else.
 
 Some changes know the format, and some do not. A changed bit changes all that follows in an entropy-coded payload,
-so one explores more in version 2 than in version 1.
+so one explores more there than in fields of fixed length.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ HUGE = equal(500, 150, (500, 9, 700), 1.0, 0.1)  # as many wide Gaussians as the
 # Too narrow for a coarser level: three times as large, they are more than the tiles can bear.
 NEEDLES = equal(4000, 170, (600, 600, 0.3), 0.5, 0.01)
 # Few changes leave needles as many as overlap.
-CORPUS = [*golden(1).values(), *golden(2).values(), CROWDED, HUGE, *[NEEDLES] * 4]
+CORPUS = [*golden().values(), CROWDED, HUGE, *[NEEDLES] * 4]
 
 
 def bytes_of_any_kind(data: bytes, rng: random.Random) -> bytes:
@@ -137,7 +137,7 @@ def outcome(data: bytes, view: View, max_cpu_s: float = MAX_CPU_S) -> str:
     try:
         pixels = decode(data, MAX_PIXELS, view)
     except ViewError:
-        assert view.region is not None or view.prefix < 1  # not in the picture; of version 1
+        assert view.region is not None or view.prefix < 1  # not in the picture; a file without prefixes
         found = "view"
     except BitstreamError as error:
         found = next((word for word in WORDS if word in str(error)), "other")

@@ -21,8 +21,8 @@ from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_COORDINATE, View
 from tests.backend.cases import single
 from tests.bitstream import plain_decoder_v2, remake
+from tests.bitstream.document import rows, table
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
-from tests.bitstream.test_format_v1 import rows, table
 from tests.support.data import damaged, golden, golden_path, with_checksum
 
 GOLDEN = golden(2)

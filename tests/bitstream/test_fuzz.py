@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 
 from sgmethod.view import View
 from tests.bitstream.mutations import NEEDLES, explore, outcome
-from tests.support.data import SIGNATURES, with_checksum
+from tests.support.data import SIGNATURE, with_checksum
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(12_000, marks=pytest.mark.thorough)])
@@ -24,7 +24,7 @@ def test_any_damage(count: int, tmp_path: Path) -> None:
 def test_any_file(first: int, wide: int, high: int, rest: bytes, prefix: float) -> None:
     """Any flags, and sizes that can be drawn."""
     begin = first << 16 | (wide & 14) << 15 | high << 9
-    outcome(with_checksum(SIGNATURES[1] + begin.to_bytes(3, "big") + rest + bytes(4)), View(prefix=prefix))
+    outcome(with_checksum(SIGNATURE + begin.to_bytes(3, "big") + rest + bytes(4)), View(prefix=prefix))
 
 
 def test_needles_overlap_in_a_pyramid_too() -> None:

@@ -11,9 +11,9 @@ import pytest
 from sgmethod import BitstreamError
 from sgmethod.bitstream import container
 from tests.bitstream import plain_decoder_v2 as plain
+from tests.bitstream.document import rows
 from tests.bitstream.plain_encoder_v2 import Wanted
 from tests.bitstream.remake import small
-from tests.bitstream.test_format_v1 import rows
 from tests.support.data import ROOT
 
 BRIGHT = 2**22, 0, 0

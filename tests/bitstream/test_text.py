@@ -13,7 +13,7 @@ from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.text import from_text, to_text
 from tests.support.data import golden
 
-GOLDEN = {**golden(1), **golden(2)}
+GOLDEN = golden()
 
 
 @pytest.mark.parametrize("name", GOLDEN)

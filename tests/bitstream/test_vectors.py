@@ -12,8 +12,8 @@ from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import plain_decoder_v2
+from tests.bitstream.document import rows
 from tests.bitstream.remake import maps_of, refusals, row_of
-from tests.bitstream.test_format_v1 import rows
 from tests.support.data import ROOT
 from tests.support.node import answer_of
 

@@ -16,10 +16,9 @@ import pytest
 from PIL import Image
 
 from sgmethod.cli import main as cli
-from sgmethod.profiles import PROFILES
-from tests.rd.short import shortened
 from tests.support.data import golden_path
 from tests.support.pictures import photo
+from tests.support.profiles import shorten
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
 
@@ -38,9 +37,8 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder with photo.png and picture.sg in it, and encodes of less than a second."""
     monkeypatch.chdir(tmp_path)
     PHOTO.save("photo.png")
-    Path("picture.sg").write_bytes(golden_path("v1-paper.sg").read_bytes())
-    for name, settings in shortened(60).items():
-        monkeypatch.setitem(PROFILES, name, settings)
+    Path("picture.sg").write_bytes(golden_path("v2-color.sg").read_bytes())
+    shorten(monkeypatch, 60)
 
 
 @pytest.fixture

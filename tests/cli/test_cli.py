@@ -18,7 +18,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 import sgmethod
@@ -27,13 +26,13 @@ from sgmethod.budget import Budget
 from sgmethod.cli import arguments, decoding, paths, terminal
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
-from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Ran, Run, assert_refused, names, on_terminal, rest_of, start, start_interruptible
 from tests.support import processes
 from tests.support.data import ROOT, code_in, golden_path
 from tests.support.pictures import saved
+from tests.support.profiles import OTHER
 
 FIGURES = {"bytes", "bpp", "psnr", "ssimulacra2", "gaussians", "steps", "seconds", "width", "height"}
 ENCODE = "encode photo.png out.sg "
@@ -86,12 +85,12 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(codec, "encode", spy)
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
-        given = ["--profile", "paper", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
+        given = ["--profile", OTHER, "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
         named = {"tune": None, "effort": 5, "measure": False}
         given_budget, options = calls.pop()
         assert 0 < options.pop("time_limit_s") <= 5  # counted from the start of the command
-        assert (given_budget, options) == ((budget, "paper"), named)
+        assert (given_budget, options) == ((budget, OTHER), named)
     assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual", "--effort", "2") == Ran(0, "", "")
     assert {name: calls[0][1][name] for name in ("tune", "effort")} == {"tune": "visual", "effort": 2}
 
@@ -117,11 +116,14 @@ def test_summary_and_trace(run: Run) -> None:
 @pytest.mark.parametrize(
     ("name", "parts", "lines"),
     [
-        ("v1-paper", "headers positions covariances colors", {"picture": "40 x 56 pixels", "position bits": "12"}),
         ("v2-grey", "headers texture alpha payload", {"picture": "48 x 40 pixels", "grey": "yes", "alpha": "no"}),
     ],
 )
 def test_info(run: Run, name: str, parts: str, lines: dict[str, str]) -> None:
+    assert_info_shows(run, name, parts, lines)
+
+
+def assert_info_shows(run: Run, name: str, parts: str, lines: dict[str, str]) -> None:
     data = golden_path(f"{name}.sg").read_bytes()
     Path("picture.sg").write_bytes(data)
     ran = run("info", "picture.sg", "--json")
@@ -172,7 +174,7 @@ def test_version(module: bool) -> None:
         ("encode photo.png ./photo.png --output-dir folder", "would both become folder/photo.sg"),
         (ENCODE + "--jobs 0", "from 1 to 256"),
         ("decode picture.sg out.gif", "must end in one of .png, .jpg"),
-        ("compare photo.png picture.sg", "differ in size: 128 x 96 and 40 x 56"),
+        ("compare photo.png picture.sg", "differ in size: 128 x 96 and 48 x 40"),
         ("info", "IN.sg"),
         (ENCODE + "more", "--output-dir"),
         (DECODE + "--more", "unrecognized arguments: --more (see: sgmethod decode --help)"),
@@ -280,7 +282,7 @@ def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_interrupt_of_a_process() -> None:
     """Ctrl-C in the middle of a fit; the progress on the terminal says when that is."""
     ours, theirs = pty.openpty()
-    arguments = ["photo.png", "out.sg", "--profile", "paper", "--time-limit", "60"]
+    arguments = ["photo.png", "out.sg", "--profile", OTHER, "--time-limit", "60"]
     process = start_interruptible("encode", *arguments, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     seen = b""
@@ -367,7 +369,7 @@ def run_in_order(run: Run, lines: list[str]) -> None:
     ("document", "made"),
     [
         ("README.md", "photo.sg photo.png small.png"),
-        ("docs/command_line.md", "photo.sg small.sg paper.sg out photo.png part.png"),
+        ("docs/command_line.md", "photo.sg small.sg copy.sg out photo.png part.png"),
     ],
 )
 def test_commands_of_a_document(run: Run, document: str, made: str) -> None:
@@ -396,18 +398,13 @@ def test_python_of_the_readme() -> None:
     assert np.array_equal(np.asarray(Image.open("photo.png")), decode(Path("photo.sg").read_bytes()))
 
 
-def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "run", lambda *_: torch.empty(1 << 55, dtype=torch.uint8))
-    assert_refused(run("encode", "photo.png", "out.sg", "--profile", "paper"), "out of memory")
-
-
 KERNELS = "sgmethod.native._native", r"the compiled part .* install --editable \.; elsewhere, .*"
 TORCH = "torch", r".*torch.* pip install 'sgmethod\[torch\]'"
 
 
 @pytest.mark.parametrize(
     ("missing", "line"),
-    [*((KERNELS, line) for line in (ENCODE, DECODE, "info picture.sg")), (TORCH, f"{ENCODE} --profile paper")],
+    [*((KERNELS, line) for line in (ENCODE, DECODE, "info picture.sg")), (TORCH, f"{ENCODE} --profile {OTHER}")],
 )
 def test_what_is_not_installed_is_one_clear_line(missing: tuple[str, str], line: str, tmp_path: Path) -> None:
     module, why = missing

@@ -26,7 +26,7 @@ from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Run, assert_refused, on_terminal, start
 from tests.io.odd_files import tiff
 
-GOLDEN = "picture.sg"  # 40 x 56
+GOLDEN = "picture.sg"  # 48 x 40
 
 
 def size_of(path: str) -> tuple[int, int]:
@@ -46,7 +46,7 @@ def test_many_files_are_decoded(run: Run) -> None:
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
     assert re.fullmatch(
-        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes"
+        r"one\.sg -> out/one\.png: 24 x 20 pixels, PNG, [\d,]+ bytes"
         r" \(2 of 3, [\d.,]+ (?:pictures/s|s a picture), \d+ s left\)",
         done,
     )
@@ -54,7 +54,7 @@ def test_many_files_are_decoded(run: Run) -> None:
     bad, missing = ran.err.splitlines()
     assert bad.startswith("sgmethod: bad.sg: ")
     assert missing.startswith("sgmethod: missing.sg: cannot read missing.sg: No such file")
-    assert size_of("out/one.png") == (20, 28)
+    assert size_of("out/one.png") == (24, 20)
     assert Path("out/two.png").read_bytes() == b"before"
 
 

@@ -29,6 +29,7 @@ from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Ran, Run, names, on_terminal, start, start_interruptible
 from tests.support.processes import TIMEOUT_S
+from tests.support.profiles import OTHER
 
 GOLDEN = "picture.sg"
 SRGB_ALREADY = (60, 120, 200)
@@ -207,7 +208,7 @@ def test_interrupted_jobs_end(after: float) -> None:
         PHOTO.resize((512, 384)).save(name)
     pictures = ["one.png", "two.png", "three.png"]
     process = start_interruptible(
-        *("encode", *pictures, "--output-dir", "out", "--jobs", "2", "--profile", "paper", "--time-limit", "60"),
+        *("encode", *pictures, "--output-dir", "out", "--jobs", "2", "--profile", OTHER, "--time-limit", "60"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
@@ -321,7 +322,7 @@ def test_what_is_left_out_is_noted(run: Run) -> None:
     ran = run("encode", "input.png", "out.sg", "--gaussians", "9")
     assert (ran.status, ran.err) == (0, "")
     note = "transparency is composited over white\n"
-    ran = run("encode", "input.png", "paper.sg", "--gaussians", "9", "--profile", "paper", "--time-limit", "0.3")
+    ran = run("encode", "input.png", "copy.sg", "--gaussians", "9", "--profile", OTHER, "--time-limit", "0.3")
     assert (ran.status, ran.err) == (0, f"sgmethod: note: input.png: {note}")
     assert run("encode", "input.png", "out.sg", "--gaussians", "9", "--quiet") == Ran(0, "", "")
     for kind, mode in (("png", "RGBA"), ("webp", "RGBA"), ("avif", "RGBA"), ("jpg", "RGB"), ("ppm", "RGB")):

@@ -34,7 +34,7 @@ class Scene:
 
     @property
     def cutoff(self) -> float:
-        return native.CUTOFF_V2 if self.pyramid else native.CUTOFF_V1
+        return native.CUTOFF_V2 if self.pyramid else native.MAX_CUTOFF
 
     @property
     def target(self) -> NDArray[np.int16]:

@@ -168,7 +168,7 @@ def test_a_pyramid_is_near_the_plain_sum() -> None:
 
 @pytest.mark.parametrize("isa", ISAS)
 def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
-    scale, cutoff = 4.0, native.CUTOFF_V1
+    scale, cutoff = 4.0, native.MAX_CUTOFF
     one = single([[50.5, 50.5]], [[scale, 0, scale]], [[1, 1, 1]])
     row = by_kernels(isa, Scene(one, (101, 101), pyramid=False))[0][0, 50]
     reach = scale * np.sqrt(2 * cutoff)

@@ -95,13 +95,6 @@ def test_what_reaches_a_pixel_is_what_the_decoder_draws() -> None:
     assert as_set(reaching_pixels(some, (16, 16))) == as_set(some.rows(np.flatnonzero(drawn)))
 
 
-def test_gaussians_of_version_1_are_the_nearest_of_this_shape() -> None:
-    """Drawn as they are here, they make nearly the file's picture."""
-    file = sgmethod.open(golden_path("v1-paper.sg").read_bytes())
-    data = sgmethod.pack(file.gaussians(), *file.size, quantum=0.01, background=file.background)
-    assert psnr(sgmethod.decode(data), file.pixels()) > 38  # seen: 38.29
-
-
 def test_a_whole_gaussian_and_the_nearest_that_ends() -> None:
     one = [torch.tensor(values, dtype=torch.float64) for values in ([[50.0, 50.0]], [[9.0, 4.0, 6.0]], [[1.0, 1, 1]])]
     cut = recut(single(*one), NO_CUTOFF)

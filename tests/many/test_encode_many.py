@@ -26,11 +26,10 @@ from sgmethod.client import RemoteEncoded, encode_many as encode_on_server
 from sgmethod.errors import noted
 from sgmethod.io.image import warn
 from sgmethod.many.manifest import Manifest
-from sgmethod.profiles import PROFILES
 from tests.many.killing import Killer
-from tests.rd.short import short
 from tests.support.pictures import photo
 from tests.support.processes import wait_until
+from tests.support.profiles import shorten
 
 PHOTO = Image.fromarray(photo()).resize((64, 48))
 
@@ -39,7 +38,7 @@ PHOTO = Image.fromarray(photo()).resize((64, 48))
 def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder with three pictures, and encodes of a tenth of a second."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(PROFILES, "rd", short(20))
+    shorten(monkeypatch, 20)
     for number in range(3):
         PHOTO.rotate(90 * number).save(f"{number}.png")
 

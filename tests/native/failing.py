@@ -23,7 +23,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.native.harness.golden import GOLDEN, is_golden
 from tests.rd.short import short
-from tests.support.data import PHOTOGRAPHS
+from tests.support.data import EXAMPLES, PHOTOGRAPHS
 
 WIDTH, HEIGHT = 200, 150
 Action = Callable[[], bytes]
@@ -87,8 +87,7 @@ def encode() -> bytes:
 
 
 SCENARIOS: dict[str, Action] = {
-    "decode-v1": decodes("v1-paper"),
-    "decode-v2": decodes("v2-color"),
+    **{f"decode-{name}": decodes(name) for name in EXAMPLES},
     "decode-large": decode_large,
     "gradients": gradients,
     "refine": refine,
@@ -123,7 +122,7 @@ def survive(shim: ctypes.CDLL, scenario: str, whose: str) -> tuple[int, int]:
             counted = shim.fail_no_more()
         assert result in (b"", expected), f"{scenario}: a wrong result when allocation {number} fails"
         right += result == expected
-        for name in ("v1-paper", "v2-color"):
+        for name in EXAMPLES:
             assert is_golden(name, decode(GOLDEN[name])), (
                 f"{scenario}: {name} is wrong after allocation {number} failed"
             )

@@ -15,7 +15,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import CUTOFF_V1
+from sgmethod.backend.protocol import MAX_CUTOFF
 from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level
@@ -24,8 +24,8 @@ from sgmethod.io.image import read_input
 from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.placement import place_by_structure
 from sgmethod.paper.schedule import Schedule, Step
+from sgmethod.paper.settings import PAPER, PaperSettings
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.trace import TracePoint
 from tests.backend.cases import single
 from tests.definitions import drawing
@@ -62,7 +62,7 @@ def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
     """Weights [pixels, Gaussians] in float64."""
     one = torch.ones(1, 3, dtype=torch.float64)
     means, factors = (torch.tensor(values).double() for values in (shapes.means, shapes.factors))
-    columns = [drawing.render(m[None], f[None], one, size, CUTOFF_V1)[0] for m, f in zip(means, factors, strict=True)]
+    columns = [drawing.render(m[None], f[None], one, size, MAX_CUTOFF)[0] for m, f in zip(means, factors, strict=True)]
     return torch.stack(columns, -1).reshape(-1, len(means)).numpy()
 
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sgmethod.paper import structure
 from sgmethod.paper.placement import allocate, dynamic_ratio, place_by_structure
+from sgmethod.paper.settings import STRUCTURE
 from sgmethod.paper.structure import Structure
 from sgmethod.scene import Gaussians
-from sgmethod.settings.paper import STRUCTURE
 from tests.support.pictures import ODD, grey, photo
 
 FloatArray = NDArray[np.float32]

@@ -20,8 +20,8 @@ from sgmethod.paper.codebook import ResidualCodebook, kmeans
 from sgmethod.paper.fit import level_of
 from sgmethod.paper.lattice import codes, quantise
 from sgmethod.paper.placement import place_by_structure
+from sgmethod.paper.settings import PAPER
 from sgmethod.paper.tuning import Tuner
-from sgmethod.settings.paper import PAPER
 from tests.support.pictures import photo
 
 DIFFERENCE = 1e-6  # of the central differences, in float64
@@ -215,6 +215,6 @@ def test_a_file_is_as_good_as_the_best_step() -> None:
     start = place_by_structure(pixels.astype(np.float32) / 255, 60, settings.start, np.random.default_rng(0))
     tuner = Tuner(start, level_of(pixels), settings, None, 0)
     errors = [tuner.step(rate)[0] for rate in [1.0] * 40 + [40.0] * 5]
-    drawn = draw(tuner.stream("paper").scene())
+    drawn = draw(tuner.stream().scene())
     assert errors[-1] > 1.5 * min(errors)
     assert np.square((drawn.astype(float) - pixels) / 255).mean() < 1.02 * min(errors)  # rounded to 8 bits

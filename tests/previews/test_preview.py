@@ -26,10 +26,9 @@ from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.previews.still import webp_uri
-from sgmethod.profiles import PROFILES
-from tests.rd.short import short
 from tests.support.data import code_in
 from tests.support.pictures import photo, saved
+from tests.support.profiles import shorten
 
 PHOTO = Image.fromarray(photo())  # 128 x 96
 LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
@@ -37,7 +36,7 @@ LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PROFILES, "rd", short(60))
+    shorten(monkeypatch, 60)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.sparse import pyramid_of
-from sgmethod.settings.paper import PAPER, PaperSettings
 from sgmethod.settings.rd import RD, RdSettings
 from sgmethod.settings.shared import Tune
 
@@ -29,12 +28,6 @@ from sgmethod.settings.shared import Tune
 def short(steps: int, **of_effort: Any) -> RdSettings:
     """The settings of the default effort with a first run of `steps` steps."""
     return replace(RD, effort=replace(RD.effort, steps=steps, **of_effort))
-
-
-def shortened(steps: int, phase_steps: tuple[int, int] | None = None) -> dict[str, RdSettings | PaperSettings]:
-    """Settings of all profiles with a short first run, and short phases of paper."""
-    fit, tune = phase_steps or (steps, steps)
-    return {"rd": short(steps), "paper": replace(PAPER, fit_steps=fit, tune_steps=tune)}
 
 
 class SlowClock(Clock):

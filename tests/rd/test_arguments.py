@@ -13,9 +13,8 @@ from PIL import Image
 import sgmethod
 from sgmethod import Budget, BudgetError, ImageError, SgError, View, ViewError
 from sgmethod.io.image import read_input
-from sgmethod.profiles import PROFILES
-from tests.rd.short import shortened
 from tests.support.data import golden_path
+from tests.support.profiles import OTHER, shorten
 
 GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 PIXELS = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)
@@ -24,8 +23,7 @@ INTEGERS = [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int6
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, settings in shortened(20, (5, 5)).items():
-        monkeypatch.setitem(PROFILES, name, settings)
+    shorten(monkeypatch, 20)
 
 
 @pytest.mark.parametrize("kind", INTEGERS)
@@ -106,9 +104,9 @@ def test_other_arguments_are_pythons_own() -> None:
         (lambda: sgmethod.encode(PIXELS, tune="best"), BudgetError, "unknown tune"),
         (lambda: sgmethod.encode(PIXELS, psnr=20, tune="visual"), BudgetError, "a budget in dB"),
         (lambda: sgmethod.encode(PIXELS, psnr=20, tune="fidelity"), BudgetError, "a budget in dB"),
-        (lambda: sgmethod.encode(PIXELS, profile="paper", tune="visual"), BudgetError, "profile paper"),
-        (lambda: sgmethod.encode(PIXELS, profile="paper", quality="web"), BudgetError, "cannot aim at a quality"),
-        (lambda: sgmethod.encode(PIXELS, profile="paper", effort=6), BudgetError, "only profile rd has an effort"),
+        (lambda: sgmethod.encode(PIXELS, profile=OTHER, tune="visual"), BudgetError, f"profile {OTHER}"),
+        (lambda: sgmethod.encode(PIXELS, profile=OTHER, quality="web"), BudgetError, "cannot aim at a quality"),
+        (lambda: sgmethod.encode(PIXELS, profile=OTHER, effort=6), BudgetError, "only profile rd has an effort"),
         (lambda: sgmethod.encode(PIXELS, time_limit_s=0.0), BudgetError, "time limit"),
         (lambda: sgmethod.encode(PIXELS, time_limit_s=-1.0), BudgetError, "time limit"),
         (lambda: sgmethod.encode(PIXELS, time_limit_s=math.inf), BudgetError, "time limit"),

@@ -19,6 +19,7 @@ from sgmethod import machine
 from tests.support.job_table import IMAGE
 from tests.support.postgres_server import PostgresServer
 from tests.support.processes import Outcome, run
+from tests.support.profiles import OTHER
 from tests.support.service import FAKE_CODEC, RunCommand
 
 
@@ -77,15 +78,15 @@ def test_a_parent_that_ignores_the_ends_of_children(run_command: RunCommand, tmp
 
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One profile does; the service does not."""
-    paper = EncodeOptions(profile="paper")
-    assert paper.request(IMAGE, 60).profile == "paper"
+    other = EncodeOptions(profile=OTHER)
+    assert other.request(IMAGE, 60).profile == OTHER
     monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
     result = run_command("check", data_dir=tmp_path)
     assert verdicts(result)["kernels"] == "ok"
-    assert "profile paper needs PyTorch" in result.stdout
+    assert f"profile {OTHER} needs PyTorch" in result.stdout
     assert EncodeOptions().request(IMAGE, 60).profile == "rd"
-    with pytest.raises(ProblemError, match="profile paper needs PyTorch") as refusal:
-        paper.request(IMAGE, 60)
+    with pytest.raises(ProblemError, match=f"profile {OTHER} needs PyTorch") as refusal:
+        other.request(IMAGE, 60)
     assert refusal.value.status == 422
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v1 import Group, StreamV1
+from sgmethod.paper.stream import Group, PaperStream
 from tests.support.pictures import SMALL, pixels_of, saved
 
 
@@ -52,4 +52,4 @@ def crowded_bitstream(gaussians: int = 400_000, side: int = 7000) -> bytes:
     group = Group(1, places, shapes, np.zeros((gaussians, 2), np.uint8))
     middle, shape = np.full((2, 2), side / 2, np.float32), np.array([[30], [0], [30]], np.float32).repeat(2, 1)
     codebooks = np.full((2, 8, 3), 0.15, np.float16)
-    return container.serialise(StreamV1("paper", side, side, 1, middle, shape, codebooks, (group,)))
+    return container.serialise(PaperStream("paper", side, side, 1, middle, shape, codebooks, (group,)))

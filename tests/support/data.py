@@ -13,15 +13,22 @@ JAVASCRIPT = ROOT / "sgmethod" / "javascript" / "src"
 STATIC = ROOT / "service" / "page"  # what the page is made of
 
 
-def golden(version: int) -> dict[str, bytes]:
-    """The golden files of one version of the format by name, such as "v2-color"."""
-    return {f"v{version}-{path.stem}": path.read_bytes() for path in sorted((DATA / f"v{version}").glob("*.sg"))}
+GOLDEN = {1: ROOT / "tests" / "paper" / "golden", 2: DATA / "v2"}  # by the version that is in the files
+
+
+EXAMPLES = "v1-paper", "v2-color"  # a golden file of each profile
+
+
+def golden(*versions: int) -> dict[str, bytes]:
+    """The golden files by name, such as "v2-color"; of some versions, or of all."""
+    found = [(number, path) for number in versions or GOLDEN for path in sorted(GOLDEN[number].glob("*.sg"))]
+    return {f"v{number}-{path.stem}": path.read_bytes() for number, path in found}
 
 
 def golden_path(name: str) -> Path:
-    """Where a golden file lies, or the picture of one: "v2-color.sg", "v1-paper.png"."""
+    """Where a golden file lies, or the picture of one, such as "v2-color.sg"."""
     version, _, rest = name.partition("-")
-    return DATA / version / rest
+    return GOLDEN[int(version[1:])] / rest
 
 
 def code_in(document: str, language: str = r"\w+", heading: str = "") -> list[str]:
@@ -35,7 +42,7 @@ def code_in(document: str, language: str = r"\w+", heading: str = "") -> list[st
 PICTURE = golden_path("v2-color.sg").read_bytes()  # 48 x 40 pixels, which are drawn at once
 
 
-SIGNATURES = (b"\xd3\xc1", b"\xd3\xc2")  # with which files of versions 1 and 2 begin
+SIGNATURE = b"\xd3\xc2"  # with which a file of the default profile begins
 
 
 def damaged(data: bytes, place: float, value: bytes, growth: int) -> bytes:

@@ -11,9 +11,8 @@ import torch
 import sgmethod
 import sgmethod.torch
 from sgmethod.metrics import psnr
-from sgmethod.profiles import PROFILES
-from tests.rd.short import short
 from tests.support.data import ROOT, code_in
+from tests.support.profiles import shorten
 
 PAGE = (ROOT / "docs" / "python.md").read_text()
 
@@ -30,7 +29,7 @@ def ran(page: str) -> tuple[int, dict[str, Any]]:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Encodes of less than a second."""
-    monkeypatch.setitem(PROFILES, "rd", short(40))
+    shorten(monkeypatch, 40)
 
 
 @pytest.mark.usefixtures("files")

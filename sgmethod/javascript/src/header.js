@@ -1,4 +1,4 @@
-// What an .sg file says before its Gaussians: docs/format.md, "Version 2". Other versions are refused.
+// What an .sg file says before its Gaussians: docs/format.md, "Parts of a file". Other versions are refused.
 //
 // Here and in the modules beside it, statements with the label WHOLE belong to the whole decoder. The npm package's
 // decoder of previews is built without them; it still finds damage, by the checksum and by how the payload ends.

@@ -48,7 +48,7 @@ NB_MODULE(_native, m) {
   nb::set_leak_warnings(false);  // a thread that works when the program ends keeps what it works on
   m.doc() = "The compiled kernels, as sgmethod/native/bindings/ gives them to Python.";
   m.attr("MAX_SIDE") = sg::kMaxSide;
-  m.attr("CUTOFF_V1") = sg::kCutoffV1;
+  m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
   m.attr("CUTOFF_V2") = sg::kCutoffV2;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;
   m.attr("VISIBLE") = sg::kVisible;

@@ -134,7 +134,7 @@ void bind_raster(nb::module_& m) {
   nb::class_<sg::Rasterization>(
       m, "Rasterization",
       "Gaussians' geometry on a pixel grid. Raises OverflowError for more than max_pairs pairs of Gaussian and tile.")
-      .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
+      .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kMaxCutoff,
            "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0,
            "texture"_a.none() = nb::none(),
            "Assign Gaussians to tiles.\n\n"

@@ -7,10 +7,9 @@ namespace sg {
 constexpr int kMaxSide = 65535;  // pixels along a side of a picture: 16 bits in a file
 
 // A Gaussian ends at the ellipse sigma = cutoff. Its weight is exp(-sigma) - exp(-cutoff), which is zero there. Each
-// version of the format has its own cutoff.
-constexpr float kCutoffV1 = 5.5f;
+// profile has its own cutoff.
+constexpr float kMaxCutoff = 5.5f;  // the kernels' exponentials are sized for it
 constexpr float kCutoffV2 = 3.0f;
-constexpr float kMaxCutoff = kCutoffV1;  // the kernels' exponentials are sized for it
 
 constexpr double kMinScale = 0.3;  // pixels; l1 and l3 are at least this. Kernels use it in single precision.
 

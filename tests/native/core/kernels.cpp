@@ -118,7 +118,7 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
     sg::ReconstructionLoss loss(target.data(), kWidth, kHeight, 0.5f);
     for (const bool pyramid : {false, true})
       for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
-        const sg::Rasterization raster = rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV1, pyramid}, isa);
+        const sg::Rasterization raster = rasterized(g, {0, 0, kWidth, kHeight, sg::kMaxCutoff, pyramid}, isa);
         raster.render(g.colors.data(), image.data());
         loss(image.data(), grad.data());
         sg::backward(raster, g.colors.data(), grad.data(), by.rows());

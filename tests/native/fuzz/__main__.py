@@ -19,7 +19,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2, quantum_code
 from tests.bitstream.mutations import CORPUS
 from tests.native.harness.build import BUILDS, PATH, build
-from tests.support.data import SIGNATURES
+from tests.support.data import SIGNATURE
 
 FORMER = Path(__file__).parent / "corpus" / "entropy"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"
@@ -46,7 +46,7 @@ def fuzz(program: Path, minutes: float) -> int:
     for folder in (found, begin):
         folder.mkdir(parents=True, exist_ok=True)
     for number, data in enumerate(CORPUS):
-        if data.startswith(SIGNATURES[1]):
+        if data.startswith(SIGNATURE):
             (begin / str(number)).write_bytes(bare(data))
     before = set(FOUND.glob("failure-*"))
     time, prefix = f"-max_total_time={max(1, round(60 * minutes))}", f"-artifact_prefix={FOUND / 'failure-'}"

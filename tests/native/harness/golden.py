@@ -1,4 +1,4 @@
-"""The golden files of both versions, and whether pixels are those of one."""
+"""The golden files, and whether pixels are those of one."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from PIL import Image
 
 from tests.support.data import golden, golden_path
 
-GOLDEN = {**golden(1), **golden(2)}
+GOLDEN = golden()
 
 
 @cache
 def _hashes() -> dict[str, dict[str, str]]:
-    """Hashes of version 2; version 1 has pictures."""
+    """Those of the default profile; others have pictures."""
     hashes: dict[str, dict[str, str]] = json.loads(golden_path("v2-hashes.json").read_text())
     return hashes
 

@@ -20,6 +20,7 @@ from sgmethod.budget import bytes_value
 from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
 from tests.support.pictures import SMALL, png, saved
 from tests.support.processes import wait_until
+from tests.support.profiles import OTHER
 from tests.support.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
@@ -114,16 +115,16 @@ REFUSED_FIELDS: dict[str, list[dict[str, str]]] = {
     "at most 60": [{"psnr": "99"}],
     "at most 100": [{"quality": "101"}],
     "at least 12 bytes": [{"bytes": "11"}, {"bpp": "0.00001"}],
-    "takes at least": [{"bytes": "100", "profile": "paper"}],
+    "takes at least": [{"bytes": "100", "profile": OTHER}],
     "exceed the image's": [{"gaussians": "10000000"}],
-    "cannot aim at a quality": [{"quality": "50", "profile": "paper"}],
+    "cannot aim at a quality": [{"quality": "50", "profile": OTHER}],
     "unknown profile": [{"bpp": "1", "profile": "best"}],
     "unknown tune": [{"bpp": "1", "tune": "best"}],
     "can only be tuned for psnr": [
-        {"tune": "visual", **more} for more in ({"psnr": "30"}, {"bpp": "1", "profile": "paper"})
+        {"tune": "visual", **more} for more in ({"psnr": "30"}, {"bpp": "1", "profile": OTHER})
     ],
     "effort": [{"bpp": "1", "effort": value} for value in ("10", "5.5", "all")],
-    "only profile rd has an effort": [{"bpp": "1", "profile": "paper", "effort": "9"}],
+    "only profile rd has an effort": [{"bpp": "1", "profile": OTHER, "effort": "9"}],
     "time_limit_s": [{"bpp": "1", "time_limit_s": value} for value in ("0", "1e9", "soon")],
     "unknown field": [{"bpp": "1", "fineness": "9"}],
     "priority": [{"bpp": "1", "priority": "first"}],
@@ -195,10 +196,10 @@ def test_an_image_as_the_body(web: Service) -> None:
         options = {"content": SMALL, "headers": {"Content-Type": "image/png"}, **more}
         return web.client.post(f"/encode{query}", **options)
 
-    answer = post("?psnr=30&profile=paper&time_limit_s=2&priority=bulk")
+    answer = post(f"?psnr=30&profile={OTHER}&time_limit_s=2&priority=bulk")
     assert answer.status_code == 202, answer.text
     job = web.job(answer.json()["id"])
-    assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, "paper")
+    assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, OTHER)
     assert (job["time_limit_s"], job["priority"], job["tune"], job["effort"]) == (2, "bulk", "psnr", 5)
     unasked = web.job(post("?bpp=1").json()["id"])
     assert (unasked["tune"], unasked["effort"]) == ("visual", 5)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sgmethod
-from tests.support.data import STATIC, golden_path
+from tests.support.data import EXAMPLES, STATIC, golden
 
-OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
+OTHER = golden()[EXAMPLES[0]]  # which the page does not read
 COFFEE, PHOTOGRAPH = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
 COFFEE_SAYS = f"{sgmethod.info(COFFEE).gaussians:,} Gaussians"

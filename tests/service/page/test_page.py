@@ -13,7 +13,7 @@ from sgmethod.budget import DEFAULT_BUDGET
 from tests.javascript.site import served
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER
 from tests.support.browser import Chromium, Page, assert_open_to_all
-from tests.support.data import STATIC, golden_path
+from tests.support.data import PHOTOGRAPHS, STATIC
 from tests.support.node import assert_as_python
 from tests.support.pictures import SLOW, SMALL
 from tests.support.processes import wait_until
@@ -229,7 +229,7 @@ def test_what_is_refused(page: Chromium, web: Service) -> None:
     page.click("#sample-cat")
     page.says("5.4 kB", "#right-label")
     assert [page.is_seen(part) for part in ("#stage", "#tools", "#ellipses-field")] == [True] * 3
-    page.type("#file", str(golden_path("v1-paper.png")))
+    page.type("#file", str(PHOTOGRAPHS / "kodim23-crop.png"))
     page.says("in the queue")
     page.cancel()
 

@@ -36,6 +36,7 @@ from tests.service.sandbox_process import TAKEN_OVER, WAITS, begun, file_of, mes
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
 from tests.support.processes import TIMEOUT_S, encoder_of, end_early, processes, wait_until
+from tests.support.profiles import OTHER
 from tests.support.service import FAKE_CODEC
 
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
@@ -145,7 +146,7 @@ def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, 
 def test_a_profile_that_brings_torch(real: Sandbox) -> None:
     """It is imported before the task is confined, and starts its threads afterwards."""
     pytest.importorskip("torch")
-    request = EncodeRequest("bpp", 2.0, "paper", time_limit_s=2)
+    request = EncodeRequest("bpp", 2.0, OTHER, time_limit_s=2)
     what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=2)
     *_, result = messages_of(real, what, saved(picture()))
     assert isinstance(result, Result), result

@@ -23,6 +23,7 @@ from sgmethod.trace import TracePoint
 from tests.support.data import PICTURE, ROOT
 from tests.support.pictures import SMALL, png, saved
 from tests.support.processes import Outcome, run, wait_until
+from tests.support.profiles import OTHER
 from tests.support.service import FAKE_CODEC, SMALL_QUEUE, Service, StartService, keys_of
 
 
@@ -60,7 +61,7 @@ def test_what_is_dropped_is_noted(service: Service) -> None:
     glass = saved(Image.new("RGBA", (64, 48), (200, 80, 60, 100)))
     with Client(service.url) as client:
         kept = client.encode(glass, Budget("bytes", 200), time_limit_s=0.5)
-        laid = client.encode(glass, Budget("gaussians", 4), "paper", time_limit_s=0.5)
+        laid = client.encode(glass, Budget("gaussians", 4), OTHER, time_limit_s=0.5)
     assert (kept.notes, laid.notes) == ([], ["transparency is composited over white"])
     assert "notes" not in laid.figures
 
@@ -180,9 +181,9 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
 def test_all_that_a_client_may_ask(start_service: StartService) -> None:
     web = start_service("web", link_secret="s" * 32)
     with Client(web.url) as client:
-        first = client.submit(SMALL, Budget("bpp", 2), "paper", time_limit_s=0.5, priority="bulk")
+        first = client.submit(SMALL, Budget("bpp", 2), OTHER, time_limit_s=0.5, priority="bulk")
         second = client.submit(SMALL, priority="bulk")  # or it would be claimed first
-        assert [client.job(first)[name] for name in ("profile", "time_limit_s", "priority")] == ["paper", 0.5, "bulk"]
+        assert [client.job(first)[name] for name in ("profile", "time_limit_s", "priority")] == [OTHER, 0.5, "bulk"]
         web.publish(first, PICTURE)
         assert client.wait(first)["state"] == "done"
         assert [job["id"] for job in client.jobs()] == [second, first]

@@ -1,6 +1,6 @@
-"""Version 1 of the file (profile paper): integer codes <-> bytes, in fields of fixed length.
+"""The file of profile paper: integer codes <-> bytes, in fields of fixed length.
 
-docs/format.md describes it in words. Between signature and checksum stand
+docs/paper-format.md describes it in words. Between signature and checksum stand
 
 header   profile, picture size, bits per coordinate, groups                        (HEADER)
 tables   ranges of positions and factors, colour codebooks                         (only if there are Gaussians)
@@ -16,10 +16,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.bitstream.fields import Field, Header
 from sgmethod.bitstream.stream import LONG_CHECKSUM, NO_LIMITS, SIGNATURE_BYTES, Info, Limits
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.native import native
+from sgmethod.paper.settings import PaperSettings
 from sgmethod.scene import FloatArray, Gaussians, Scene
 
 PROFILE_CODES = {"baseline": 0, "paper": 1}  # nothing writes 0 any more
@@ -27,22 +27,20 @@ CODEBOOK_STAGES, CODEBOOK_ENTRIES, COLOR_INDEX_BITS = 2, 8, 3
 MIN_BITWIDTH, MAX_BITWIDTH = 1, 16
 
 
-HEADER = Header(
-    (
-        Field("profile", 1, 0, 1),
-        Field("width", 2, 1, native.MAX_SIDE),
-        Field("height", 2, 1, native.MAX_SIDE),
-        Field("position_bits", 1, MIN_BITWIDTH, MAX_BITWIDTH),
-        Field("groups", 1, 0, MAX_BITWIDTH),
-    )
-)
-GROUP = Header((Field("bitwidth", 1, MIN_BITWIDTH, MAX_BITWIDTH), Field("gaussians", 3, 1, 2**24 - 1)))
-HEADER_BYTES = SIGNATURE_BYTES + HEADER.size
+Fields = dict[str, tuple[int, int, int]]  # bytes, least and greatest value of each
+HEADER: Fields = {
+    "profile": (1, 0, 1),
+    "width": (2, 1, native.MAX_SIDE),
+    "height": (2, 1, native.MAX_SIDE),
+    "position_bits": (1, MIN_BITWIDTH, MAX_BITWIDTH),
+    "groups": (1, 0, MAX_BITWIDTH),
+}
+GROUP: Fields = {"bitwidth": (1, MIN_BITWIDTH, MAX_BITWIDTH), "gaussians": (3, 1, 2**24 - 1)}
 POSITION_TABLE_BYTES, FACTOR_TABLE_BYTES = 2 * 2 * 4, 3 * 2 * 4
 CODEBOOK_BYTES = CODEBOOK_STAGES * CODEBOOK_ENTRIES * 3 * 2
 TABLE_BYTES = POSITION_TABLE_BYTES + FACTOR_TABLE_BYTES + CODEBOOK_BYTES
-GROUP_BYTES = GROUP.size
-FIXED_BYTES = HEADER_BYTES + LONG_CHECKSUM  # of every file
+HEADER_BYTES, GROUP_BYTES = (sum(size for size, *_ in fields.values()) for fields in (HEADER, GROUP))
+FIXED_BYTES = SIGNATURE_BYTES + HEADER_BYTES + LONG_CHECKSUM  # of every file
 BLOCK_RECORDS = 1 << 16  # unpacked at a time: a bit takes a byte then
 
 
@@ -60,8 +58,8 @@ class Group:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InfoV1(Info):
-    """Info of a version 1 file. Ranges and codebooks as in StreamV1; groups: bitwidth and Gaussians of each."""
+class PaperInfo(Info):
+    """Info of a file. Ranges and codebooks as in PaperStream; groups: bitwidth and Gaussians of each."""
 
     position_bits: int
     position_range: list[list[float]]
@@ -71,8 +69,8 @@ class InfoV1(Info):
 
 
 @dataclass(frozen=True)
-class StreamV1:
-    """All integer codes of a version 1 file, with the tables that give them meaning.
+class PaperStream:
+    """All integer codes of a file, with the tables that give them meaning.
 
     position_range [2, 2]: for x and y the coordinate in pixels of code 0 and of the last code;
     factor_range [3, 2]: the same for l1, l2, l3; codebooks [2, 8, 3]: RGB entries of both stages.
@@ -93,13 +91,13 @@ class StreamV1:
     groups: tuple[Group, ...]
 
     @classmethod
-    def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV1:
+    def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> PaperStream:
         """Read the bytes between signature and checksum.
 
         Raises BitstreamError for anything but a whole body, and beyond the limits before the records are read.
         """
-        header = HEADER.read(body)
-        at = HEADER.size
+        header = _read_fields(HEADER, body)
+        at = HEADER_BYTES
         profile = next(name for name, code in PROFILE_CODES.items() if code == header["profile"])
         size = header["width"], header["height"], header["position_bits"]
         limits.check_size(header["width"], header["height"])
@@ -112,7 +110,7 @@ class StreamV1:
         at += TABLE_BYTES
         counts = []
         for _ in range(header["groups"]):
-            group = GROUP.read(body[at:])
+            group = _read_fields(GROUP, body[at:])
             counts.append((group["bitwidth"], group["gaussians"]))
             at += GROUP_BYTES
         _check_count(sum(n for _, n in counts), header["width"] * header["height"], limits)
@@ -127,13 +125,13 @@ class StreamV1:
             "position_bits": self.position_bits,
             "groups": len(self.groups),
         }
-        body = bytearray(HEADER.write(values))
+        body = bytearray(_fields(HEADER, values))
         if self.groups:
             body += self.position_range.astype(">f4").tobytes()
             body += self.factor_range.astype(">f4").tobytes()
             body += self.codebooks.astype(">f2").tobytes()
             for group in self.groups:
-                body += GROUP.write({"bitwidth": group.bitwidth, "gaussians": len(group.positions)})
+                body += _fields(GROUP, {"bitwidth": group.bitwidth, "gaussians": len(group.positions)})
             bits = [_records_to_bits(group, self.position_bits) for group in self.groups]
             body += np.packbits(np.concatenate(bits)).tobytes()
         return bytes(body)
@@ -144,7 +142,7 @@ class StreamV1:
         return sum(len(g.positions) for g in self.groups)
 
     def dequantised(self) -> Gaussians:
-        """Dequantise the Gaussians, exactly as every decoder must (docs/format.md)."""
+        """Dequantise the Gaussians, exactly as every decoder must (docs/paper-format.md)."""
         if not self.groups:
             return Gaussians.empty(0)
         means = [_levels(g.positions, self.position_range, self.position_bits) for g in self.groups]
@@ -161,11 +159,11 @@ class StreamV1:
         """Return the scene to draw. Raises ViewError for a prefix below 1."""
         if prefix < 1:
             raise ViewError(f"a file of profile {self.profile} cannot be decoded from a prefix")
-        return Scene(self.dequantised(), self.width, self.height, self.background, native.CUTOFF_V1)
+        return Scene(self.dequantised(), self.width, self.height, self.background, native.MAX_CUTOFF)
 
-    def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
+    def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> PaperInfo:
         """Describe the file. parse() has already checked the limits."""
-        return InfoV1(
+        return PaperInfo(
             bytes=file_bytes,
             bpp=8 * file_bytes / (self.width * self.height),
             version=self.VERSION,
@@ -200,9 +198,34 @@ def file_bytes(bits: int, groups: int) -> int:
     return FIXED_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-bits // 8)
 
 
+def smallest_file(settings: PaperSettings, _: bool = False) -> int:
+    """Size of a file with one Gaussian."""
+    return file_bytes(record_bits(settings.position_bits, settings.min_bitwidth), 1)
+
+
 def record_bits(position_bits: int, bitwidth: int) -> int:
     """Size of one Gaussian's record."""
     return sum(_widths(position_bits, bitwidth))
+
+
+def _read_fields(fields: Fields, data: memoryview) -> dict[str, int]:
+    values, at = {}, 0
+    for name, (size, low, high) in fields.items():
+        if len(data) < at + size:
+            raise BitstreamError("the file is truncated in its header")
+        value = values[name] = int.from_bytes(data[at : at + size], "big")
+        if not low <= value <= high:
+            raise BitstreamError(f"header field {name} is {value}, outside {low}..{high}")
+        at += size
+    return values
+
+
+def _fields(fields: Fields, values: dict[str, int]) -> bytes:
+    """Write a value for each field. Raises ValueError for a value out of range."""
+    for name, (_, low, high) in fields.items():
+        if not low <= values[name] <= high:
+            raise ValueError(f"{name} = {values[name]} is outside {low}..{high}")
+    return b"".join(values[name].to_bytes(size, "big") for name, (size, *_) in fields.items())
 
 
 def _widths(position_bits: int, bitwidth: int) -> tuple[int, ...]:

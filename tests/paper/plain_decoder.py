@@ -1,6 +1,6 @@
-"""A second decoder of version 1, written from docs/format.md alone: plain Python, slow, sharing nothing with sgmethod.
+"""A second decoder, written from docs/paper-format.md alone: plain Python, slow, sharing nothing with sgmethod.
 
-Each function follows one section of that text, in its order. What version 2 has too comes from its decoder.
+Each function follows one section of that text, in its order. What docs/format.md has too comes from its decoder.
 """
 
 from __future__ import annotations

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from sgmethod.bitstream import v1
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.stream import Limits
-from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.errors import BitstreamError
+from sgmethod.paper.stream import BLOCK_RECORDS, Group, PaperStream
 from tests.support.data import golden, with_checksum
 
 GOLDEN = golden(1)
@@ -24,7 +23,7 @@ GOLDEN = golden(1)
 
 def stream(
     position_bits: int, groups: list[tuple[int, int]], seed: int = 0, size: tuple[int, int] = (64, 48)
-) -> StreamV1:
+) -> PaperStream:
     """Random syntax elements; groups lists bitwidth and number of Gaussians."""
     rng = np.random.default_rng(seed)
 
@@ -41,10 +40,10 @@ def stream(
     codebooks = rng.normal(0, 1, (2, 8, 3)).astype(np.float16)
     if not groups:
         positions, factors, codebooks = np.zeros_like(positions), np.zeros_like(factors), np.zeros_like(codebooks)
-    return StreamV1("paper", *size, position_bits, positions, factors, codebooks, made)
+    return PaperStream("paper", *size, position_bits, positions, factors, codebooks, made)
 
 
-def assert_equal(a: StreamV1, b: StreamV1) -> None:
+def assert_equal(a: PaperStream, b: PaperStream) -> None:
     for one, other in ((a, b), *zip(a.groups, b.groups, strict=True)):
         for field in fields(one):
             if field.name != "groups":
@@ -71,7 +70,7 @@ def test_what_is_written_is_read(position_bits: int, groups: list[tuple[int, int
 
 
 def test_more_records_than_are_unpacked_at_once() -> None:
-    n = 2 * v1.BLOCK_RECORDS + 1
+    n = 2 * BLOCK_RECORDS + 1
     written = stream(5, [(3, n), (7, 3)], size=(600, 400))
     assert_equal(parse(serialise(written)), written)
 
@@ -82,11 +81,11 @@ def test_golden_streams_are_written_again_bit_by_bit(name: str) -> None:
 
 
 def test_every_byte_of_a_small_file() -> None:
-    """Written out by hand from docs/format.md."""
+    """Written out by hand from docs/paper-format.md."""
     one = Group(2, np.array([[5, 2]], np.uint16), np.array([[3, 0, 1]], np.uint16), np.array([[6, 1]], np.uint8))
     codebooks = np.zeros((2, 8, 3), np.float16)
     codebooks[0, 6] = (1, 0.5, -2)
-    written = StreamV1(
+    written = PaperStream(
         "baseline",
         300,
         7,
