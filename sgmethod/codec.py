@@ -53,7 +53,7 @@ def encode(
     warning.
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
     0.3 bpp, but at most 50,000 bytes.
-    profile: one of sgmethod.profiles.PROFILE_NAMES.
+    profile: "rd", or another of sgmethod.profiles.PROFILE_NAMES, which are for research.
     tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same without the noise
     that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.

@@ -14,8 +14,8 @@ from sgmethod.rd.plan import MANY_VALUES, Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
 
-# Searches for the first Gaussians, each on what is left. One finds a fifth to half of them, and loses up to 8 dB where bytes
-# are many and time is short; sixteen change nothing.
+# Searches for the first Gaussians, each on what is left. One finds a fifth to half of them, and loses up to 8 dB where
+# bytes are many and time is short; sixteen change nothing.
 SEARCHES = 8
 
 
