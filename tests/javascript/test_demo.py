@@ -163,19 +163,27 @@ def test_a_transparent_picture_shows_through_its_previews_alone(page: Chromium, 
         assert np.abs(border(box) - border(photograph)[0, 0]).max() < 40
 
 
+MOVED = """
+    const all = (done) => new PerformanceObserver((list) => done(list.getEntries().map(({ value }) => value)))
+        .observe({ type: "layout-shift", buffered: true });
+    return Promise.race([new Promise(all), new Promise((done) => setTimeout(() => done([]), 500))]);
+"""
+
+
 def test_what_cannot_be_read_is_said(shown: Page) -> None:
     shown.give("drop", b"no picture", "photo.jpg")
     shown.says("no picture that your browser can read", "#trouble")
     assert text_of(shown) == ""
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [320, 390, 1280])
 def test_it_is_open_to_all(page: Chromium, demo: Site, width: int) -> None:
-    """On a phone too, by day and by night."""
-    page.tell("Emulation.setDeviceMetricsOverride", width=width, height=844, deviceScaleFactor=1, mobile=width == 390)
+    """On a phone too, by day and by night; and nothing moves as it opens."""
+    page.tell("Emulation.setDeviceMetricsOverride", width=width, height=1800, deviceScaleFactor=1, mobile=width < 400)
     page.open(demo.url)
     previewed(page)
     assert page.run("return document.documentElement.scrollWidth") <= width
+    assert page.run(MOVED) == []
     assert_open_to_all(page)
 
 

@@ -266,7 +266,24 @@ def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartS
     assert all("ERR_" in complaint or "Failed to load" in complaint for complaint in page.complaints())
 
 
+BEYOND = """
+    for (const one of document.querySelectorAll("details")) one.open = true;
+    const right = (element) => element.getBoundingClientRect().right;
+    return [...document.querySelectorAll("button, .button, input, select")].filter((one) => one.offsetParent)
+        .filter((one) => right(one) > right(one.closest(".card, section, header"))).map((one) => one.id);
+"""
+
+
 def test_accessibility(page: Chromium, web: Service) -> None:
-    page.open_page(web)
-    page.says("AVIF", "#verdict")
+    """Nothing leaves its card, and no page scrolls sideways, with all parts open."""
+    for width in (320, 390, 1000, 1920):
+        page.tell("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+        page.open(f"{web.url}/docs")
+        wait_until(lambda: page.is_seen("#operations details"))
+        page.run(BEYOND)
+        assert page.run("return document.documentElement.scrollWidth") <= width
+        page.open_page(web)
+        page.says("AVIF", "#verdict")
+        assert page.run(BEYOND) == []
+        assert page.run("return document.documentElement.scrollWidth") <= width
     assert_open_to_all(page, at_least=20)
