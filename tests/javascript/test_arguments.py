@@ -28,6 +28,7 @@ const other = vm.runInNewContext("Uint8Array").from(rgba); // of another window
 console.log(JSON.stringify(await Promise.all([%s].map(outcome))));
 """
 KIND = "must be a Uint8Array, a Uint8ClampedArray or an ArrayBuffer, not"
+AS_SRGB = 'give getImageData() { colorSpace: "srgb" }'
 
 
 def outcomes(*calls: str) -> list[str]:
@@ -40,6 +41,7 @@ def outcomes(*calls: str) -> list[str]:
 
 def test_bytes_of_any_kind_are_taken() -> None:
     pictures = ["rgba", "new Uint8ClampedArray(rgba)", "rgba.buffer", "Buffer.from(rgba)", "other", "{ data: rgba }"]
+    pictures.append("{ data: rgba, colorSpace: 'srgb' }")
     encoded = outcomes(*(f"encodePreview({one}, 3, 2, {{ bytes: 40 }}).text" for one in pictures))
     files = ["file", "new Uint8ClampedArray(file)", "file.buffer", "Buffer.from(file)"]
     decoded = outcomes(*(f"[decode({one}, {{ width: 8 }}).data, info({one})]" for one in files))
@@ -56,6 +58,7 @@ def test_bytes_of_any_kind_are_taken() -> None:
         ("'x'.repeat(24), 3, 2", f"rgba {KIND} String"),
         ("null, 3, 2", f"rgba {KIND} Null"),
         ("{ data: new Float32Array(24) }, 3, 2", f"rgba {KIND} Float32Array"),
+        ("{ data: rgba, colorSpace: 'display-p3' }, 3, 2", f"rgba must be in sRGB, not display-p3: {AS_SRGB}"),
         ("rgba.subarray(4), 3, 2", "rgba of 3 x 2 pixels must have 24 bytes, 4 a pixel, not 20"),
         ("rgba, 1.5, 4", "width and height must be whole numbers from 1 on, not 1.5 and 4"),
         ("rgba, '3', 2", "width and height must be whole numbers from 1 on, not 3 and 2"),

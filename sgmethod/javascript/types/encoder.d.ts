@@ -14,7 +14,7 @@ export interface Preview {
   dark: boolean;
 }
 
-/** 8-bit RGBA, row by row, as sharp's raw output after ensureAlpha(); or an ImageData. */
+/** 8-bit RGBA, row by row, as sharp's raw output after ensureAlpha(); or an ImageData in sRGB. */
 export type Rgba = Uint8Array | Uint8ClampedArray | ArrayBuffer | { data: Uint8Array | Uint8ClampedArray };
 
 /**

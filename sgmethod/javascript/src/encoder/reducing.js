@@ -25,6 +25,9 @@ export function reducedSize(width, height, pixels) {
 /** A picture of 8-bit RGBA, as averaged() takes it. Throws TypeError. */
 export function pictureOf(given, width, height) {
   const rgba = bytesOf(given?.data ?? given, "rgba");
+  if ((given.colorSpace ?? "srgb") !== "srgb") {
+    throw new TypeError(`rgba must be in sRGB, not ${given.colorSpace}: give getImageData() { colorSpace: "srgb" }`);
+  }
   if (!(Number.isInteger(width) && Number.isInteger(height) && width >= 1 && height >= 1)) {
     throw new TypeError(`width and height must be whole numbers from 1 on, not ${width} and ${height}`);
   }
