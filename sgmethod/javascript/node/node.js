@@ -6,7 +6,7 @@ import { once } from "node:events";
 import { existsSync } from "node:fs";
 import { mkdir, readFile, rename, writeFile } from "node:fs/promises";
 import { availableParallelism } from "node:os";
-import { join } from "node:path";
+import { dirname, join } from "node:path";
 import { types } from "node:util";
 import { Worker } from "node:worker_threads";
 import { dataUri, encodePreview } from "./encoder.js";
@@ -51,10 +51,12 @@ export async function previewOf(photograph, options = {}) {
   });
 }
 
-/** Where build tools keep what they can make again; nowhere without node_modules, as in a server that was bundled. */
-function folderOfCache() {
-  const packages = join(process.cwd(), "node_modules");
-  return existsSync(packages) && join(packages, ".cache", "sgmethod");
+/** Where build tools keep what they can make again: in the nearest node_modules, which a workspace may have at its root
+ * alone; nowhere without one, as in a server that was bundled. */
+function folderOfCache(folder = process.cwd()) {
+  const packages = join(folder, "node_modules");
+  if (existsSync(packages)) return join(packages, ".cache", "sgmethod");
+  return folder !== dirname(folder) && folderOfCache(dirname(folder));
 }
 
 const waiting = [];
@@ -92,7 +94,7 @@ async function keep(folder, file, text) {
 
 async function made(data, name, bytes, characters) {
   const sharp = await import("sharp").then(({ default: module }) => module, () => null);
-  const photograph = sharp?.(data);
+  const photograph = sharp?.(data, { failOn: "error" }); // not for warnings, of which telephones' photographs have some
   if (!photograph?.autoOrient) throw new Error(MISSING);
   const { size, pixels, width, height } = await read(photograph).catch((error) => {
     throw new SgError(`${name} cannot be read: ${error.message}`, { cause: error });

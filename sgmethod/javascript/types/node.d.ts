@@ -8,8 +8,8 @@ export interface Options {
   bytes?: number;
   /** Maximum length of `uri`; 400 by default, 0 for none. */
   characters?: number;
-  /** The folder that keeps previews by content and options; false for none. By default, node_modules/.cache/sgmethod,
-   * where there is a folder node_modules. */
+  /** The folder that keeps previews by content and options; false for none. By default, .cache/sgmethod in the nearest
+   * folder node_modules, at the working directory or above, if there is one. */
   cache?: string | false;
 }
 
