@@ -100,7 +100,7 @@ $(VENV)/.%: pyproject.toml $(COMPILED)
 	@echo 'Setting up $(VENV): installing packages$(if $(COMPILES), and compiling the kernels: about two minutes) ...'
 	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	$(if $(filter service quick,$*),,$(BIN)/python -m pip install --quiet --no-compile '$(TORCH)')
-	$(BIN)/python -m pip install --quiet --no-compile $(if $(COMPILES),--editable '.[$*]','sgmethod[$*]')
+	$(BIN)/python -m pip install --quiet --no-compile $(if $(COMPILES),--editable .,sgmethod)'[$*,heif]'
 	touch $@ $(if $(filter test,$*),$(VENV)/.service)
 
 # Names the Debian or Ubuntu packages that are missing before anything is downloaded or built.

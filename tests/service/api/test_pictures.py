@@ -16,6 +16,7 @@ from service.api.pictures import MAX_CACHED_S
 from service.pictures import WRITERS, as_large, comparison_file
 from service.storage.files import bitstream_key
 from sgmethod.view import View
+from tests.io.odd_files import heif
 from tests.support import pictures
 from tests.support.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
 from tests.support.job_table import change, claimed
@@ -187,6 +188,8 @@ def test_a_preview_is_answered_at_once_and_decoded_from_its_text(web: Service) -
     drawn = web.client.post("/decode", content=made.text.encode())
     np.testing.assert_array_equal(pixels_of(drawn), sgmethod.decode(made.data))
     assert_problem(web.client.post("/decode", content=made.text[:40].encode()), 422, "checksum")
+    telephones = heif(np.zeros((8, 9, 3), np.uint8), "HEIC")
+    assert web.client.post("/preview", content=telephones).json()["width"] == 9
 
 
 @pytest.mark.parametrize(
