@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -182,9 +183,11 @@ def test_a_production_build_shows_previews(page: Chromium, installed: Callable[[
     (folder / build.photo).parent.mkdir(parents=True, exist_ok=True)
     Image.open(PARROT).convert("RGB").save(folder / build.photo, quality=95)
     if name.startswith("Next.js"):
-        shutil.copy(folder / "node_modules" / "sgmethod" / "dist" / "sg-img.js", folder / "public")
+        for file in ("sg-img.js", "sg-img.css"):
+            shutil.copy(folder / "node_modules" / "sgmethod" / "dist" / file, folder / "public")
     done = run("npx", *build.build.split(), folder=folder, NEXT_TELEMETRY_DISABLED=1, ASTRO_TELEMETRY_DISABLED=1)
     assert done.status == 0, done.stdout + done.stderr
+    assert re.findall("Warning:.*sgmethod.*", done.stdout + done.stderr) == []
     with running(build, folder) as url:
         page.open(url)
         wait_until(lambda: [(one["loaded"], one["drawn"]) for one in page.run(SHOWN)] == [(128, False)])
