@@ -13,7 +13,7 @@ from typing import Any
 
 from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.client.client import Client
-from sgmethod.errors import ServerError, SgError
+from sgmethod.errors import ServerError
 from sgmethod.io.files import bytes_of
 from sgmethod.many.folder import Item, Made, finish_elsewhere, into_folder
 from sgmethod.many.manifest import Row, text_of
@@ -58,16 +58,9 @@ def key_of(target: Path, options: Mapping[str, object], image: bytes) -> str:
     return hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
 
 
-def _in_thread(make: Callable[[Task[Row]], Made], task: Task[Row]) -> Future[Made | SgError]:
+def _in_thread(make: Callable[[Task[Row]], Made], task: Task[Row]) -> Future[Made | Exception]:
     """Begin a task in a thread that nothing waits for after an error or Ctrl-C: a server may be busy for hours."""
-    future: Future[Made | SgError] = Future()
+    future: Future[Made | Exception] = Future()
     future.set_running_or_notify_cancel()
-
-    def run() -> None:
-        try:
-            future.set_result(made_or_error(make, task))
-        except BaseException as error:
-            future.set_exception(error)
-
-    Thread(target=run, daemon=True).start()
+    Thread(target=lambda: future.set_result(made_or_error(make, task)), daemon=True).start()
     return future

@@ -47,10 +47,10 @@ def encode_many(
     on_row: called with each finished picture's line of the manifest, and with the progress of the run.
     options: keyword arguments of encode().
 
-    A picture that cannot be encoded is recorded with its error; the rest continues. Raises SgError for a name that is
-    invalid or used twice (if the folder ignores case, "a" and "A" are one), for a manifest that cannot be written and
-    for an executor that has broken or raises an OSError, such as a lost connection; and OSError if the folder cannot be
-    created. Other errors of an executor are raised as they are. After any, run again with resume.
+    A picture that cannot be encoded, or that ends its process, is recorded with its error; the rest continues. Resume
+    tries it again, last. Raises SgError for a name that is invalid or used twice, for a manifest that cannot be written
+    and for an executor that has broken or raises an OSError, such as a lost connection; and OSError if the folder
+    cannot be created. After any, run again with resume.
     """
     if executor is not None and not isinstance(executor, Executor):
         raise SgError(f"an executor must be a concurrent.futures.Executor, not {type(executor).__name__}")
@@ -69,10 +69,10 @@ def encode_many(
 def _finish_by(
     executor: Executor, options: dict[str, Any], folder: Path, tasks: Iterator[Task[Row]], limit: int
 ) -> Finished[Row]:
-    def begin(task: Task[Row]) -> Future[Made | SgError]:
+    def begin(task: Task[Row]) -> Future[Made | Exception]:
         picture = task.picture  # the executor's processes may have another current folder
         there = Path(picture).absolute() if isinstance(picture, str | os.PathLike) else picture
-        # Its error is returned, not raised: a picture's failure must not look like the executor's.
+        # Its error is returned, not raised: it must not look like the executor's.
         return executor.submit(made_or_error, partial(_encode, options), there)
 
     return finish_elsewhere(begin, folder, tasks, limit)

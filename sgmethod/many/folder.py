@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from concurrent.futures import BrokenExecutor, Future
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from sgmethod.many.run import Finished, OnRow, Run, Tally, Task, caught
 
 Item = str | os.PathLike[str] | tuple[str, Input]
 Made = tuple[bytes, Mapping[str, Any], list[str]]  # a file, its figures, what was dropped from the picture
+LOST = "the executor has failed: {}; run again, and resume"
 
 
 def into_folder(
@@ -64,37 +65,45 @@ def _tasks(items: Iterable[Item], folder: Path, before: Mapping[str, str]) -> It
 
 
 def finish_elsewhere(
-    begin: Callable[[Task[Row]], Future[Made | SgError]], folder: Path, tasks: Iterable[Task[Row]], limit: int
+    begin: Callable[[Task[Row]], Future[Made | Exception]], folder: Path, tasks: Iterable[Task[Row]], limit: int
 ) -> Finished[Row]:
     """Write files into a folder as they are made elsewhere, at most `limit` at a time.
 
-    They are written here: what outlives the run must not replace the files of the next one. A picture's own failure is
-    the result of its future. What a future raises, or `begin`, is no picture's: it ends the run, as an SgError if it is
-    an OSError or a broken executor.
+    They are written here: what outlives the run must not replace the files of the next one. Errors of making a file are
+    results of futures, and what a future raises is the executor's. A lost connection ends the run at once. If the
+    executor breaks, all pictures that it has are recorded first, as it does not say which one broke it. Any other error
+    is recorded with its picture, such as that of a cancelled task.
     """
-
-    def begin_task(task: Task[Row]) -> Future[Made | SgError]:
-        with _executor_errors():
-            return begin(task)
-
-    for task, future in as_they_finish(begin_task, tasks, limit):
-        with _executor_errors():
+    broken: BrokenExecutor | None = None
+    made: Made | Exception
+    until_then = takewhile(lambda _: broken is None, tasks)
+    for task, future in as_they_finish(partial(_begun, begin), until_then, limit):
+        try:
             made = future.result()
+        except OSError as error:
+            raise SgError(LOST.format(error)) from error
+        except BrokenExecutor as error:
+            broken, made = error, SgError(f"the executor broke while it had the picture: {error}")
+        except Exception as error:
+            made = SgError(f"the executor gave no result: {error!r}")
         yield caught(partial(written, partial(_given, made), folder), task)
+    if broken is not None:
+        raise SgError(f"the executor has broken: {broken}; run again with another one, and resume") from broken
 
 
-@contextmanager
-def _executor_errors() -> Iterator[None]:
+def _begun(begin: Callable[[Task[Row]], Future[Made | Exception]], task: Task[Row]) -> Future[Made | Exception]:
     try:
-        yield
+        return begin(task)
     except BrokenExecutor as error:
-        raise SgError(f"the executor has broken: {error}; run again with another one, and resume") from error
+        future = Future[Made | Exception]()
+        future.set_exception(error)
+        return future
     except OSError as error:  # such as a lost connection to a cluster
-        raise SgError(f"the executor has failed: {error}; run again, and resume") from error
+        raise SgError(LOST.format(error)) from error
 
 
-def _given(made: Made | SgError, _: Any) -> Made:
-    if isinstance(made, SgError):
+def _given(made: Made | Exception, _: Any) -> Made:
+    if isinstance(made, Exception):
         raise made
     return made
 

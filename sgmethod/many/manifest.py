@@ -52,7 +52,8 @@ def text_of(options: Mapping[str, object]) -> str:
 class Manifest:
     """The manifest of a folder, for a run with these options: read at once, and open for writing as a context.
 
-    sources: by name, the file name of the picture that a file was made from; empty for one in memory.
+    sources: by name, the file name of the picture that a file was made from; empty for one in memory; failed: names of
+    files that could not be made.
     Raises SgError if it cannot be written, or is another file of that name.
     """
 
@@ -61,6 +62,7 @@ class Manifest:
         self._asked = f"{version('sgmethod')} {text_of(options)}"
         self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
         self.sources: dict[str, str] = {}
+        self.failed: set[str] = set()
         self._torn_at: int | None = None
         self._read()
 
@@ -91,8 +93,10 @@ class Manifest:
                     name, made, source = row["name"], (row["key"], row["bytes"]), row["input"] or ""
                     if row["error"] is None:
                         self._made[name], self.sources[name] = made, Path(source).name
+                        self.failed.discard(name)
                     else:
                         self._made.pop(name, None)  # the file of an earlier run stays, and so does whose it is
+                        self.failed.add(name)
                 except (ValueError, KeyError, TypeError) as error:
                     raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
 

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 
 from sgmethod.errors import SgError
 from sgmethod.many.manifest import Manifest, Row
-from sgmethod.many.processes import in_processes
+from sgmethod.many.processes import ENDED, in_processes
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,11 @@ class Run(Generic[AnyRow]):
         self._began, self._tally = time.perf_counter(), Tally(files=files)
 
     def rest(self, tasks: Iterable[Task[AnyRow]]) -> Iterator[Task[AnyRow]]:
-        """Yield tasks with their keys, except, if the run resumes another, those that are done."""
+        """Yield tasks with their keys. If the run resumes another, skip those that are done, and take failed ones last.
+
+        One may have ended the other run, and would end each that meets it first.
+        """
+        failed = list[Task[AnyRow]]()
         for task in tasks:
             if self._manifest is None:
                 yield task
@@ -82,8 +86,11 @@ class Run(Generic[AnyRow]):
             row = replace(task.row, key=self._manifest.key(task.row.input))
             if self._resume and self._manifest.has(row.name, row.key):
                 self._tally = replace(self._tally, skipped=self._tally.skipped + 1)
+            elif self._resume and row.name in self._manifest.failed:
+                failed.append(replace(task, row=row))
             else:
                 yield replace(task, row=row)
+        yield from failed
 
     def finish(self, finished: Finished[AnyRow], on_row: OnRow[AnyRow] | None = None) -> Tally:
         """Note each row as it comes, and return the totals. Raises SgError if the manifest cannot be written."""
@@ -99,20 +106,30 @@ class Run(Generic[AnyRow]):
 
 def finish_locally(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finished[AnyRow]:
     """Finish tasks on this machine: one after the other, or several at a time in processes of their own."""
-    yield from in_processes(make, tasks, jobs) if jobs > 1 else map(make, tasks)
+    if jobs <= 1:
+        yield from map(make, tasks)
+        return
+    for task, row in in_processes(make, tasks, jobs):
+        yield replace(task.row, error=ENDED) if row is None else row
 
 
 def caught(make: Make[AnyRow], task: Task[AnyRow]) -> AnyRow:
     """Finish a task; a file that cannot be made is a row with its error."""
     made = made_or_error(make, task)
-    return replace(task.row, error=str(made)) if isinstance(made, SgError) else made
+    if isinstance(made, SgError):
+        return replace(task.row, error=str(made))
+    if isinstance(made, Exception):
+        raise made
+    return made
 
 
-def made_or_error(make: Callable[[Any], Made], picture: Any) -> Made | SgError:
-    """Return what is made of a picture, or the error by which it alone fails."""
+def made_or_error(make: Callable[[Any], Made], picture: Any) -> Made | Exception:
+    """Return what is made of a picture, or an error: an SgError if the picture alone fails by it."""
     try:
         return make(picture)
     except MemoryError:
         return SgError("out of memory")
     except (SgError, OSError) as error:
         return SgError(str(error))
+    except Exception as error:
+        return error

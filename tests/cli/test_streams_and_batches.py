@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -28,6 +29,7 @@ from sgmethod.many import processes
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.trace import TracePoint
 from tests.cli.conftest import PHOTO, Ran, Run, names, on_terminal, start, start_interruptible
+from tests.many.killing import Killer
 from tests.support.processes import TIMEOUT_S
 from tests.support.profiles import OTHER
 
@@ -191,13 +193,29 @@ def test_several_pictures(run: Run, jobs: str) -> None:
         assert Path("deeper/still/one.sg").read_bytes() == Path("out/one.sg").read_bytes()
 
 
-def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "_begin", os.abort)
+def test_jobs_that_do_not_begin(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_work", os.abort)
     for name in ("one.png", "two.png"):
         PHOTO.save(name)
     ran = run("encode", "one.png", "two.png", "--output-dir", "out", "--jobs", "2")
     assert ran.status == 2
-    assert ran.err.endswith(f"sgmethod: {processes.ENDED}\n")
+    assert ran.err.endswith(f"sgmethod: {processes.NOT_BEGUN}\n")
+
+
+def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its picture is named, and the rest is made."""
+    send = processes._Workers._send
+
+    def kills(workers: Any, pipe: Any, task: Any) -> None:
+        send(workers, pipe, replace(task, picture=Killer()) if task.picture == "kills.png" else task)
+
+    monkeypatch.setattr(processes._Workers, "_send", kills)
+    pictures = ["kills.png", "one.png", "two.png", "three.png"]
+    for name in pictures:
+        PHOTO.save(name)
+    ran = run("encode", *pictures, "--output-dir", "out", "--jobs", "2", "--gaussians", "9", "--effort", "1")
+    assert (ran.status, ran.err) == (1, f"sgmethod: kills.png: {processes.ENDED}\n")
+    assert ran.out.splitlines()[-1].startswith("3 encoded, 0 skipped, 1 failed: ")
 
 
 @pytest.mark.thorough

@@ -233,22 +233,50 @@ def test_an_executor_makes_the_same_files() -> None:
             many(executor=wrong)
 
 
+@pytest.mark.parametrize("killer", [Killer(), b"hello"])
+def test_a_picture_that_ends_its_process_is_one_that_fails(killer: Any) -> None:
+    tally = encode_many([("bad", killer), *paths(), ("last", PHOTO)], "out", jobs=2, gaussians=9, effort=1)
+    assert counts(tally) == (4, 0, 1)
+    errors = {row["name"]: row["error"] for row in rows()}
+    assert errors.pop("bad.sg").startswith("its process ended, perhaps" if isinstance(killer, Killer) else "the ")
+    assert errors == dict.fromkeys(("0.sg", "1.sg", "2.sg", "last.sg"))
+
+
 def test_an_executor_that_loses_a_worker() -> None:
-    """The run ends, what was done is kept, and another executor makes the rest, each picture once."""
-    items: list[Any] = [("a", PHOTO), ("b", PHOTO), ("lost", Killer()), ("c", PHOTO)]
-    context = get_context("spawn")
-    with (
-        ProcessPoolExecutor(1, context) as executor,
-        pytest.raises(SgError, match=r"^the executor has broken: .*; run again with another one, and resume$"),
-    ):
-        encode_many(items, "out", executor=executor, jobs=1, gaussians=9, effort=1)
-    done = [row["name"] for row in rows()]
-    assert done == ["a.sg", "b.sg"]
-    items[2] = ("lost", PHOTO)
-    with ProcessPoolExecutor(1, context) as executor:
-        tally = encode_many(items, "out", executor=executor, resume=True, gaussians=9, effort=1)
-    assert counts(tally) == (2, 2, 0)
-    assert [row["name"] for row in rows()] == ["a.sg", "b.sg", "lost.sg", "c.sg"]
+    """The pictures that it had are recorded, and the next run takes them last: each met the one that kills at first."""
+    items: list[Any] = [("a", PHOTO), ("lost", Killer()), ("b", PHOTO), ("c", PHOTO), ("d", PHOTO)]
+    for made in (["a.sg"], ["a.sg", "b.sg", "c.sg", "d.sg"]):
+        with (
+            ProcessPoolExecutor(1, get_context("spawn")) as executor,
+            pytest.raises(SgError, match=r"^the executor has broken: .*; run again with another one, and resume$"),
+        ):
+            encode_many(items, "out", executor=executor, jobs=1, resume=True, gaussians=9, effort=1)
+        assert [row["name"] for row in rows() if row["error"] is None] == made
+    assert [row["name"] for row in rows()] == ["a.sg", "lost.sg", "b.sg", "c.sg", "d.sg", "lost.sg"]
+    assert rows()[1]["error"].startswith("the executor broke while it had the picture: ")
+
+
+def test_a_task_that_its_executor_gives_up() -> None:
+    """A cancelled one, and one whose worker ended, as Dask says it: the rest continues."""
+
+    class KilledWorker(Exception):  # noqa: N818 - the name in Dask
+        pass
+
+    class GivesUp(Executor):
+        def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            if arguments[1].name == "0.png":
+                future.cancel()
+                future.set_running_or_notify_cancel()
+            elif arguments[1].name == "1.png":
+                future.set_exception(KilledWorker("4 attempts"))
+            else:
+                future.set_result(function(*arguments))
+            return future
+
+    assert counts(many(executor=GivesUp(), jobs=1)) == (1, 0, 2)
+    errors = ["CancelledError()", "KilledWorker('4 attempts')"]
+    assert [row["error"] for row in rows()] == [*(f"the executor gave no result: {error}" for error in errors), None]
 
 
 @pytest.mark.parametrize("is_begun", [False, True])
