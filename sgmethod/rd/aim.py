@@ -61,10 +61,19 @@ class Aim(RateControl, ABC):
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
-        """Return the quantum that should just reach the quality, or None if it was tried already."""
-        found = self._nearer(tried) if len(tried) < self.tries else None
+        """Return the quantum that should just reach the quality, or None if nothing is between those tried."""
+        s, aim = self.settings, self._reachable(tried)
+        above = [self.reached(one) - aim for one in tried]
+        if len(tried) >= self.tries or 0 <= above[-1] <= s.slack_db:
+            return None
         known = {quantum_code(one.stream.quantum) for one in tried}
-        return None if found is None or quantum_code(found) in known else found
+        points = [(math.log2(one.stream.quantum), y) for one, y in zip(tried, above, strict=True)]
+        found = self._nearer(points)
+        finer = max((x for x, y in points if y >= 0), default=-math.inf)
+        coarser = min((x for x, y in points if y < 0 and x > finer), default=math.inf)
+        if math.isfinite(finer - coarser) and (quantum_code(2**found) in known or not finer < found < coarser):
+            found = (finer + coarser) / 2
+        return None if quantum_code(2**found) in known else float(2**found)
 
     def chosen(self, tried: Sequence[Coded]) -> Coded:
         """Choose the best file for the quality that is within reach."""
@@ -111,22 +120,20 @@ class Aim(RateControl, ABC):
             return self.aim_db
         return best - self.below_best_db
 
-    def _nearer(self, tried: Sequence[Coded]) -> float | None:
-        """Quantum at which the line through the two nearest tries reaches the aim, or a little more."""
-        s, aim = self.settings, self._reachable(tried)
-        above = [self.reached(one) - aim for one in tried]
-        if 0 <= above[-1] <= s.slack_db:
-            return None
-        slope = -s.db_per_doubling
-        points = ((math.log2(one.stream.quantum), y) for one, y in zip(tried, above, strict=True))
+    def _nearer(self, points: Sequence[tuple[float, float]]) -> float:
+        """Logarithm of the quantum at which the line through the two nearest tries reaches the aim, or a little more.
+
+        points: logarithm of the quantum and distance above the aim of each try.
+        """
+        s, slope = self.settings, -self.settings.db_per_doubling
         (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
         if others and others[0][0] != x:
             x1, y1 = others[0]
             slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4)
         # Near the aim, chance decides, so each near miss asks for a little more.
-        near_misses = sum(-s.slack_db < y < 0 for y in above)
+        near_misses = sum(-s.slack_db < y < 0 for _, y in points)
         at = x + (0.4 * (1 + near_misses) * s.slack_db - y) / slope
-        return float(2 ** min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM)))
+        return min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM))
 
 
 @dataclass(frozen=True)

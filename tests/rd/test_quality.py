@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from skimage import data
 
 import sgmethod
 from sgmethod import Budget, BudgetError
+from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.budget import QUALITIES
 from sgmethod.metrics import ssimulacra2
+from sgmethod.rd.aim import Aim, PsnrAim, QualityAim
 from sgmethod.rd.rate_control import ssimulacra2_db
+from sgmethod.settings.rd import RdSettings
 
 PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 160:320])
 # In a file of 400 bytes for PHOTO, chance moves a score by two points from one quantum to the next.
@@ -67,6 +72,31 @@ def test_names_stand_for_qualities() -> None:
     assert {name: Budget("quality", name).value for name in QUALITIES} == {"preview": 40, "web": 60, "archive": 80}
     with pytest.raises(BudgetError, match="sides below 8 pixels"):
         sgmethod.encode(PHOTO[:7], quality=60)
+
+
+@pytest.mark.parametrize(
+    ("tries", "finer", "coarser"),
+    [
+        ([(0.0486, 5.686), (0.0776, 5.393), (0.3643, 2.224)], 0.0776, 0.3643),
+        ([(0.0776, 5.393), (0.3643, 2.224), (0.0486, 5.686)], 0.0776, 0.3643),
+        ([(0.3643, 2.224), (0.2, 3.5), (0.05, 8.0)], 0.05, 0.2),
+        ([(0.05, 8.0), (0.1, 6.0)], 0.1, 1.0),
+        ([(0.3, 2.0), (0.2, 3.0)], 0.05, 0.2),
+    ],
+)
+@pytest.mark.parametrize(
+    "aim", [QualityAim.from_score(60, (2400, 1800), RdSettings()), PsnrAim.from_psnr(3.98, 1, RdSettings())]
+)
+def test_a_search_goes_on_between_tries_above_and_below(
+    aim: Aim, tries: list[tuple[float, float]], finer: float, coarser: float
+) -> None:
+    """In dB, with the aim at 3.98: the line through the two nearest ended at the third, and the file had 71 of 60."""
+    tried = [Mock(stream=Mock(quantum=quantum), ssimulacra2_db=db, psnr=db) for quantum, db in tries]
+    found = aim.next_quantum(tried, NO_LIMIT, 10)
+    assert found is not None
+    assert finer < found < coarser
+    close = [Mock(stream=Mock(quantum=0.1), ssimulacra2_db=4.0, psnr=4.0)]
+    assert aim.next_quantum([*tried, *close], NO_LIMIT, 10) is None
 
 
 def test_decibels_of_ssimulacra2() -> None:
