@@ -78,15 +78,15 @@ def how_to_install(name: str) -> str:
 
 
 def reader_of(name: str) -> type[ImageFile.ImageFile]:
-    """Import the class that reads a format. Raises ImageError if its package is missing."""
+    """Import the class that reads a format. Raises ImageError if its package cannot be loaded."""
     module, reader = FORMATS[name].reader
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
     except ImportError as error:
-        raise ImageError(f"reading {name} files needs an extra package: {how_to_install(name)}") from error
+        raise ImageError(f"reading {name} files needs a package ({error}): {how_to_install(name)}") from error
     return found
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
-    """Open a reader, which parses the header. Raises its errors, and ImageError if its package is missing."""
+    """Open a reader, which parses the header. Raises its errors, and ImageError if its package cannot be loaded."""
     return reader_of(name)(io.BytesIO(FORMATS[name].prepared(data)))

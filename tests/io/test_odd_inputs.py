@@ -8,6 +8,7 @@ import struct
 import sys
 import warnings
 import zlib
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -319,5 +320,15 @@ def test_16_bits_are_rounded_after_the_conversion() -> None:
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(ImageError, match=r"reading HEIC files needs an extra package: pip install 'sgmethod\[heif\]'"):
+    with pytest.raises(ImageError, match=r"reading HEIC files needs a package \(.*\): pip install 'sgmethod\[heif\]'"):
         read_image_8_bit(heic())
+
+
+def test_a_package_that_cannot_be_loaded_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one of another system. It was called missing."""
+    data = heic()
+    (tmp_path / "pillow_heif.py").write_text("raise ImportError('libheif.so.1: cannot open shared object file')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "pillow_heif", raising=False)
+    with pytest.raises(ImageError, match=r"needs a package \(libheif\.so\.1: cannot open shared object file\): pip "):
+        read_image_8_bit(data)

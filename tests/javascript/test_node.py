@@ -254,18 +254,20 @@ def test_the_recipe_for_express(npm_site: Path) -> None:
     assert not (npm_site / "node_modules" / ".cache").exists()
 
 
-def test_sharp_that_is_missing_is_named(tmp_path: Path) -> None:
+def test_sharp_that_is_missing_or_cannot_be_loaded_is_named(tmp_path: Path) -> None:
     modules = tmp_path / "node_modules"
     modules.mkdir()
     shutil.unpack_archive(packed(), modules)
     (modules / "package").rename(modules / "sgmethod")
     shutil.copy(PARROT, tmp_path / "a.png")
-    missing = "Error: previews need sharp 0.34 or later, which reads image files: npm install sharp"
-    assert previews(tmp_path, ("a.png", {})) == [missing]
+    needed = "Error: previews need sharp 0.34 or later, which reads image files: npm install sharp"
+    assert previews(tmp_path, ("a.png", {}))[0].startswith(f"{needed} (Cannot find package 'sharp'")
     (modules / "sharp").mkdir()  # an old one
     (modules / "sharp" / "package.json").write_text('{ "type": "module", "exports": "./index.js" }')
     (modules / "sharp" / "index.js").write_text("export default () => ({});")
-    assert previews(tmp_path, ("a.png", {})) == [missing]
+    assert previews(tmp_path, ("a.png", {})) == [needed]
+    (modules / "sharp" / "index.js").write_text("throw new Error('no sharp-linux-x64.node');")  # of another system
+    assert previews(tmp_path, ("a.png", {})) == [f"{needed} (no sharp-linux-x64.node)"]
 
 
 ELEVENTY = """

@@ -16,7 +16,7 @@ export { elementOf } from "./element.js";
 export { SgError };
 
 const MAX_SIDE = 1024; // pixels: more than the largest preview shows
-const MISSING = "previews need sharp 0.34 or later, which reads image files: npm install sharp";
+const NEEDED = "previews need sharp 0.34 or later, which reads image files: npm install sharp";
 const ADDRESS = /^(https?|data|blob):/i; // which no file has
 
 /** A promise of the preview of a photograph: text, uri, width, height, color and dark.
@@ -93,9 +93,11 @@ async function keep(folder, file, text) {
 }
 
 async function made(data, name, bytes, characters) {
-  const sharp = await import("sharp").then(({ default: module }) => module, () => null);
-  const photograph = sharp?.(data, { failOn: "error" }); // not for warnings, of which telephones' photographs have some
-  if (!photograph?.autoOrient) throw new Error(MISSING);
+  const { default: sharp } = await import("sharp").catch((error) => {
+    throw new Error(`${NEEDED} (${error.message})`, { cause: error });
+  });
+  const photograph = sharp(data, { failOn: "error" }); // not for warnings, of which telephones' photographs have some
+  if (!photograph.autoOrient) throw new Error(NEEDED);
   const { size, pixels, width, height } = await read(photograph).catch((error) => {
     throw new SgError(`${name} cannot be read: ${error.message}`, { cause: error });
   });
