@@ -36,9 +36,11 @@ class _Missing:
 
 
 def _set_up(kernels: Any) -> Any:
-    """Return the kernels, with SG_THREADS threads or one for each core, and no better instruction set than SG_ISA."""
+    """Return the kernels, with a thread for each core or SG_THREADS, and no better instruction set than SG_ISA."""
     text = os.environ.get("SG_THREADS", "")
-    kernels.set_thread_count(int(text) if re.fullmatch("0*[1-9][0-9]{0,8}", text, re.ASCII) else machine.cores())
+    cores = machine.cores()  # more threads would wait for each other
+    asked = int(text) if re.fullmatch("0*[1-9][0-9]{0,8}", text, re.ASCII) else cores
+    kernels.set_thread_count(min(asked, cores))
     name = os.environ.get("SG_ISA", "")
     if name:
         known = ISAS[: kernels.best_isa() + 1]

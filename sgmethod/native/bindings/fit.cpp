@@ -82,9 +82,9 @@ void gains(Plane red, Plane green, Plane blue, Numbers sigmas, Numbers scales, P
   require(isa <= sg::best_isa(), "this processor lacks the instruction set");
   const auto fits = [](float sigma) { return sigma > 0 && sigma < 1000; };
   require(std::all_of(sigmas.data(), sigmas.data() + sigmas.size(), fits), "a blur is out of range");
+  const Unlocked unlocked;
   std::vector<sg::Blur> blurs;
   for (size_t i = 0; i < sigmas.size(); ++i) blurs.emplace_back(sigmas.data()[i], scales.data()[i]);
-  const Unlocked unlocked;
   sg::gains({red.data(), green.data(), blue.data()}, width, height, blurs, isa < 0 ? sg::best_isa() : isa, gain.data(),
             chosen.data());
 }
@@ -93,7 +93,7 @@ void gains(Plane red, Plane green, Plane blue, Numbers sigmas, Numbers scales, P
 
 void bind_fit(nb::module_& m) {
   nb::class_<LossOfTarget>(m, "ReconstructionLoss", "MSE + lambda_g L_g against a target.")
-      .def(nb::init<Image, float>(), "target"_a, "lambda_g"_a)
+      .def(nb::init<Image, float>(), nb::call_guard<sg::WithMode>(), "target"_a, "lambda_g"_a)
       .def("__call__", &evaluate, "image"_a, "grad"_a.noconvert(),
            "Return the MSE alone; fill grad with the gradient of both by the image.");
   nb::class_<sg::AdamSettings>(m, "AdamSettings", "Settings of frame_adam(); rates are relative changes per step.")

@@ -9,6 +9,8 @@
 #include <chrono>
 #include <thread>
 
+#include "core/platform.h"
+
 // The result of a function of Python.
 template <typename Function>
 auto within_program(const Function& function) {
@@ -23,7 +25,7 @@ auto within_program(const Function& function) {
 #endif
 }
 
-// Others may run Python meanwhile.
+// While a kernel runs: others may run Python, and the caller's floating-point mode does not count.
 class Unlocked {
  public:
   Unlocked() : state_(PyEval_SaveThread()) {}
@@ -35,6 +37,7 @@ class Unlocked {
 
  private:
   PyThreadState* state_;
+  const sg::WithMode mode_;
 };
 
 // This thread, which Python may not know, may run Python meanwhile.

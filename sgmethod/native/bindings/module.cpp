@@ -21,22 +21,10 @@ std::tuple<double, double, double> color_axis(int row) {
   return {axis[0], axis[1], axis[2]};
 }
 
-// Python's own float mode, in which subnormal numbers stay, within a task.
-class PythonMode {
- public:
-  PythonMode() : saved_(sg::float_mode()) { sg::set_float_mode(saved_ & ~sg::kFlushMode); }
-  ~PythonMode() { sg::set_float_mode(saved_); }
-  PythonMode(const PythonMode&) = delete;
-  PythonMode& operator=(const PythonMode&) = delete;
-
- private:
-  sg::FloatMode saved_;
-};
-
 void in_parallel(int count, const nb::callable& task) {
   const Unlocked unlocked;
   sg::parallel_for(count, [&](int i) {
-    const PythonMode mode;
+    const sg::WithMode mode;  // subnormal numbers stay
     const Locked locked;
     within_program([&] { task(i); });
   });

@@ -37,6 +37,7 @@ auto unpack_texture(nb::bytes data, int width, int height) {
 
 sg::Texture* texture(Codes codes, double cell_x, double cell_y, double x, double y, int shift) {
   require(codes.shape(0) == sg::kTextureOctaves, "one plane of codes for each octave");
+  const sg::WithMode mode;
   return new sg::Texture(codes.data(), {side(codes, 2), side(codes, 1), cell_x, cell_y, x, y, shift});
 }
 

@@ -45,15 +45,16 @@
 
 namespace sg {
 
-// The floating-point mode of this thread, and its bits that flush subnormal numbers to zero.
+// The floating-point mode of this thread: the plain one rounds to nearest, traps no exception and keeps subnormal
+// numbers; further bits flush those to zero.
 #if SG_X86
 using FloatMode = unsigned;
-constexpr FloatMode kFlushMode = 0x8040;
+constexpr FloatMode kPlainMode = 0x1F80, kFlushMode = 0x8040;
 inline FloatMode float_mode() { return _mm_getcsr(); }
 inline void set_float_mode(FloatMode mode) { _mm_setcsr(mode); }
 #elif defined(__aarch64__)
 using FloatMode = uint64_t;
-constexpr FloatMode kFlushMode = 1 << 24;
+constexpr FloatMode kPlainMode = 0, kFlushMode = 1 << 24;
 inline FloatMode float_mode() {
   FloatMode mode;
   asm volatile("mrs %0, fpcr" : "=r"(mode));
@@ -62,10 +63,22 @@ inline FloatMode float_mode() {
 inline void set_float_mode(FloatMode mode) { asm volatile("msr fpcr, %0" : : "r"(mode) : "memory"); }
 #else
 using FloatMode = unsigned;
-constexpr FloatMode kFlushMode = 0;
+constexpr FloatMode kPlainMode = 0, kFlushMode = 0;
 inline FloatMode float_mode() { return 0; }
 inline void set_float_mode(FloatMode) {}
 #endif
+
+// Sets this thread's whole mode, and gives back its caller's, which may round otherwise or trap exceptions.
+class WithMode {
+ public:
+  explicit WithMode(FloatMode mode = kPlainMode) : saved_(float_mode()) { set_float_mode(mode); }
+  ~WithMode() { set_float_mode(saved_); }
+  WithMode(const WithMode&) = delete;
+  WithMode& operator=(const WithMode&) = delete;
+
+ private:
+  FloatMode saved_;
+};
 
 // Tells the processor that this thread is waiting in a loop.
 inline void wait_a_moment() {

@@ -29,19 +29,11 @@ SG_STORED_AT_START thread_local bool alone = false;        // whether this threa
 // one grey level and no pixel depends on them, so machines that keep them draw the same.
 class TaskMode {
  public:
-  TaskMode() : saved_(float_mode()) {
-    set_float_mode(saved_ | kFlushMode);
-    inside_task = true;
-  }
-  ~TaskMode() {
-    inside_task = false;
-    set_float_mode(saved_);
-  }
-  TaskMode(const TaskMode&) = delete;
-  TaskMode& operator=(const TaskMode&) = delete;
+  TaskMode() { inside_task = true; }
+  ~TaskMode() { inside_task = false; }
 
  private:
-  FloatMode saved_;
+  const WithMode mode_{kPlainMode | kFlushMode};
 };
 
 class Pool {

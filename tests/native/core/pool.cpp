@@ -22,7 +22,15 @@ namespace {
 
 constexpr int kThreads[] = {1, 2, 5, 40};
 
-sg::FloatMode mode() { return sg::float_mode() & sg::kFlushMode; }
+constexpr sg::FloatMode kInTasks = sg::kPlainMode | sg::kFlushMode;
+#if SG_X86
+constexpr sg::FloatMode kUpwardsAndTraps = 0x4000 | (sg::kPlainMode & ~0x1F80u);  // traps every exception
+#else
+constexpr sg::FloatMode kUpwardsAndTraps = sg::kPlainMode;
+#endif
+
+// Without the flags of exceptions that have happened.
+sg::FloatMode mode() { return SG_X86 ? sg::float_mode() & ~sg::FloatMode{0x3F} : sg::float_mode(); }
 
 // Runs tasks of which each counts its calls; returns whether every one ran once.
 bool all_run_once(int count) {
@@ -125,21 +133,23 @@ TEST(pool_runs_a_call_within_a_task_where_it_is) {
   }
 }
 
-TEST(pool_flushes_subnormal_numbers_within_tasks_alone) {
-  for (const int threads : kThreads) {
-    sg::set_thread_count(threads);
-    CHECK(mode() == 0);
-    sg::parallel_for(100, [](int) {
-      CHECK(mode() == sg::kFlushMode);
-      sg::parallel_for(2, [](int) { CHECK(mode() == sg::kFlushMode); });
-      CHECK(mode() == sg::kFlushMode);
-      CHECK(check::throws<int>([] { sg::parallel_for(2, [](int i) { throw i; }); }));
-      CHECK(mode() == sg::kFlushMode);
-    });
-    CHECK(mode() == 0);
-    CHECK(check::throws<int>([] { sg::parallel_for(100, [](int i) { throw i; }); }));
-    CHECK(mode() == 0);
-  }
+TEST(pool_has_its_own_float_mode_within_tasks_and_gives_the_callers_back) {
+  const volatile float zero = 0.0f;
+  for (const sg::FloatMode callers : {sg::kPlainMode, kUpwardsAndTraps})
+    for (const int threads : kThreads) {
+      const sg::WithMode as_the_caller(callers);
+      sg::set_thread_count(threads);
+      sg::parallel_for(100, [&](int) {
+        CHECK(mode() == kInTasks);
+        CHECK(1.0f / zero > 1.0f);
+        sg::parallel_for(2, [](int) { CHECK(mode() == kInTasks); });
+        CHECK(check::throws<int>([] { sg::parallel_for(2, [](int i) { throw i; }); }));
+        CHECK(mode() == kInTasks);
+      });
+      CHECK(mode() == callers);
+      CHECK(check::throws<int>([] { sg::parallel_for(100, [](int i) { throw i; }); }));
+      CHECK(mode() == callers);
+    }
 }
 
 TEST(pool_serves_several_callers) {
