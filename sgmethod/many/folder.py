@@ -21,7 +21,6 @@ from sgmethod.many.run import Finished, OnRow, Run, Tally, Task, caught
 
 Item = str | os.PathLike[str] | tuple[str, Input]
 Made = tuple[bytes, Mapping[str, Any], list[str]]  # a file, its figures, what was dropped from the picture
-LOST = "the executor has failed: {}; run again, and resume"
 
 
 def into_folder(
@@ -81,7 +80,7 @@ def finish_elsewhere(
         try:
             made = future.result()
         except OSError as error:
-            raise SgError(LOST.format(error)) from error
+            raise SgError(f"the executor has failed: {error}; run again, and resume") from error
         except BrokenExecutor as error:
             broken, made = error, SgError(f"the executor broke while it had the picture: {error}")
         except Exception as error:
@@ -94,12 +93,10 @@ def finish_elsewhere(
 def _begun(begin: Callable[[Task[Row]], Future[Made | Exception]], task: Task[Row]) -> Future[Made | Exception]:
     try:
         return begin(task)
-    except BrokenExecutor as error:
+    except (BrokenExecutor, OSError) as error:
         future = Future[Made | Exception]()
         future.set_exception(error)
         return future
-    except OSError as error:  # such as a lost connection to a cluster
-        raise SgError(LOST.format(error)) from error
 
 
 def _given(made: Made | Exception, _: Any) -> Made:

@@ -52,8 +52,7 @@ def text_of(options: Mapping[str, object]) -> str:
 class Manifest:
     """The manifest of a folder, for a run with these options: read at once, and open for writing as a context.
 
-    sources: by name, the file name of the picture that a file was made from; empty for one in memory; failed: names of
-    files that could not be made.
+    sources: by name, the file name of the picture that a file was made from; empty for one in memory; failed: names.
     Raises SgError if it cannot be written, or is another file of that name.
     """
 

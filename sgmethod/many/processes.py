@@ -44,8 +44,7 @@ def usual_jobs(pictures: int) -> int:
     """Return how many pictures to encode at a time: one for each thread that is set, as far as memory allows."""
     from sgmethod.native import native
 
-    jobs = min(native.thread_count(), machine.memory() // MEMORY_OF_JOB, pictures // PICTURES_OF_JOB, MAX_JOBS)
-    return max(jobs, 1)
+    return max(min(native.thread_count(), machine.memory() // MEMORY_OF_JOB, pictures // PICTURES_OF_JOB, MAX_JOBS), 1)
 
 
 def in_processes(

@@ -129,7 +129,5 @@ def made_or_error(make: Callable[[Any], Made], picture: Any) -> Made | Exception
         return make(picture)
     except MemoryError:
         return SgError("out of memory")
-    except (SgError, OSError) as error:
-        return SgError(str(error))
     except Exception as error:
-        return error
+        return SgError(str(error)) if isinstance(error, SgError | OSError) else error
