@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from itertools import islice
-from multiprocessing import current_process, get_context
+from multiprocessing import current_process, get_context, resource_tracker
 from multiprocessing.connection import wait
 from queue import SimpleQueue
 from threading import Thread, current_thread, main_thread
@@ -103,6 +103,7 @@ def _uninterrupted() -> Iterator[None]:
     late: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: late.append(number))  # other threads may be given it
     if sys.platform != "win32":
+        resource_tracker.ensure_running()  # or the first process's start would, which unblocks the signal
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
