@@ -72,7 +72,8 @@ def encode(
     asked = EncodeArguments.checked(only, profile, tune, effort, settings)
     pixels = read_input(image, keep_alpha=method_of(asked.profile).keeps_alpha)
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
-    asked = asked.with_default_for(pixels)
+    height, width, channels = pixels.shape
+    asked = asked.with_default_for(width, height, has_alpha=channels == 4)
     recorder = Recorder(clock, on_progress)
     data, steps = encoder_of(asked.profile)(pixels, asked, limit_s, recorder)
     stats = measured(pixels, data, steps, recorder, asked, measure)

@@ -1,9 +1,9 @@
-"""The arguments of an encode, checked before anything is read."""
+"""The options of an encode in one table, and their check, for every program that takes them."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from sgmethod import profiles
@@ -11,7 +11,43 @@ from sgmethod.arguments import AnyFloat, AnyInt, finite_number
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, default_budget
 from sgmethod.errors import BudgetError
 from sgmethod.profiles import Profile, Settings, Tune
-from sgmethod.scene import Pixels
+
+
+def _option(default: Any, text: str, **schema: Any) -> Any:
+    """Return an option. text: its help; schema: what it may be, in words of JSON Schema. pydantic reads both."""
+    return field(default=default, metadata={"description": text, "json_schema_extra": schema})
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncodeOptions:
+    """The options of an encode besides its budget: of the command line, of the service's requests, and of its jobs.
+
+    Their values are checked by EncodeArguments.
+    """
+
+    profile: str = _option(
+        profiles.DEFAULT_PROFILE, f"method (default: {profiles.DEFAULT_PROFILE})", enum=[*profiles.PROFILE_NAMES]
+    )
+    tune: str | None = _option(
+        None,
+        "visual looks best, fidelity is that without synthesised grain, psnr has the least squared error "
+        f"(default: {profiles.DEFAULT_TUNE}; with a budget in dB: psnr)",
+        enum=[*profiles.TUNES],
+    )
+    effort: int = _option(
+        profiles.DEFAULT_EFFORT,
+        f"{min(profiles.EFFORTS)} is fastest, {max(profiles.EFFORTS)} gives the best file "
+        f"(default: {profiles.DEFAULT_EFFORT}); profile rd only",
+        minimum=min(profiles.EFFORTS),
+        maximum=max(profiles.EFFORTS),
+    )
+    time_limit_s: float | None = _option(
+        None, "time limit in seconds for each picture (default: none, or the longest that a server allows)"
+    )
+
+    def options(self) -> dict[str, Any]:
+        """Return the options by name, as encode() takes them."""
+        return {one.name: getattr(self, one.name) for one in fields(EncodeOptions)}
 
 
 @dataclass(frozen=True)
@@ -28,10 +64,10 @@ class EncodeArguments:
     def checked(
         cls,
         budget: Budget,
-        profile: Profile,
-        tune: Tune | None,
+        profile: str,
+        tune: str | None,
         effort: AnyInt,
-        settings: Settings | None,
+        settings: Settings | None = None,
     ) -> EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
         profile = profiles.checked_profile(profile if settings is None else settings.profile)
@@ -47,13 +83,25 @@ class EncodeArguments:
         """What the fit is tuned for. SSIMULACRA 2, which is what a quality means, counts texture as an error."""
         return "fidelity" if self.tune == "visual" and self.budget.kind == "quality" else self.tune
 
-    def with_default_for(self, pixels: Pixels) -> EncodeArguments:
-        """Replace the default budget by what it is for a picture [H, W, C]."""
+    def with_default_for(self, width: int, height: int, *, has_alpha: bool) -> EncodeArguments:
+        """Replace the default budget by what it is for a picture of this size."""
         if self.budget is not DEFAULT_BUDGET:
             return self
-        height, width, channels = pixels.shape
-        least = profiles.smallest_file(self.settings, has_alpha=channels == 4)
+        least = profiles.smallest_file(self.settings, has_alpha=has_alpha)
         return replace(self, budget=default_budget(width, height, least))
+
+    def check_size(self, width: int, height: int) -> None:
+        """Raise BudgetError if no file of a picture of this size, without alpha, could meet the budget."""
+        from sgmethod.metrics.visual import SMALLEST_SIDE
+
+        budget, least = self.budget, profiles.smallest_file(self.settings)
+        if budget.kind == "gaussians":
+            budget.max_gaussians(width, height)
+        if budget.kind == "quality" and min(width, height) < SMALLEST_SIDE:
+            raise BudgetError(f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
+        allowed = budget.max_bytes(width, height)
+        if allowed is not None and allowed < least:
+            raise BudgetError(f"a file of profile {self.profile} takes at least {least} bytes, the budget is {allowed}")
 
 
 def only_budget(budget: Budget | None, kinds: dict[BudgetKind, Any]) -> Budget:

@@ -15,7 +15,7 @@ from starlette.datastructures import UploadFile
 from service.api import models, requests
 from service.api.context import Context, UseCaller, UseContext
 from service.api.metrics import WAITED_S
-from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
+from service.api.options import OPTION_SCHEMAS, EncodeQuery, queries, read_options
 from service.api.pictures import bitstream_response, picture_response
 from service.api.problems import RETRYABLE, ProblemError
 from service.errors import JobTableError, KeyReusedError, LimitError
@@ -75,12 +75,12 @@ async def encode(
 
 
 def _earlier(
-    table: JobTable, options: EncodeOptions, image: UploadFile, owner: str | None, key: str
+    table: JobTable, options: EncodeQuery, image: UploadFile, owner: str | None, key: str
 ) -> tuple[str, Job | None]:
     """Return a digest of a client's request, independent of settings, and the job that it made before."""
     image.file.seek(0)
     digest = hashlib.file_digest(image.file, "sha256").hexdigest()  # type: ignore[arg-type]
-    fingerprint = hashlib.sha256(f"{options.model_dump_json(exclude_unset=True)} {digest}".encode()).hexdigest()
+    fingerprint = hashlib.sha256(queries.dump_json(options, exclude_defaults=True) + f" {digest}".encode()).hexdigest()
     return fingerprint, table.first(owner, key, fingerprint)
 
 

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
 from sgmethod.budget import BudgetKind
-from sgmethod.profiles import DEFAULT_EFFORT, Profile, Tune
+from sgmethod.encode_arguments import EncodeOptions
 
 JobState = Literal["queued", "running", "done", "failed"]
 JOB_STATES: tuple[JobState, ...] = get_args(JobState)
@@ -42,16 +42,13 @@ def is_job_id(text: str) -> bool:
     return _JOB_ID.fullmatch(text) is not None
 
 
-@dataclass(frozen=True)
-class EncodeRequest:
-    """The options of an encode, named as in sgmethod. A row may have values that only a later version knows."""
+@dataclass(frozen=True, kw_only=True)
+class EncodeRequest(EncodeOptions):
+    """An encode that a client asks for. A row may have values that only a later version knows."""
 
     budget_kind: SkipValidation[BudgetKind]
     budget_value: float
-    profile: SkipValidation[Profile]
     time_limit_s: float
-    tune: SkipValidation[Tune] = "psnr"
-    effort: int = DEFAULT_EFFORT
 
 
 @dataclass(frozen=True)

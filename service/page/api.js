@@ -2,8 +2,6 @@
 
 import { $ } from "./parts.js";
 
-const USUAL = { tune: "visual", effort: 5 };
-
 /** An answer other than 2xx. */
 class Refusal extends Error {
   constructor(status, detail) {
@@ -46,14 +44,9 @@ export const hasKey = () => $("key").value.trim() !== "";
 
 export const jobPath = (id) => `jobs/${id}`;
 
-/** The options of an encode that differ from the service's defaults. timeLimit: in seconds. */
-export function choices({ kind, tune, effort, timeLimit }) {
-  const fields = [];
-  if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]);
-  if ((effort ?? USUAL.effort) !== USUAL.effort) fields.push(["effort", effort]);
-  if (timeLimit) fields.push(["time_limit_s", timeLimit]);
-  return fields;
-}
+/** The options of an encode that differ from the service's defaults. A budget in dB has one tune. */
+export const choices = ({ kind, options }) =>
+  Object.entries(options).filter(([name]) => kind !== "psnr" || name !== "tune");
 
 /** Submit a new job. */
 export function submit(file, budget) {

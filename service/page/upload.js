@@ -48,11 +48,19 @@ const bytes = (item) => (isMoved() ? bytesAt($("slider").value) : usual(item));
 const quality = () => (isMoved() ? Math.round(5 + 0.9 * Number($("slider").value)) : 50);
 const QUALITIES = [[80, "hardly different from the original"], [60, "good beside the original"], [30, "good on its own"], [0, "a preview"]];
 
+/** What a control has unless the visitor changes it, which is the service's default. */
+const usualOf = (control) => [...(control.options ?? [])].find((one) => one.defaultSelected)?.value ?? "";
+const controls = (kind) => [...document.querySelectorAll(`${kind}[data-option]`)];
+const unusual = (kind, valueOf) =>
+  Object.fromEntries(controls(kind).filter((one) => valueOf(one) !== usualOf(one)).map((one) => [one.dataset.option, valueOf(one)]));
+
+/** The options of a job that differ from the service's defaults, without its time limit. */
+export const optionsOf = (job) => unusual("select", (one) => String(job[one.dataset.option]));
+
 export function budget(item) {
-  const timeLimit = Number($("time-limit").value) || null;
   const aim = $("aim").value;
   const value = aim === "size" ? bytes(item) : aim === "quality" ? quality() : Number($("aim-value").value) || AIMS[aim][1];
-  return { kind: aim === "size" ? "bytes" : aim, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
+  return { kind: aim === "size" ? "bytes" : aim, value, options: unusual("", (one) => one.value) };
 }
 
 /** Describe the slider's value for a picture, or in general. */
@@ -74,7 +82,7 @@ export function sayRate(item) {
 }
 
 export function rememberBudget(changed) {
-  for (const id of ["slider", "aim", "tune", "effort", "time-limit"]) remembered($(id), local);
+  for (const control of [$("slider"), $("aim"), ...controls("")]) remembered(control, local);
   remembered($("key"), session);
   $("key-field").hidden = !$("key").value;
   const name = () => `sgmethod-aim-${$("aim").value}`;

@@ -27,7 +27,7 @@ from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import FORMATS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
-from sgmethod.profiles import DEFAULT_EFFORT, PROFILE_NAMES, READERS, Profile, Tune, method_of
+from sgmethod.profiles import DEFAULT_EFFORT, PROFILE_NAMES, READERS, Profile, Tune, checked_profile, method_of
 
 CUT_SHORT = 0.9  # of the time limit: an encode that takes longer was cut short by it
 FAIR_CPU_SHARE = 0.5
@@ -113,7 +113,7 @@ def warm_fork() -> None:
 def prepare(task: frames.Task) -> None:
     """Import what is too large to keep in memory for all tasks."""
     if isinstance(task, frames.Encode) and task.request.profile != "rd":
-        tiny_encode(task.request.profile)
+        tiny_encode(checked_profile(task.request.profile))
 
 
 def _import_all(path: Any, prefix: str) -> None:
@@ -201,10 +201,7 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
         encoded = encode(
             pixels,
             Budget(request.budget_kind, request.budget_value),
-            request.profile,
-            tune=request.tune,
-            effort=request.effort,
-            time_limit_s=request.time_limit_s,
+            **request.options(),
             on_progress=lambda point: answer.send(frames.TracePoint(**frames.finite(point.to_dict()))),
             measure=True,
         )

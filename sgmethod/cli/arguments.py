@@ -6,6 +6,7 @@ import argparse
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from typing import Any, NoReturn
 
 from sgmethod.errors import SgError
@@ -172,8 +173,6 @@ def parser(argv: Sequence[str]) -> _Parser:
 
 
 def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
-    from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, DEFAULT_TUNE, EFFORTS, PROFILE_NAMES, TUNES
-
     parser.add_argument(
         "names",
         nargs="+",
@@ -184,23 +183,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     _add_output_arguments(parser, "encode every IN, a picture or a folder of them, to DIR/NAME.sg")
     _add_budget_arguments(parser)
     _add_run_arguments(parser)
-    parser.add_argument(
-        "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
-    )
-    parser.add_argument(
-        "--tune",
-        choices=TUNES,
-        help="visual looks best, fidelity is that without synthesised grain, psnr has the least squared error "
-        f"(default: {DEFAULT_TUNE}; with --psnr: psnr)",
-    )
-    parser.add_argument(
-        "--effort",
-        type=_whole_number("an effort", min(EFFORTS), max(EFFORTS)),
-        default=DEFAULT_EFFORT,
-        metavar="N",
-        help=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file (default: {DEFAULT_EFFORT})",
-    )
-    parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="time limit for each picture")
+    _add_options(parser)
     parser.add_argument("--server", metavar="URL", help="encode on this server, with the API key in SG_API_KEY")
     parser.add_argument("--trace", type=_path, metavar="FILE.json", help="write the error over time (one picture only)")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object per picture")
@@ -217,6 +200,23 @@ def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
         # Whole numbers are read as floats too, so that Budget reports what is wrong with 1.5 bytes.
         read = {"bytes": _size, "quality": _quality}.get(kind, float)
         budget.add_argument(f"--{kind}", type=read, metavar=metavar, help=text.format(**default))
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of an encode: those with a list of choices, whole numbers within limits, and numbers."""
+    from sgmethod.encode_arguments import EncodeOptions
+
+    for one in fields(EncodeOptions):
+        text, schema = one.metadata["description"], one.metadata["json_schema_extra"]
+        if "enum" in schema:
+            reading: dict[str, Any] = {"choices": schema["enum"]}
+        elif "minimum" in schema:
+            read = _whole_number(f"an {one.name}", schema["minimum"], schema["maximum"])
+            reading = {"type": read, "metavar": "N"}
+        else:
+            reading = {"type": float, "metavar": "SECONDS"}
+        flag = f"--{one.name.removesuffix('_s').replace('_', '-')}"
+        parser.add_argument(flag, dest=one.name, default=one.default, help=text, **reading)
 
 
 def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:

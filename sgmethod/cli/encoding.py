@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from sgmethod.cli.naming import Conversion
 from sgmethod.cli.paths import CommandError
 from sgmethod.cli.several import Figures, convert_all, convert_one
 from sgmethod.cli.terminal import progress_line, redraw
+from sgmethod.encode_arguments import EncodeOptions
 from sgmethod.many.manifest import Manifest
 from sgmethod.profiles import DEFAULT_PROFILE, encoder_of, method_of
 from sgmethod.trace import TracePoint
@@ -48,8 +49,7 @@ def _encode_all(arguments: argparse.Namespace) -> int:
     """Encode into a folder that has a manifest."""
     if arguments.trace is not None:
         raise CommandError("--trace cannot be combined with --output-dir")
-    options = {"budget": _only_budget(arguments), **_choices(arguments)}
-    options |= {name: getattr(arguments, name) for name in ("profile", "server")}
+    options = {"budget": _only_budget(arguments), **_choices(arguments), "server": arguments.server}
     manifest = Manifest(arguments.output_dir, options)
     conversions = naming.into_folder(arguments, naming.PICTURES, naming.sg_beside, manifest.sources)
     paths.check_outputs([one.input for one in conversions], [one.target for one in conversions])
@@ -107,12 +107,8 @@ Show = Callable[[TracePoint], None] | None
 
 
 def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Options other than budget and profile, the same here and on a server."""
-    return {
-        "tune": arguments.tune,
-        "effort": arguments.effort,
-        "time_limit_s": arguments.time_limit,
-    }
+    """Options other than the budget, the same here and on a server."""
+    return {one.name: getattr(arguments, one.name) for one in fields(EncodeOptions)}
 
 
 def _encode_here(began: float, _: Conversion, arguments: argparse.Namespace, image: bytes, show: Show) -> Result:
@@ -122,16 +118,9 @@ def _encode_here(began: float, _: Conversion, arguments: argparse.Namespace, ima
 
     pixels, notes = paths.read_pixels(image, keep_alpha=method_of(arguments.profile).keeps_alpha)
     choices = _choices(arguments)
-    if arguments.time_limit is not None and arguments.time_limit > 0:
-        choices["time_limit_s"] = max(arguments.time_limit - (time.perf_counter() - began), SHORTEST_LIMIT_S)
-    encoded = encode(
-        pixels,
-        _only_budget(arguments),
-        arguments.profile,
-        **choices,
-        on_progress=show,
-        measure=arguments.json,
-    )
+    if (limit_s := arguments.time_limit_s) is not None and limit_s > 0:
+        choices["time_limit_s"] = max(limit_s - (time.perf_counter() - began), SHORTEST_LIMIT_S)
+    encoded = encode(pixels, _only_budget(arguments), **choices, on_progress=show, measure=arguments.json)
     stats = replace(encoded.stats, source_bytes=len(image))
     advised = advice(better_file(pixels, stats.bytes, stats.psnr), stats.bytes, stats.psnr)
     return encoded.data, stats.to_dict() | advised, encoded.trace, notes
@@ -143,9 +132,9 @@ def _encode_there(conversion: Conversion, arguments: argparse.Namespace, image: 
     budget, choices = _only_budget(arguments), _choices(arguments)
     more: dict[str, Any] = {"on_progress": show}
     if arguments.output_dir is not None:  # a run that was killed is resumed: its jobs are found again
-        asked = {"budget": budget, "profile": arguments.profile, **choices}
+        asked = {"budget": budget, **choices}
         more |= {"priority": "bulk", "idempotency_key": key_of(Path(conversion.target).resolve(), asked, image)}
-    encoded = _client_for(arguments).encode(image, budget, arguments.profile, **choices, **more)
+    encoded = _client_for(arguments).encode(image, budget, **choices, **more)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
 
 

@@ -22,9 +22,10 @@ import httpx2
 from sgmethod.arguments import AnyFloat, AnyInt
 from sgmethod.budget import Budget
 from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
+from sgmethod.encode_arguments import EncodeOptions
 from sgmethod.errors import ServerError
 from sgmethod.io.files import File, bytes_of
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Tune
+from sgmethod.profiles import DEFAULT_PROFILE, Profile, Tune
 from sgmethod.trace import Progress, TracePoint
 
 PAGE = 200  # jobs in one answer
@@ -186,7 +187,7 @@ class Client:
 
 
 def _query(budget: Budget | None, profile: Profile, options: Options) -> Json:
-    wanted: Json = {"profile": profile, "effort": DEFAULT_EFFORT, "priority": "interactive", **options}
+    wanted: Json = {**EncodeOptions(profile=profile).options(), "priority": "interactive", **options}
     if budget is not None:
         wanted[budget.kind] = budget.value
     return {name: value for name, value in wanted.items() if value is not None}

@@ -87,10 +87,10 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
         given = ["--profile", OTHER, "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
-        named = {"tune": None, "effort": 5, "measure": False}
+        named = {"profile": OTHER, "tune": None, "effort": 5, "measure": False}
         given_budget, options = calls.pop()
         assert 0 < options.pop("time_limit_s") <= 5  # counted from the start of the command
-        assert (given_budget, options) == ((budget, OTHER), named)
+        assert (given_budget, options) == ((budget,), named)
     assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual", "--effort", "2") == Ran(0, "", "")
     assert {name: calls[0][1][name] for name in ("tune", "effort")} == {"tune": "visual", "effort": 2}
 

@@ -70,7 +70,8 @@ def sandbox(
 def task(time_limit_s: float = 0.1, **more: object) -> Encode:
     """An encode of a small picture."""
     limits = {"memory_bytes": 2**31, "cpu_s": 600, "max_pixels": 10_000, "threads": 1, **more}
-    return Encode(job_id=new_job_id(), request=EncodeRequest("bpp", 1.0, "rd", time_limit_s), **limits)  # type: ignore[arg-type]
+    request = EncodeRequest(budget_kind="bpp", budget_value=1.0, tune="psnr", time_limit_s=time_limit_s)
+    return Encode(job_id=new_job_id(), request=request, **limits)  # type: ignore[arg-type]
 
 
 @contextmanager

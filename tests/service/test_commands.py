@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service import checking
-from service.api.options import EncodeOptions
+from service.api.options import EncodeQuery
 from service.api.problems import ProblemError
 from service.commands import _for_whom, _where
 from service.settings import Settings
@@ -78,13 +78,13 @@ def test_a_parent_that_ignores_the_ends_of_children(run_command: RunCommand, tmp
 
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One profile does; the service does not."""
-    other = EncodeOptions(profile=OTHER)
+    other = EncodeQuery(profile=OTHER)
     assert other.request(IMAGE, 60).profile == OTHER
     monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
     result = run_command("check", data_dir=tmp_path)
     assert verdicts(result)["kernels"] == "ok"
     assert f"profile {OTHER} needs PyTorch" in result.stdout
-    assert EncodeOptions().request(IMAGE, 60).profile == "rd"
+    assert EncodeQuery().request(IMAGE, 60).profile == "rd"
     with pytest.raises(ProblemError, match=f"profile {OTHER} needs PyTorch") as refusal:
         other.request(IMAGE, 60)
     assert refusal.value.status == 422

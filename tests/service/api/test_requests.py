@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import inspect
 import re
 import socket
 import tempfile
@@ -14,9 +16,12 @@ import httpx2
 import pytest
 from PIL import Image
 
-from service.api.options import OPTION_SCHEMAS, EncodeOptions
+import sgmethod
+from service.api.options import OPTION_SCHEMAS, queries
 from service.api.problems import NAMED_REASONS, REASONS
 from sgmethod.budget import bytes_value
+from sgmethod.client.client import Options
+from sgmethod.encode_arguments import EncodeOptions
 from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
 from tests.support.pictures import SMALL, png, saved
 from tests.support.processes import wait_until
@@ -138,6 +143,15 @@ def test_fields_that_are_refused(web: Service, words: str, fields: dict[str, str
     assert web.files() == before
 
 
+def test_every_program_has_the_options_of_the_codec() -> None:
+    """Of the one table, which the command line and the service's jobs read too."""
+    names = {one.name for one in dataclasses.fields(EncodeOptions)}
+    assert names <= set(inspect.signature(sgmethod.encode).parameters)
+    assert names <= set(OPTION_SCHEMAS)
+    assert names | {"priority"} == set(Options.__annotations__) | {"profile"}
+    assert names - {"profile"} == set(re.findall(r'data-option="(\w+)"', (STATIC / "index.html").read_text()))
+
+
 def test_what_has_no_body_has_no_type(web: Service) -> None:
     """Clients that go by the type would parse it."""
     answer = web.client.delete(f"/jobs/{web.accepted()}")
@@ -160,7 +174,7 @@ def test_every_documented_form_of_a_size_is_described_and_accepted() -> None:
     texts = next(form["pattern"] for form in OPTION_SCHEMAS["bytes"]["anyOf"] if form["type"] == "string")
     for size in sizes | {"20kB"}:
         assert size.isdigit() or re.fullmatch(texts, size), size
-        assert EncodeOptions.model_validate({"bytes": size}).bytes == bytes_value(size)
+        assert queries.validate_python({"bytes": size}).bytes == bytes_value(size)
     assert not re.fullmatch(texts, "20ki")  # which is refused
 
 

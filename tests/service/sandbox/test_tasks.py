@@ -131,7 +131,7 @@ def test_other_codecs(real: Sandbox, kind: Any) -> None:
 def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, more: dict[str, Any]) -> None:
     """As the command line makes them, whatever the picture asks of libraries that are imported late."""
     for image in (picture(), picture(alpha=True), picture(drawn=True)):
-        request = EncodeRequest(kind, value, "rd", 600.0, **more)
+        request = EncodeRequest(budget_kind=kind, budget_value=value, time_limit_s=600.0, **{"tune": "psnr", **more})
         what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=1)
         *_, result = messages_of(real, what, saved(image))
         assert isinstance(result, Result), result
@@ -146,7 +146,7 @@ def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, 
 def test_a_profile_that_brings_torch(real: Sandbox) -> None:
     """It is imported before the task is confined, and starts its threads afterwards."""
     pytest.importorskip("torch")
-    request = EncodeRequest("bpp", 2.0, OTHER, time_limit_s=2)
+    request = EncodeRequest(budget_kind="bpp", budget_value=2.0, profile=OTHER, tune="psnr", time_limit_s=2)
     what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=2)
     *_, result = messages_of(real, what, saved(picture()))
     assert isinstance(result, Result), result
