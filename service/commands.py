@@ -71,7 +71,7 @@ def _explain(fault: ErrorDetails) -> str:
     field = str(fault["loc"][0]) if fault["loc"] else ""
     what = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "string_pattern_mismatch":  # whose message is a regular expression
-        what = "not a value of this setting: docs/deploy.md says what it may be"
+        what = f"not a value of this setting, {Settings.model_fields[field].description}"
     return f"SG_{field.upper()}: {what}" if field else what
 
 

@@ -1,7 +1,7 @@
 """Every setting of the service with its default and range.
 
-Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md says what each
-means, and a test compares names and defaults.
+Settings come from environment variables named SG_ and the field's name in capitals. The tables of docs/deploy.md are
+those of this module.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterable, MutableMapping
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -45,6 +45,13 @@ def default_job_memory_bytes() -> int:
     With all of it, the system would kill an encode before its limit refuses it.
     """
     return max(min(machine.memory() - IDLE_BYTES, 8 * 2**30), 2**28)
+
+
+def _setting(default: object, text: str, **limits: Any) -> Any:
+    """Return a setting. default: a value, or a function that finds it; text: its meaning; limits: as of Field()."""
+    if callable(default):
+        return Field(default_factory=default, description=text, **limits)
+    return Field(default, description=text, **limits)
 
 
 def listed(text: str) -> list[str]:
@@ -85,43 +92,110 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
 
     # The ten that most services need.
-    host: str = "127.0.0.1"
-    port: int = Field(default=8000, ge=0, le=65535)  # 0 takes a free one
-    data_dir: Path = Path("data")
-    workers: int = Field(default_factory=default_workers, ge=1, le=MAX_WORKERS)
-    api_keys_file: Path | None = None
-    trusted_proxies: str = ""  # addresses and networks, separated by commas
-    retention_s: float = Field(default=30 * 86_400, ge=0, le=MAX_RETENTION_S)  # of finished jobs; 0 for ever
-    quota_bytes: int = Field(default=0, ge=0)  # of all images and bitstreams; 0 for no limit
-    database_url: str = Field(default="", pattern=r"^(|sqlite|postgres(ql)?://.*)$", repr=False)  # may hold a password
-    storage_url: str = Field(default="", pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$")
+    host: str = _setting("127.0.0.1", "address to listen on; `0.0.0.0` is every IPv4 address, `::` every address")
+    port: int = _setting(8000, "TCP port; 0 takes a free one", ge=0, le=65535)
+    data_dir: Path = _setting(Path("data"), "folder for the job table, sources and bitstreams")
+    workers: int = _setting(
+        default_workers,
+        "number of concurrent encodes on this machine, which share its cores; at most 64. With one for each core, "
+        "many small photographs take about three quarters of the time, each of them longer",
+        ge=1,
+        le=MAX_WORKERS,
+    )
+    api_keys_file: Path | None = _setting(
+        None, "file of API keys, one name:SHA-256 per line; without keys the service is open to all"
+    )
+    trusted_proxies: str = _setting("", "addresses and networks, separated by commas, whose X-Forwarded-For is trusted")
+    retention_s: float = _setting(
+        30 * 86_400, "seconds until finished jobs are removed; 0 for never", ge=0, le=MAX_RETENTION_S
+    )
+    quota_bytes: int = _setting(0, "bytes of all images and bitstreams before new jobs get 429; 0 for no limit", ge=0)
+    database_url: str = _setting(
+        "",
+        "job table: empty or `sqlite` for a file in the data folder, or postgresql://...",
+        pattern=r"^(|sqlite|postgres(ql)?://.*)$",
+        repr=False,
+    )
+    storage_url: str = _setting(
+        "",
+        "sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
+        pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$",
+    )
 
     # Jobs and encodes.
-    queue_length: int = Field(default=1000, ge=1)
-    max_time_limit_s: float = Field(default=300.0, gt=0, le=MAX_SECONDS)
-    job_memory_bytes: int = Field(default_factory=default_job_memory_bytes, ge=2**28, le=2**62)
-    require_sandbox: bool = False
+    queue_length: int = _setting(
+        1000,
+        "queued jobs before new ones get 429; one API key, or without keys one address, may have half of them",
+        ge=1,
+    )
+    max_time_limit_s: float = _setting(
+        300.0,
+        "seconds, the longest and default time limit of an encode; an encode that takes twice as long is killed",
+        gt=0,
+        le=MAX_SECONDS,
+    )
+    job_memory_bytes: int = _setting(
+        default_job_memory_bytes,
+        "maximum bytes of memory per encode, which is refused beyond it; a decode may use a quarter, and at least "
+        "512 MiB",
+        ge=2**28,
+        le=2**62,
+    )
+    require_sandbox: bool = _setting(
+        False, "refuse to start where the system cannot confine processes that read uploads"
+    )
 
     # Retention and quotas.
-    source_retention_s: float = Field(default=3600.0, ge=0, le=MAX_RETENTION_S)
-    quota_bytes_per_key: int = Field(default=0, ge=0)  # 0 for no limit
+    source_retention_s: float = _setting(
+        3600.0,
+        "seconds to keep the image of a finished job for comparisons; 0 to delete it at once",
+        ge=0,
+        le=MAX_RETENTION_S,
+    )
+    quota_bytes_per_key: int = _setting(
+        0, "bytes of the images and bitstreams of one API key before its new jobs get 429; 0 for no limit", ge=0
+    )
 
     # Links.
-    link_secret: SecretStr = SecretStr("")
+    link_secret: SecretStr = _setting(SecretStr(""), "at least 32 characters that sign links; empty disables links")
 
     # Proxies and browsers.
-    host_names: str = Field(default="", pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$")
-    root_path: str = Field(default="", pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$")
-    cors_origins: str = Field(default="", pattern=rf"^(|\*|{ORIGIN}(,\s*{ORIGIN})*)$")
+    host_names: str = _setting(
+        "",
+        "without API keys: host names, separated by commas, that the service answers to besides localhost and IP "
+        "addresses, `*` for all; if empty, the service does not start on an address that other machines can reach",
+        pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$",
+    )
+    root_path: str = _setting(
+        "",
+        "path under which a proxy serves the service, such as /sg; the proxy strips it",
+        pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$",
+    )
+    cors_origins: str = _setting(
+        "",
+        "origins, separated by commas, whose pages may call the API from a browser; `*` for all",
+        pattern=rf"^(|\*|{ORIGIN}(,\s*{ORIGIN})*)$",
+    )
 
     # Requests.
-    max_upload_bytes: int = Field(default=64 * 2**20, ge=1)
-    max_pixels: int = Field(default=50_000_000, ge=1)  # of an image, and of a picture or view to draw
-    max_decodes: int = Field(default=3, ge=1)
+    max_upload_bytes: int = _setting(
+        64 * 2**20,
+        "maximum bytes of a request's body: an image, a form with an image, or a bitstream; if the disk of the data"
+        " folder has no room for four of them, new jobs get 503 and /readyz fails",
+        ge=1,
+    )
+    max_pixels: int = _setting(
+        50_000_000, "maximum pixels (width x height) of an image, and of a decoded picture or view", ge=1
+    )
+    max_decodes: int = _setting(3, "concurrent decodes; one client may use all but one", ge=1)
 
     # Logs.
-    log_format: LogFormat = "text"
-    log_level: LogLevel = "info"
+    log_format: LogFormat = _setting(
+        "text",
+        "`text`, or `json`: one object a line, of the start too, in which a request's id, method, path, status and "
+        "others are members",
+    )
+    log_level: LogLevel = _setting("info", "the least that is logged: `debug`, `info`, `warning` or `error`")
 
     @field_validator("*", mode="before")
     @classmethod

@@ -39,11 +39,13 @@ def run_alone(command: str, **environment: object) -> Outcome:
     return run(sys.executable, "-m", "service", command, **environment)
 
 
-def test_the_operators_page_has_every_setting_with_its_default() -> None:
+def test_the_operators_page_has_every_setting_with_its_default_and_meaning() -> None:
     text = (ROOT / "docs" / "deploy.md").read_text()
-    rows = re.findall(r"^\| `SG_(\w+)` \| (.*?) \| .+ \|$", text, re.MULTILINE)
-    fields = {name: COMPUTED.get(name, str(field.default)) for name, field in Settings.model_fields.items()}
-    assert rows == [(name.upper(), default or "none") for name, default in fields.items()]
+    rows = re.findall(r"^\| `SG_(\w+)` \| (.*?) \| (.+) \|$", text, re.MULTILINE)
+    assert rows == [
+        (name.upper(), COMPUTED.get(name, str(field.default)) or "none", field.description)
+        for name, field in Settings.model_fields.items()
+    ]
 
 
 def test_secrets_may_be_files(tmp_path: Path) -> None:
