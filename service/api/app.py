@@ -33,7 +33,7 @@ from service.api.middleware import BodyLimit, RequestLog
 from service.api.probes import Probes
 from service.api.problems import PAGE, install_problem_handlers
 from service.api.routes import add_routes
-from service.api.turns import ClientTasks, Shares, Turns
+from service.api.turns import ClientTasks, Shares
 from service.keys import KeyRing
 from service.logs import log_seldom
 from service.opening import open_job_table, open_storage
@@ -47,7 +47,6 @@ PAGE_POLICY = (
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
-UPLOADS_IN_MEMORY, WAITING_UPLOADS = 4, 100
 PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
 STABLE_READS = 5  # times in a row: a file that is being written may end after any line
@@ -166,7 +165,6 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         storage,
         ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
-        Turns(UPLOADS_IN_MEMORY, WAITING_UPLOADS),
         Shares(settings.max_waits, -(-settings.max_waits // 2)),
         stopping,
         KeyRing(settings.key_names),

@@ -15,7 +15,7 @@ from service.api.callers import Caller
 from service.api.metrics import Metrics
 from service.api.probes import Probes
 from service.api.problems import ProblemError
-from service.api.turns import ClientTasks, Shares, Turns
+from service.api.turns import ClientTasks, Shares
 from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
 from service.keys import KeyRing
@@ -57,8 +57,8 @@ class PictureCache:
 class Context:
     """The parts of the running service.
 
-    tasks: sandbox tasks of clients; accepting: bounds the number of uploads in memory; waits: requests that wait for a
-    job; stopping: returns whether the service is shutting down.
+    tasks: sandbox tasks of clients; waits: requests that wait for a job; stopping: returns whether the service is
+    shutting down.
 
     reading, writing, storing: threads in which read() and write() use the job table, and store() the storage. The pools
     are separate, so that a lock or a silent bucket does not block anything else.
@@ -69,7 +69,6 @@ class Context:
     storage: Storage
     tasks: ClientTasks
     pictures: PictureCache
-    accepting: Turns
     waits: Shares
     stopping: Callable[[], bool]
     keys: KeyRing

@@ -6,7 +6,8 @@ import asyncio
 import errno
 import hashlib
 import time
-from typing import Annotated, Any
+from mmap import ACCESS_READ, mmap
+from typing import Annotated, Any, BinaryIO
 
 from fastapi import Depends, Request, Response
 from fastapi.responses import JSONResponse
@@ -68,9 +69,7 @@ async def encode(
             header = await context.tasks.read_header(caller.client, file)
             wanted = options.request(header, context.settings.max_time_limit_s)
             new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, options.priority, caller.client)
-            async with context.accepting.turn(caller.client):
-                await file.seek(0)
-                job = await context.store(_accept, context, new, await file.read())
+            job = await context.store(_accept, context, new, file.file)
     return await _answer(request, context, job, wait_s)
 
 
@@ -84,12 +83,13 @@ def _earlier(
     return fingerprint, table.first(owner, key, fingerprint)
 
 
-def _accept(context: Context, new: NewJob, image: bytes) -> Job:
+def _accept(context: Context, new: NewJob, image: BinaryIO) -> Job:
     """Store the image, then insert the job. Only then may the client get an answer."""
     free_bytes = context.storage.free_bytes()  # a large upload is a temporary file there, and so counted already
     if free_bytes is not None and free_bytes < context.settings.min_free_bytes:
         raise OSError(errno.ENOSPC, f"No space left for new jobs: {free_bytes} bytes are free")
-    context.storage.put(source_key(new.id), image)
+    # Mapped, since the images of many requests at once would fill the memory.
+    context.storage.put(source_key(new.id), memoryview(mmap(image.fileno(), 0, access=ACCESS_READ)))
     try:  # after an error of the table, the image stays for the sweep: the row may have been written
         job, is_new = context.table.submit(new)
     except (LimitError, KeyReusedError):

@@ -77,7 +77,7 @@ class BucketStorage:
             # For uploads: read_timeout would also count while an object is being sent and stored.
             self._patient = from_url(url, client_options=options, retry_config=retries)
 
-    def put(self, key: str, data: bytes) -> None:
+    def put(self, key: str, data: bytes | memoryview) -> None:
         self.check()  # fails fast if the store is down; storing even a small object may take long
         with _as_os_errors():
             # One request for the whole object, so that a broken upload leaves no parts behind.

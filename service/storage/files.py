@@ -64,7 +64,7 @@ def check_key(key: str) -> str:
 class Storage(Protocol):
     """Files under keys. Methods raise OSError."""
 
-    def put(self, key: str, data: bytes) -> None:
+    def put(self, key: str, data: bytes | memoryview) -> None:
         """Store data. When this returns, it survives a power cut. Raises OSError."""
 
     def open(self, key: str) -> BinaryIO:
@@ -101,7 +101,7 @@ class DiskStorage:
     def _path(self, key: str) -> Path:
         return self._root / check_key(key)
 
-    def put(self, key: str, data: bytes) -> None:
+    def put(self, key: str, data: bytes | memoryview) -> None:
         write_atomically(self._path(key), data, unfinished=self._root / UNFINISHED)
 
     def open(self, key: str) -> BinaryIO:

@@ -17,7 +17,7 @@ CANNOT_SYNC = {errno.EINVAL, errno.EBADF, errno.EISDIR, errno.ENOSYS, errno.ENOT
 File = str | os.PathLike[str] | bytes | bytearray | memoryview  # a path, or the bytes themselves
 
 
-def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:
+def write_atomically(path: str | os.PathLike[str], data: bytes | memoryview, *, unfinished: Path | None = None) -> None:
     """Write data to path, or leave path unchanged after any failure.
 
     The data is written to a new file and synced, and only then renamed to the target, with the permissions and, if
