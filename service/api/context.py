@@ -120,14 +120,12 @@ def no_such_job() -> ProblemError:
     return ProblemError(404, "there is no such job")
 
 
-async def known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> Job:
-    """Return the job if the caller may see it. A job of another owner looks like none."""
+async def known_job(request: Request, job_id: str) -> Job:
+    """Return the job if the caller may see it. A job of another owner looks like none. Raises ProblemError 404."""
+    context, caller = context_of(request), request.state.caller
     if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
         raise no_such_job()
     job = await context.read(context.table.get, job_id, caller.owner)
     if job is None:
         raise no_such_job()
     return job
-
-
-KnownJob = Annotated[Job, Depends(known_job)]

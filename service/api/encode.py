@@ -6,12 +6,12 @@ import asyncio
 import errno
 import hashlib
 import time
+from contextlib import suppress
 from mmap import ACCESS_READ, mmap
-from typing import Annotated, Any, BinaryIO
+from typing import Any, BinaryIO
 
-from fastapi import Depends, Request, Response
+from fastapi import Request, Response
 from fastapi.responses import JSONResponse
-from starlette.datastructures import UploadFile
 
 from service.api import models, requests
 from service.api.context import Context, UseCaller, UseContext
@@ -47,40 +47,41 @@ ENCODE_BODY: dict[str, Any] = {
     "content": {requests.FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
 }
 FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
-WaitSeconds = Annotated[int, Depends(requests.wanted_wait_s)]
-IdempotencyKey = Annotated[str | None, Depends(requests.idempotency_key)]
 
 
-async def encode(
-    request: Request, context: UseContext, caller: UseCaller, wait_s: WaitSeconds, key: IdempotencyKey
-) -> Response:
+async def encode(request: Request, context: UseContext, caller: UseCaller, wait: requests.Wait = 0) -> Response:
     """Submit an image for encoding, with at most one budget.
 
     With `wait`, the response is the finished file (or the decoded picture, if the Accept header asks for one) when the
     job is done in time. If it fails in that time, 422 if the codec refused the image, else 500. Otherwise 202 and the
     job as JSON.
     """
+    wait_s, key = requests.wanted_wait_s(request, wait), requests.idempotency_key(request)
     await context.read(context.table.check_queue, caller.client, caller.owner, key)  # before the body is read
-    async with requests.image_and_fields(request) as (file, fields):
-        options, fingerprint, job = read_options(fields), "", None
-        if key is not None:  # first, since what would be refused now may have been accepted then
-            fingerprint, job = await context.read(_earlier, context.table, options, file, caller.owner, key)
+    async with requests.image_and_fields(request) as (image, fields):
+        query = read_options(fields)
+        # First, since what would be refused now may have been accepted then.
+        job, fingerprint = await context.read(_earlier, context.table, query, image.file, caller.owner, key)
         if job is None:
-            header = await context.tasks.read_header(caller.client, file)
-            wanted = options.request(header, context.settings.max_time_limit_s)
-            new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, options.priority, caller.client)
-            job = await context.store(_accept, context, new, file.file)
-    return await _answer(request, context, job, wait_s)
+            header = await context.tasks.read_header(caller.client, image)
+            wanted = query.request(header, context.settings.max_time_limit_s)
+            new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, query.priority, caller.client)
+            job = await context.store(_accept, context, new, image.file)
+    if wait_s:
+        job = await _waited(request, context, job, wait_s)
+    return await _answer(request, context, job, wants_file=wait_s > 0)
 
 
 def _earlier(
-    table: JobTable, options: EncodeQuery, image: UploadFile, owner: str | None, key: str
-) -> tuple[str, Job | None]:
-    """Return a digest of a client's request, independent of settings, and the job that it made before."""
-    image.file.seek(0)
-    digest = hashlib.file_digest(image.file, "sha256").hexdigest()  # type: ignore[arg-type]
-    fingerprint = hashlib.sha256(queries.dump_json(options, exclude_defaults=True) + f" {digest}".encode()).hexdigest()
-    return fingerprint, table.first(owner, key, fingerprint)
+    table: JobTable, query: EncodeQuery, image: BinaryIO, owner: str | None, key: str | None
+) -> tuple[Job | None, str]:
+    """Return the job that a request with this key made before, and a digest of this one, independent of settings."""
+    if key is None:
+        return None, ""
+    image.seek(0)
+    digest = hashlib.file_digest(image, "sha256").hexdigest()  # type: ignore[arg-type]
+    fingerprint = hashlib.sha256(queries.dump_json(query, exclude_defaults=True) + f" {digest}".encode()).hexdigest()
+    return table.first(owner, key, fingerprint), fingerprint
 
 
 def _accept(context: Context, new: NewJob, image: BinaryIO) -> Job:
@@ -100,60 +101,58 @@ def _accept(context: Context, new: NewJob, image: BinaryIO) -> Job:
     return job
 
 
-async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:
-    """Answer with the finished file if the client waits and the job is done in time, else with the accepted job.
+async def _waited(request: Request, context: Context, job: Job, wait_s: int) -> Job:
+    """Return the job once it has ended, or as it is after wait_s seconds, and where no place to wait is free."""
+    began, client = time.monotonic(), request.state.caller.client
+    if not context.waits.is_full_for(client):
+        with context.waits.one(client), suppress(JobTableError, OSError):
+            try:
+                job = await requests.while_client_waits(request, _ended(context, job, began + wait_s))
+            finally:
+                setattr(request.state, WAITED_S, time.monotonic() - began)
+    return job
+
+
+async def _ended(context: Context, job: Job, deadline: float) -> Job:
+    """Return the job once it has ended, or at the deadline. Raises ProblemError 409 if it is removed meanwhile."""
+    pause_s = FIRST_POLL_S
+    while job.state not in FINAL_STATES and time.monotonic() < deadline and not context.stopping():
+        pause_s = min(1.1 * pause_s, POLL_S)
+        await asyncio.sleep(pause_s)
+        seen = await context.read(context.table.get, job.id)
+        if seen is None:
+            raise ProblemError(409, "the job was removed before it was done")
+        job = seen
+    return job
+
+
+async def _answer(request: Request, context: Context, job: Job, *, wants_file: bool) -> Response:
+    """Answer with the file of a finished job, if the client waited for it, else with the accepted job.
 
     An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **requests.NEVER_STORED}
-    file = None
-    if wait_s and not context.waits.is_full_for(request.state.caller.client):
+    answer: Response = JSONResponse(view.model_dump(), 202)
+    if wants_file and job.state in FINAL_STATES:
         try:
-            file = await _file_within(request, context, job, wait_s)
+            answer = await _file_of(request, job)
+            headers |= requests.VARIES
         except ProblemError as problem:
             if problem.status not in RETRYABLE:
                 problem.headers.update(headers)
                 raise
         except (JobTableError, OSError):
             pass
-    if file is None:
-        return JSONResponse(view.model_dump(), 202, headers)
-    file.headers.update({**headers, **requests.VARIES})
-    return file
+    answer.headers.update(headers)
+    return answer
 
 
-async def _file_within(request: Request, context: Context, job: Job, wait_s: int) -> Response | None:
-    """Return the bitstream, or the picture that Accept asks for; None if the job is not done within wait_s seconds.
-
-    Raises ProblemError, JobTableError, OSError.
-    """
-    began = time.monotonic()
-    with context.waits.one(request.state.caller.client):
-        try:
-            ended = await requests.while_client_waits(request, _ended(context, job, began + wait_s))
-        finally:
-            setattr(request.state, WAITED_S, time.monotonic() - began)
-    if ended is None:
-        return None
-    if ended.error is not None and ended.state == "failed":
-        status = 422 if ended.error.code == "refused" else 500
-        raise ProblemError(status, ended.error.detail, code=ended.error.code, id=ended.id)
+async def _file_of(request: Request, job: Job) -> Response:
+    """Return the bitstream, or the picture that Accept asks for. Raises ProblemError, JobTableError, OSError."""
+    if job.error is not None and job.state == "failed":
+        status = 422 if job.error.code == "refused" else 500
+        raise ProblemError(status, job.error.detail, code=job.error.code, id=job.id)
     if requests.wants_picture(request):
-        return await picture_response(request, ended, await requests.accepted_format(request), PictureOptions())
-    return await bitstream_response(request, ended)
-
-
-async def _ended(context: Context, job: Job, deadline: float) -> Job | None:
-    """Return the job once it has ended, else None. Raises ProblemError 409 if it is removed meanwhile."""
-    pause_s = FIRST_POLL_S
-    while job.state not in FINAL_STATES:
-        pause_s = min(1.1 * pause_s, POLL_S)
-        await asyncio.sleep(pause_s)
-        if time.monotonic() >= deadline or context.stopping():
-            return None
-        seen = await context.read(context.table.get, job.id)
-        if seen is None:
-            raise ProblemError(409, "the job was removed before it was done")
-        job = seen
-    return job
+        return await picture_response(request, job, requests.accepted_format(request), PictureOptions())
+    return await bitstream_response(request, job)

@@ -6,11 +6,11 @@ import time
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import Query, Response
+from fastapi import Query, Request, Response
 from pydantic import Field
 
 from service.api import models
-from service.api.context import KnownJob, UseCaller, UseContext
+from service.api.context import JobId, UseCaller, UseContext, known_job
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters
 from service.jobs.job import JobState
@@ -34,8 +34,9 @@ class LinksQuery(Parameters):
     expires_s: int = Field(default=3600, ge=1, le=MAX_LINK_S, description="seconds until the links expire")
 
 
-async def status(job: KnownJob, context: UseContext, response: Response) -> models.JobView:
+async def status(job_id: JobId, context: UseContext, request: Request, response: Response) -> models.JobView:
     """Return state, queue position, progress, trace and the result or error."""
+    job = await known_job(request, job_id)
     response.headers.update(NEVER_STORED)
     position = await context.read(context.table.position, job) if job.state == "queued" else None
     return models.with_trace(job, position, await context.read(context.table.trace, job.id), context.settings)
@@ -55,12 +56,17 @@ async def jobs(
 
 
 async def links(
-    job: KnownJob, context: UseContext, response: Response, query: Annotated[LinksQuery, Query()]
+    job_id: JobId,
+    context: UseContext,
+    request: Request,
+    response: Response,
+    query: Annotated[LinksQuery, Query()],
 ) -> models.LinksView:
     """Create links to the picture and the bitstream that anyone can open until they expire.
 
     404 if the operator has not enabled links.
     """
+    job = await known_job(request, job_id)
     response.headers.update(NEVER_STORED)
     secret = context.settings.link_secret.get_secret_value()
     if not secret:
@@ -75,8 +81,9 @@ async def links(
     )
 
 
-async def remove(job: KnownJob, context: UseContext) -> Response:
+async def remove(job_id: JobId, context: UseContext, request: Request) -> Response:
     """Cancel the job if it is not done, and delete everything stored for it."""
+    job = await known_job(request, job_id)
     removed = await context.write(context.table.remove, job.id)
     if removed is not None:
         # A worker that runs it loses its claim at the next heartbeat, and removes its own files.

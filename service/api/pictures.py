@@ -10,11 +10,11 @@ from collections.abc import Callable, Coroutine, Mapping
 from email.utils import formatdate
 from typing import Annotated, Any, BinaryIO
 
-from fastapi import Depends, Query, Request, Response
+from fastapi import Query, Request, Response
 from pydantic import Field
 
 from service.api import models, requests
-from service.api.context import Context, KnownJob, UseCaller, UseContext, context_of, no_such_job
+from service.api.context import Context, JobId, UseCaller, UseContext, context_of, known_job, no_such_job
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeResult, Job
 from service.pictures import (
@@ -34,7 +34,6 @@ from sgmethod.errors import BitstreamError
 log = logging.getLogger(__name__)
 
 PictureQuery = Annotated[PictureOptions, Query()]
-AcceptedFormat = Annotated[PictureFormat, Depends(requests.accepted_format)]
 
 MAX_GAUSSIANS = 1_000_000  # of a posted bitstream, where equal ones take an eighth of a byte each
 MIN_PREVIEW_BYTES, MAX_PREVIEW_BYTES = 12, 4096
@@ -52,14 +51,15 @@ class PreviewQuery(requests.Parameters):
     )
 
 
-async def picture(job: KnownJob, kind: PictureFormat, query: PictureQuery, request: Request) -> Response:
+async def picture(job_id: JobId, kind: PictureFormat, query: PictureQuery, request: Request) -> Response:
     """Return the decoded picture, whole or in part."""
-    return await picture_response(request, job, kind, query)
+    return await picture_response(request, await known_job(request, job_id), kind, query)
 
 
-async def picture_as_accepted(job: KnownJob, kind: AcceptedFormat, query: PictureQuery, request: Request) -> Response:
+async def picture_as_accepted(job_id: JobId, query: PictureQuery, request: Request) -> Response:
     """Return the decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
-    answer = await picture_response(request, job, kind, query)
+    job = await known_job(request, job_id)
+    answer = await picture_response(request, job, requests.accepted_format(request), query)
     answer.headers.update(requests.VARIES)
     return answer
 
@@ -69,8 +69,9 @@ async def picture_of_body_as(kind: PictureFormat, query: PictureQuery, request: 
     return await _drawn_body(request, kind, query, requests.NEVER_STORED)
 
 
-async def picture_of_body(kind: AcceptedFormat, query: PictureQuery, request: Request) -> Response:
+async def picture_of_body(query: PictureQuery, request: Request) -> Response:
     """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
+    kind = requests.accepted_format(request)
     return await _drawn_body(request, kind, query, {**requests.NEVER_STORED, **requests.VARIES})
 
 
@@ -84,9 +85,9 @@ async def _drawn_body(
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
-async def bitstream(job: KnownJob, request: Request) -> Response:
+async def bitstream(job_id: JobId, request: Request) -> Response:
     """Return the .sg file."""
-    return await bitstream_response(request, job)
+    return await bitstream_response(request, await known_job(request, job_id))
 
 
 async def preview(
@@ -108,7 +109,7 @@ async def preview(
 
 
 async def comparison(
-    job: KnownJob, kind: ComparisonFormat, context: UseContext, caller: UseCaller, request: Request
+    job_id: JobId, kind: ComparisonFormat, context: UseContext, caller: UseCaller, request: Request
 ) -> Response:
     """Return the job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller.
 
@@ -116,6 +117,7 @@ async def comparison(
     that is no larger, and AVIF is 4:4:4. 422 beyond 3 megapixels, except for a lossless WebP. 410 once the image has
     been deleted.
     """
+    job = await known_job(request, job_id)
     stats, pixels = _result_of(job).stats, job.image.width * job.image.height
     if pixels > MAX_COMPARED_PIXELS and (kind, stats.get("better")) != ("webp", "webp"):
         detail = f"the picture has more than {MAX_COMPARED_PIXELS:,} pixels, too many to compare with {kind}"

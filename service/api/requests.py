@@ -35,6 +35,14 @@ _WEIGHT = re.compile(r"[01](\.[0-9]{0,3})?|\.[0-9]{1,3}")
 _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 T = TypeVar("T")
 Field = tuple[str, str]
+Wait = Annotated[
+    int,
+    Query(
+        ge=0,
+        le=999_999,
+        description=f"seconds to wait for the file; 202 after that, and after {MAX_WAIT_S} seconds at the latest",
+    ),
+]
 
 
 class Parameters(BaseModel):
@@ -57,7 +65,7 @@ def media_type(request: Request) -> str:
     return "".join(given).partition(";")[0].strip().lower()
 
 
-async def accepted_format(request: Request) -> PictureFormat:
+def accepted_format(request: Request) -> PictureFormat:
     """Return the format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
     accept = header_line(request.headers, "accept") or "*/*"
     weights: dict[str, float] = {}
@@ -82,27 +90,17 @@ def wants_picture(request: Request) -> bool:
     return "image/" in accept and BITSTREAM_TYPE not in accept
 
 
-async def wanted_wait_s(
-    request: Request,
-    wait: Annotated[
-        int,
-        Query(
-            ge=0,
-            le=999_999,
-            description=f"seconds to wait for the file; 202 after that, and after {MAX_WAIT_S} seconds at the latest",
-        ),
-    ] = 0,
-) -> int:
-    """Return how many seconds the client would wait; 0 by default.
+def wanted_wait_s(request: Request, wait: int) -> int:
+    """Return how many seconds the client would wait.
 
     Raises ProblemError 406 if it would wait for a picture in a format that is not available.
     """
     if wait and wants_picture(request):
-        await accepted_format(request)
+        accepted_format(request)
     return min(wait, MAX_WAIT_S)
 
 
-async def idempotency_key(request: Request) -> str | None:
+def idempotency_key(request: Request) -> str | None:
     """Return the Idempotency-Key. Raises ProblemError 400."""
     key = header_line(request.headers, "idempotency-key")
     if key is not None and _IDEMPOTENCY_KEY.fullmatch(key) is None:
