@@ -131,6 +131,11 @@ RULES = {
         r"\bprofile paper\b|[\"'./]paper[\"'./]|PaperS",
         "sgmethod/__init__.py sgmethod/profiles.py sgmethod/paper/",
     ),
+    "only the job table speaks SQL": (
+        "service",
+        r"\b(SELECT|INSERT INTO|DELETE FROM|UPDATE jobs)\b|^\s*(from|import) (sqlite3|psycopg)\b",
+        "service/jobs/",
+    ),
     "the encoder computes through its backend": (  # and the reader of profile paper's files draws
         "sgmethod/rd sgmethod/fitting sgmethod/paper",
         IMPORT + r"sgmethod\.native",
@@ -145,6 +150,24 @@ def test_only_some_files_have_it(rule: str) -> None:
     names = [name for name, text in sources(*places.split()).items() if re.search(pattern, text, re.MULTILINE)]
     found = {next((place for place in allowed.split() if name.startswith(place)), name) for name in names}
     assert found == set(allowed.split())
+
+
+# Each room of the service, and what else of the service it knows.
+ROOMS = {
+    "storage": "",
+    "jobs": "errors settings storage",
+    "sandbox": "jobs logs pictures processes settings",
+    "worker": "errors jobs logs processes sandbox settings storage",
+    "api": "errors jobs keys logs opening pictures processes sandbox settings storage",
+}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_what_each_room_of_the_service_knows(room: str) -> None:
+    inside = f"service.{room}."
+    known = {name for module, names in IMPORTS.items() if module.startswith(inside) for name in names}
+    others = {name.split(".")[1] for name in known if name.startswith("service.")} - {room}
+    assert others == {*ROOMS[room].split()}
 
 
 def test_the_exported_names() -> None:

@@ -26,8 +26,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.callers import Authentication
 from service.api.context import Context, PictureCache
+from service.api.gate import Authentication
 from service.api.metrics import VERSION, Metrics
 from service.api.middleware import BodyLimit, RequestLog
 from service.api.probes import Probes

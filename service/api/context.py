@@ -11,7 +11,7 @@ from typing import Annotated, TypeVar
 from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Path as PathParameter, Request
 
-from service.api.callers import Caller
+from service.api.gate import Caller
 from service.api.metrics import Metrics
 from service.api.probes import Probes
 from service.api.problems import ProblemError

@@ -15,9 +15,9 @@ from fastapi.responses import JSONResponse
 
 from service.api import models, requests
 from service.api.context import Context, UseCaller, UseContext
+from service.api.decode import bitstream_response, picture_response
 from service.api.metrics import WAITED_S
 from service.api.options import OPTION_SCHEMAS, EncodeQuery, queries, read_options
-from service.api.pictures import bitstream_response, picture_response
 from service.api.problems import RETRYABLE, ProblemError
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.jobs.job import FINAL_STATES, Job, NewJob, new_job_id

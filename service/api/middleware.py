@@ -16,7 +16,7 @@ from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.callers import SAFE_METHODS, address_of
+from service.api.gate import SAFE_METHODS, address_of
 from service.api.metrics import Metrics
 from service.api.problems import REFUSAL, RETRY_AFTER, ProblemError
 from service.api.requests import IN_MEMORY_BYTES

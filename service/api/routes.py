@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, Query, Response
 
-from service.api import encode, health, jobs, pictures
-from service.api.callers import OPEN_PATHS
+from service.api import decode, encode, health, jobs
+from service.api.gate import OPEN_PATHS
 from service.api.models import EXAMPLE_ID, AcceptedView
 from service.api.problems import problems
 from service.api.requests import BITSTREAM_TYPE, Parameters, no_body
@@ -80,7 +80,7 @@ ROUTES = [
     Route("DELETE /jobs/{job_id}", jobs.remove, "Cancel and remove a job", "-X DELETE HOST/jobs/ID", status=204),
     Route(
         "GET /decode/{job_id}.{kind}",
-        pictures.picture,
+        decode.picture,
         "The picture of a job",
         "'HOST/decode/ID.webp?width=320' -o photo.webp",
         (409, 429),
@@ -90,7 +90,7 @@ ROUTES = [
     ),
     Route(
         "GET /decode/{job_id}",
-        pictures.picture_as_accepted,
+        decode.picture_as_accepted,
         "The picture of a job, by Accept header",
         "-H 'Accept: image/avif' HOST/decode/ID -o photo.avif",
         (406, 409, 429),
@@ -100,7 +100,7 @@ ROUTES = [
     ),
     Route(
         "POST /decode",
-        pictures.picture_of_body,
+        decode.picture_of_body,
         "Decode a bitstream, by Accept header",
         "--data-binary @photo.sg HOST/decode -o photo.png",
         (406, 413, 429),
@@ -110,7 +110,7 @@ ROUTES = [
     ),
     Route(
         "POST /decode.{kind}",
-        pictures.picture_of_body_as,
+        decode.picture_of_body_as,
         "Decode a bitstream",
         "--data-binary @photo.sg 'HOST/decode.jpg?quality=80&scale=0.5' -o small.jpg",
         (413, 429),
@@ -120,7 +120,7 @@ ROUTES = [
     ),
     Route(
         "GET /bitstreams/{job_id}.sg",
-        pictures.bitstream,
+        decode.bitstream,
         "The bitstream of a job",
         "HOST/bitstreams/ID.sg -o photo.sg",
         (409,),
@@ -129,7 +129,7 @@ ROUTES = [
     ),
     Route(
         "GET /jobs/{job_id}/comparison.{kind}",
-        pictures.comparison,
+        decode.comparison,
         "The same image in another codec, at the same size",
         "HOST/jobs/ID/comparison.avif -o comparison.avif",
         (409, 410, 429),
@@ -138,7 +138,7 @@ ROUTES = [
     ),
     Route(
         "POST /preview",
-        pictures.preview,
+        decode.preview,
         "A preview of an image, as text",
         "--fail --data-binary @photo.jpg 'HOST/preview?bytes=200'",
         (413, 415, 429),

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from service.api.callers import UNKNOWN, address_of
+from service.api.gate import UNKNOWN, address_of
 from service.api.problems import ProblemError
 from service.api.turns import Shares, Turns
 
