@@ -17,6 +17,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from service.api.models import JobSummary
 from service.api.options import OPTION_SCHEMAS, queries
 from service.api.problems import NAMED_REASONS, REASONS
 from sgmethod.budget import bytes_value
@@ -144,10 +145,11 @@ def test_fields_that_are_refused(web: Service, words: str, fields: dict[str, str
 
 
 def test_every_program_has_the_options_of_the_codec() -> None:
-    """Of the one table, which the command line and the service's jobs read too."""
+    """Those of the one table, from which the command line and the service's requests are built."""
     names = {one.name for one in dataclasses.fields(EncodeOptions)}
     assert names <= set(inspect.signature(sgmethod.encode).parameters)
     assert names <= set(OPTION_SCHEMAS)
+    assert names <= set(JobSummary.model_fields)
     assert names | {"priority"} == set(Options.__annotations__) | {"profile"}
     assert names - {"profile"} == set(re.findall(r'data-option="(\w+)"', (STATIC / "index.html").read_text()))
 
