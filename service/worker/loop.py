@@ -34,6 +34,14 @@ BEGINS_SOON_S = 5.0  # after which this worker no longer reports that it is aliv
 GIVES_UP_S = 60.0  # after which it ends, for whoever started it to start another
 
 
+class FailedError(Exception):
+    """An attempt ends without a file. error: the reason."""
+
+    def __init__(self, error: JobError) -> None:
+        super().__init__(error.detail)
+        self.error = error
+
+
 class Worker:
     """Runs jobs until stopping is requested."""
 
@@ -92,11 +100,7 @@ class Worker:
 
     def run_one(self) -> bool:
         """Run the next job. Returns False if none waits. Raises JobTableError, OSError."""
-        for job in self._table.reconcile():
-            log.warning("job %s failed: its workers were lost %d times", job.id, job.losses)
-            if not self._table.keeps_sources:
-                with contextlib.suppress(OSError):  # the sweep removes it
-                    self._storage.delete(source_key(job.id))
+        self._fail_lost_jobs()
         if not self._storage_is_checked:  # each claim is an attempt of its job, which would end like the last one
             self._storage.check()
             self._storage_is_checked = True
@@ -120,14 +124,28 @@ class Worker:
         attempt.remove_leftovers()
         return True
 
+    def _fail_lost_jobs(self) -> None:
+        for job in self._table.reconcile():
+            log.warning("job %s failed: its workers were lost %d times", job.id, job.losses)
+            if not self._table.keeps_sources:
+                with contextlib.suppress(OSError):  # the sweep removes it
+                    self._storage.delete(source_key(job.id))
+
     def _encode(self, attempt: Attempt) -> Encoded | JobError:
         """Encode in the sandbox; no task is running after that. Raises ClaimLostError, StoppedError, OSError."""
-        claim, threads = attempt.claim, self._settings.encode_threads
-        source = attempt.renewing_lease(functools.partial(self._source, claim))
-        if source is None:
-            return IMAGE_LOST
-        self._owed_since = self._owed_since or time.monotonic()
-        task = frames.Encode(
+        try:
+            with attempt.renewing_lease(functools.partial(self._source, attempt.claim)) as source:
+                self._owed_since = self._owed_since or time.monotonic()
+                with self._sandbox.start(self._task(attempt.claim), source) as running:
+                    return self._follow(running, attempt)
+        except FailedError as failed:
+            return failed.error
+        except frames.FrameError as error:
+            return JobError("crashed", f"the encoder sent an invalid message: {error}")
+
+    def _task(self, claim: Job) -> frames.Encode:
+        threads = self._settings.encode_threads
+        return frames.Encode(
             job_id=claim.id,
             request=claim.request,
             threads=threads,
@@ -135,26 +153,21 @@ class Worker:
             cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
             max_pixels=claim.image.width * claim.image.height,
         )
-        with source, self._sandbox.start(task, source) as running:
-            try:
-                return self._follow(running, attempt)
-            except frames.FrameError as error:
-                return JobError("crashed", f"the encoder sent an invalid message: {error}")
 
-    def _source(self, claim: Job) -> BinaryIO | None:
-        """Open the image of a job; None if it is missing or cut. Raises OSError."""
+    def _source(self, claim: Job) -> BinaryIO:
+        """Open the image of a job. Raises FailedError if it is missing or cut, OSError."""
         try:
             source = self._storage.open(source_key(claim.id))
         except FileNotFoundError:
             self._storage.check()  # one that is away has no image either
-            return None
-        if source.seek(0, io.SEEK_END) == claim.image.size_bytes:
-            return source
-        source.close()
-        return None
+            raise FailedError(IMAGE_LOST) from None
+        if source.seek(0, io.SEEK_END) != claim.image.size_bytes:
+            source.close()
+            raise FailedError(IMAGE_LOST)
+        return source
 
-    def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
-        """Relay progress to the job table until the encode ends or must be ended."""
+    def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded:
+        """Relay progress to the job table until the encode ends or must be ended. Raises FailedError and others."""
         started = time.monotonic()
         while not self._stop.requested:
             messages = running.read(FOLLOW_S)
@@ -165,30 +178,34 @@ class Worker:
                     attempt.add(message.model_dump(exclude={"kind"}))
                 else:
                     attempt.beat(now=True)
-                    return _outcome(message)
+                    return _encoded(message)
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxUnavailableError("the sandbox cannot be started")
             if seconds > self._settings.job_timeout_s:
                 limit_s = self._settings.job_timeout_s
-                return JobError("timed_out", f"the encode took longer than {limit_s:g} s")
+                raise FailedError(JobError("timed_out", f"the encode took longer than {limit_s:g} s"))
             attempt.beat()
         raise StoppedError
 
 
-def _outcome(message: frames.Message) -> Encoded | JobError:
+def _encoded(message: frames.Message) -> Encoded:
+    """Return the file of the message that ended a task. Raises FailedError if there is none."""
+    code, detail = "crashed", ""
     match message:
         case frames.Result(figures=figures, file=file):
             return Encoded(figures.model_dump(), file)
         case frames.Refused(error="MemoryError"):
-            return JobError("refused", "the encode exceeds the memory limit")
+            code, detail = "refused", "the encode exceeds the memory limit"
         case frames.Refused(detail=detail):
-            return JobError("refused", detail)
-        case frames.Crashed(detail=detail):
-            return JobError("crashed", f"the encoder crashed: {detail}")
+            code = "refused"
+        case frames.Crashed(detail=how):
+            detail = f"the encoder crashed: {how}"
         case frames.Ended(status=status) if status == -signal.SIGKILL:
-            return JobError("crashed", f"{KILLED}: the encode needs more than there is")
+            detail = f"{KILLED}: the encode needs more than there is"
         case frames.Ended(status=status):
-            how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
-            return JobError("crashed", f"the encoder crashed ({how})")
-    raise AssertionError(message)
+            how = f"exit status {status}" if status >= 0 else signal.strsignal(-status) or "an unknown signal"
+            detail = f"the encoder crashed ({how})"
+        case _:
+            raise AssertionError(message)
+    raise FailedError(JobError(code, detail))
