@@ -15,7 +15,7 @@ def open_job_table(settings: Settings) -> JobTable:
         try:
             from service.jobs.postgres import PostgresJobTable
         except ImportError as error:
-            raise MissingPackagesError("PostgreSQL needs extra packages: pip install '.[postgres]'") from error
+            raise MissingPackagesError(f"PostgreSQL needs extra packages ({error}): pip install '.[postgres]'") from error
         return PostgresJobTable(settings.database_url, settings)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     return SqliteJobTable(settings.database_path, settings)
@@ -28,5 +28,5 @@ def open_storage(settings: Settings) -> Storage:
     try:
         from service.storage.bucket import BucketStorage
     except ImportError as error:
-        raise MissingPackagesError("an object store needs extra packages: pip install '.[s3]'") from error
+        raise MissingPackagesError(f"an object store needs extra packages ({error}): pip install '.[s3]'") from error
     return BucketStorage(settings.storage_url)

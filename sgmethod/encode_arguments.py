@@ -85,8 +85,6 @@ class EncodeArguments:
 
     def with_default_for(self, width: int, height: int, *, has_alpha: bool) -> EncodeArguments:
         """Replace the default budget by what it is for a picture of this size."""
-        from sgmethod.bitstream.container import smallest_file  # needs the kernels
-
         if self.budget is not DEFAULT_BUDGET:
             return self
         least = profiles.smallest_file(self.settings, has_alpha=has_alpha)
@@ -94,7 +92,6 @@ class EncodeArguments:
 
     def check_size(self, width: int, height: int) -> None:
         """Raise BudgetError if no file of a picture of this size, without alpha, could meet the budget."""
-        from sgmethod.bitstream.container import smallest_file
         from sgmethod.metrics.visual import SMALLEST_SIDE
 
         budget, least = self.budget, profiles.smallest_file(self.settings)
