@@ -14,8 +14,8 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from itertools import product
 from pathlib import Path
 from statistics import median
@@ -32,7 +32,6 @@ from sgmethod import Encoded, encode
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.problem import Problem
 from sgmethod.rd.rate_control import EXACT_DB
-from sgmethod.settings.rd import RD, RdSettings
 
 SIDE = 256
 PHOTOGRAPHED = {  # a picture of Kodak's, and the scene's first row and column
@@ -45,18 +44,19 @@ TEXTURED, SMOOTH = "textured photograph", "smooth photograph"
 LARGE = {SMOOTH: "peony.jpg", TEXTURED: "two_samoyeds.jpg"}
 TEXT = ("Structure-guided", "allocation of 2D", "Gaussians: more of", "them where there is", "more to be seen")
 
-# Each saving, and the settings that refuse it.
-BY_SETTINGS: dict[str, RdSettings] = {
-    "reduced pictures while Gaussians are few": replace(RD, pyramid=replace(RD.pyramid, contrast_kept=np.inf)),
-    "fewer steps for sparse Gaussians": replace(RD, schedule=replace(RD.schedule, sparse=-2.0, dense=-1.0)),
-    "no growth at a price that found nothing": replace(RD, densify=replace(RD.densify, saturated=0.0)),
-    "Gaussians dropped that are not worth their bits": replace(
-        RD, prune=replace(RD.prune, worthless_bits=0.0, bits_of_dropped=0.0)
-    ),
+# Each saving, and the constants that refuse it.
+BY_CONSTANTS: dict[str, dict[str, float]] = {
+    "reduced pictures while Gaussians are few": {"fitting.level.CONTRAST_KEPT": np.inf},
+    "fewer steps for sparse Gaussians": {"rd.plan.SPARSE": -2.0, "rd.plan.DENSE": -1.0},
+    "no growth at a price that found nothing": {"rd.densify.SATURATED": 0.0},
+    "Gaussians dropped that are not worth their bits": {
+        "rd.densify.WORTHLESS_BITS": 0.0,
+        "rd.densify.BITS_OF_DROPPED": 0.0,
+    },
 }
-# Savings that are no settings: what tells that the scene allows them.
+# Savings by what tells that the scene allows them.
 BY_PROPERTY = {"no Gaussians for a single colour": "is_one_colour", "no chroma for grey": "grey"}
-SAVINGS = (*BY_SETTINGS, *BY_PROPERTY)
+SAVINGS = (*BY_CONSTANTS, *BY_PROPERTY)
 
 
 def gradient(side: int) -> Pixels:
@@ -111,17 +111,22 @@ def scenes(images: Path) -> dict[str, Pixels]:
     return drawn() | photographed
 
 
-def without(saving: str) -> AbstractContextManager[object]:
-    """Refuse a saving that is no setting, for as long as the context lasts."""
-    name = BY_PROPERTY.get(saving)
-    return patch.object(Problem, name, PropertyMock(return_value=False)) if name else nullcontext()
+@contextmanager
+def without(saving: str) -> Iterator[None]:
+    """Refuse a saving, if one is named, for as long as the context lasts."""
+    with ExitStack() as patched:
+        for name, value in BY_CONSTANTS.get(saving, {}).items():
+            patched.enter_context(patch(f"sgmethod.{name}", value))
+        if saving in BY_PROPERTY:
+            patched.enter_context(patch.object(Problem, BY_PROPERTY[saving], PropertyMock(return_value=False)))
+        yield
 
 
 def encoded(pixels: Pixels, psnr: float, saving: str) -> tuple[Encoded, float]:
     """Encode without a saving ("" for none); return the file and the processor time in seconds."""
     with without(saving):
         began = time.process_time()
-        file = encode(pixels, psnr=psnr, tune="psnr", settings=BY_SETTINGS.get(saving, RD))
+        file = encode(pixels, psnr=psnr, tune="psnr")
         return file, time.process_time() - began
 
 

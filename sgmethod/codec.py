@@ -16,7 +16,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.files import checked_path
 from sgmethod.io.image import Input, read_input
 from sgmethod.numerics import quiet
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Settings, Tune, encoder_of, method_of
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Tune, encoder_of, method_of
 from sgmethod.trace import Progress
 
 
@@ -33,7 +33,6 @@ def encode(
     gaussians: AnyInt | None = None,
     tune: Tune | None = None,
     effort: AnyInt = DEFAULT_EFFORT,
-    settings: Settings | None = None,
     time_limit_s: AnyFloat | None = None,
     on_progress: Progress | None = None,
     measure: bool = False,
@@ -57,7 +56,6 @@ def encode(
     tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same without the noise
     that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
-    settings: all parameters of the method, for experiments; replaces profile and effort.
     time_limit_s: limit for the whole encode, which uses it up unless it needs less. About 0.1 s per megapixel, divided
     by the cores, is needed in any case. Without a limit, the same call gives the same file on the same machine.
     on_progress: called with each point of the trace; if it raises, the encode is abandoned.
@@ -66,10 +64,22 @@ def encode(
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
     BudgetError for a budget that no file can meet, OSError for a path that cannot be read, and MemoryError.
     """
-    clock, limit_s = Clock(), checked_time_limit(time_limit_s)
     kinds: dict[BudgetKind, Any] = {"bpp": bpp, "bytes": bytes, "quality": quality, "psnr": psnr}
     only = only_budget(budget, kinds | {"gaussians": gaussians})
-    asked = EncodeArguments.checked(only, profile, tune, effort, settings)
+    asked = EncodeArguments.checked(only, profile, tune, effort)
+    return encode_as(asked, image, checked_time_limit(time_limit_s), on_progress, measure)
+
+
+@quiet
+def encode_as(
+    asked: EncodeArguments,
+    image: Input,
+    limit_s: float | None = None,
+    on_progress: Progress | None = None,
+    measure: bool = False,
+) -> Encoded:
+    """Encode with checked arguments, whose settings may be any."""
+    clock = Clock()
     pixels = read_input(image, keep_alpha=method_of(asked.profile).keeps_alpha)
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     height, width, channels = pixels.shape

@@ -52,29 +52,20 @@ class EncodeOptions:
 
 @dataclass(frozen=True)
 class EncodeArguments:
-    """The checked arguments of an encode. effort: None if the caller gave settings."""
+    """The checked arguments of an encode. settings: those of profile and effort, unless replaced."""
 
     budget: Budget
     profile: Profile
     tune: Tune
-    effort: int | None
+    effort: int
     settings: Settings
 
     @classmethod
-    def checked(
-        cls,
-        budget: Budget,
-        profile: str,
-        tune: str | None,
-        effort: AnyInt,
-        settings: Settings | None = None,
-    ) -> EncodeArguments:
+    def checked(cls, budget: Budget, profile: str, tune: str | None, effort: AnyInt) -> EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
-        profile = profiles.checked_profile(profile if settings is None else settings.profile)
+        profile = profiles.checked_profile(profile)
         profiles.check_kind(budget, profile)
         tuned_for = profiles.tuning(tune, profile, budget)
-        if settings is not None:
-            return cls(budget, profile, tuned_for, None, settings)
         effort = profiles.checked_effort(effort)
         return cls(budget, profile, tuned_for, effort, profiles.settings_of(profile, effort))
 

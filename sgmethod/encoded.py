@@ -31,8 +31,8 @@ class Stats:
     """The figures of an encode.
 
     psnr (dB) and ssimulacra2 (up to 100) describe the decoded file; with alpha, over black and over white. ssimulacra2
-    is None for sides below 8 pixels, and unless encode() was asked to measure it or to reach a quality. effort: None if
-    encode() was given settings; source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed:
+    is None for sides below 8 pixels, and unless encode() was asked to measure it or to reach a quality.
+    source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed:
     how far the file is below the requested PSNR or SSIMULACRA 2, None if none was requested.
     """
 
@@ -47,7 +47,7 @@ class Stats:
     height: int
     profile: str
     tune: str
-    effort: int | None
+    effort: int
     source_bytes: int | None = None
     psnr_missed_db: float | None = None
     quality_missed: float | None = None

@@ -19,23 +19,23 @@ from PIL import Image
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, ImageError, Stats, TracePoint, decode, info
 from sgmethod.metrics import psnr, ssimulacra2
-from sgmethod.profiles import DEFAULT_TUNE, PROFILE_NAMES, TUNES, tuning
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_TUNE, PROFILE_NAMES, TUNES, tuning
 from tests.support.pictures import ODD, noise, photo
-from tests.support.profiles import shortened
+from tests.support.profiles import encode_with, shorten, shortened
 
 FloatArray = NDArray[np.float32]
 # Where a slow test of one profile tells as much as one of each.
 SLOWLY = [name if name == "rd" else pytest.param(name, marks=pytest.mark.thorough) for name in PROFILE_NAMES]
 
-
-SETTINGS = shortened(400)
 PHOTO = photo() / np.float32(255)
 SMALL = PHOTO[20:52, 40:88]
 
 
 def encode(image: Any, budget: Budget | None = None, profile: str = "rd", **named: Any) -> Encoded:
     """In a fraction of a second."""
-    return sgmethod.encode(image, budget, profile, **{"settings": SETTINGS.get(profile)} | named)
+    with pytest.MonkeyPatch.context() as patched:
+        shorten(patched, 400)
+        return sgmethod.encode(image, budget, profile, **named)
 
 
 def source(pixels: FloatArray) -> NDArray[np.uint8]:
@@ -152,8 +152,8 @@ def test_odd_pictures(name: str, profile: str) -> None:
 def test_few_steps_still_give_a_picture(profile: str) -> None:
     few = shortened(60)[profile]
     for size in (400, 1600):
-        stats = encode(PHOTO, Budget("bytes", size), settings=few).stats
-        assert (stats.profile, stats.effort) == (profile, None)  # which the settings tell
+        stats = encode_with(few, PHOTO, Budget("bytes", size)).stats
+        assert (stats.profile, stats.effort) == (profile, DEFAULT_EFFORT)
         assert stats.psnr > flat(PHOTO) + 2  # 4.9 seen
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.pictures import Pixels
@@ -16,7 +16,7 @@ from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, Profile, Tune
 from sgmethod.rd import encode as rd
 from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl
-from sgmethod.settings.rd import RD
+from sgmethod.settings.rd import RdSettings
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,8 @@ class Sg:
 
     def _at_quantum(self, pixels: Pixels, quantum: float) -> bytes:
         """The file of a fixed quantum, which is no budget."""
-        settings, clock, size = replace(RD, effort=EFFORTS[self.effort]), Clock(), pixels.shape[0] * pixels.shape[1]
-        objective = Objective.from_pixels(pixels, self.tune, settings.objective)
-        rate, deadline = (
-            RateControl(settings.rate, size, quantum),
-            Deadline.from_limit(clock, None, size, settings.deadline),
-        )
-        stream, _ = rd.encode(Problem(objective), settings, rate, Session(deadline, Recorder(clock)))
+        clock, rate = Clock(), RateControl(pixels.shape[0] * pixels.shape[1], quantum)
+        problem = Problem(Objective.from_pixels(pixels, self.tune))
+        session = Session(Deadline.from_limit(clock), Recorder(clock))
+        stream, _ = rd.encode(problem, RdSettings(EFFORTS[self.effort]), rate, session)
         return container.serialise(stream)

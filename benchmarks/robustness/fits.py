@@ -18,10 +18,12 @@ from benchmarks.pictures import MIRRORS, Pixels, mirrored, photograph
 from benchmarks.robustness.case import Case, Cases, Found
 from benchmarks.robustness.drawings import PICTURES as HARD, text
 from sgmethod import Budget, BudgetError, decode, encode
+from sgmethod.codec import encode_as
+from sgmethod.encode_arguments import EncodeArguments
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
 from sgmethod.paper.settings import PaperSettings
-from sgmethod.profiles import TUNES, Profile, Settings, Tune, method_of
+from sgmethod.profiles import DEFAULT_EFFORT, TUNES, Profile, Settings, Tune, method_of
 from sgmethod.rd import encode as rd
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import RdSettings
@@ -125,7 +127,7 @@ def fast(settings: Settings) -> Settings:
     if isinstance(settings, PaperSettings):
         return replace(settings, optimiser=faster(settings.optimiser))
     assert isinstance(settings, RdSettings)
-    return replace(settings, fit=replace(settings.fit, optimiser=faster(settings.fit.optimiser)))
+    return replace(settings, optimiser=faster(settings.optimiser))
 
 
 def worse(
@@ -138,8 +140,9 @@ def worse(
     limit_s: float | None = None,
 ) -> Found:
     """Measure by how much the file is worse than the start of its fit, or than a single colour."""
+    asked = EncodeArguments.checked(budget, profile, tune, DEFAULT_EFFORT)
     with patched():
-        encoded = encode(pixels, budget, profile, tune=tune, settings=settings, time_limit_s=limit_s)
+        encoded = encode_as(replace(asked, settings=settings or asked.settings), pixels, limit_s)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
     start_db = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
     return max(start_db - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"

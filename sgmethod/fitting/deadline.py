@@ -14,10 +14,18 @@ from itertools import takewhile
 from typing import TypeVar
 
 from sgmethod.backend.protocol import thread_count
-from sgmethod.settings.rd import DeadlineSettings
 
 Result = TypeVar("Result")
 STEPS_S = 0.05  # duration of steps that are taken together
+# Reserved for writing and measuring the file; the shared part is divided by the number of threads.
+RESERVE_S = 0.005
+RESERVE_S_PER_MEGAPIXEL, SHARED_S_PER_MEGAPIXEL = 0.002, 0.015
+SEARCH_SHARE = 0.1  # of the limit, for the search over the file's integers, or more if drawings and codings take longer
+SEARCH_CODINGS = 8.0  # trial codings of a search
+GRADIENTS_PER_STEP = 4.0  # duration of a step, in gradients timed at the start with few Gaussians
+MIN_ROUND = 0.3  # of a round's steps, for which it is begun
+SHORT = 4.0  # in multiples of the time for the pyramid; with less left, growth searches few pixels
+MIN_PART = 1 / 3  # least time for the first run, as a part of the time for preparing, even beyond a limit
 
 
 class Clock:
@@ -38,19 +46,15 @@ class Deadline:
     clock: Clock
     began_s: float
     end_s: float
-    settings: DeadlineSettings
     drawings_s: float = 0.0  # of the search over the file's integers, before any of its files
     _coding_s: list[float] = field(default_factory=list)  # duration of the last trial coding
 
     @classmethod
-    def from_limit(
-        cls, clock: Clock, limit_s: float | None = None, pixels: int = 0, settings: DeadlineSettings | None = None
-    ) -> Deadline:
+    def from_limit(cls, clock: Clock, limit_s: float | None = None, pixels: int = 0) -> Deadline:
         """Start an encode. limit_s: for the whole encode, including a reserve for measuring this many pixels."""
-        s = settings or DeadlineSettings()
-        reserve_s = s.reserve_s_per_megapixel + s.shared_s_per_megapixel / thread_count()
-        end_s = math.inf if limit_s is None else limit_s - s.reserve_s - reserve_s * pixels / 1e6
-        return cls(clock, clock.seconds(), end_s, s)
+        reserve_s = RESERVE_S_PER_MEGAPIXEL + SHARED_S_PER_MEGAPIXEL / thread_count()
+        end_s = math.inf if limit_s is None else limit_s - RESERVE_S - reserve_s * pixels / 1e6
+        return cls(clock, clock.seconds(), end_s)
 
     def at(self, share: float) -> Deadline:
         """A deadline at `share` (above 0) of the total time."""
@@ -97,11 +101,11 @@ class Deadline:
     def is_short(self) -> bool:
         """Whether little time is left for the fit, compared with the time so far."""
         took_s = self.clock.seconds() - self.began_s
-        return self.left_to_fit_s() < self.settings.short * took_s
+        return self.left_to_fit_s() < SHORT * took_s
 
     def steps_in_time(self, gradient_s: float) -> float:
         """Estimate the steps that a fit has time for, from the duration of a gradient at its start."""
-        return self.left_to_fit_s() / (self.settings.gradients_per_step * gradient_s)
+        return self.left_to_fit_s() / (GRADIENTS_PER_STEP * gradient_s)
 
     def seconds_of(self, task: Callable[[], object]) -> float:
         """Time a task: the fastest of three runs, because the first also touches new memory."""
@@ -119,12 +123,12 @@ class Deadline:
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
         """Yield a pace for each run of these lengths: the first in any case, others as far as there is time."""
         prepared_s = self.clock.seconds()
-        min_until_s = prepared_s + self.settings.min_part * (prepared_s - self.began_s)
+        min_until_s = prepared_s + MIN_PART * (prepared_s - self.began_s)
         step_s = 0.0
         for number, length in enumerate(lengths):
             if number > 0:
                 in_time = int(min(self.left_to_fit_s() / step_s, length))
-                if in_time < self.settings.min_round * length:
+                if in_time < MIN_ROUND * length:
                     break
                 length = in_time
             began_s = self.clock.seconds()
@@ -140,8 +144,8 @@ class Deadline:
 
     def _fit_until_s(self) -> float:
         """Second at which the search begins."""
-        search_s = self.drawings_s + self.settings.search_codings * sum(self._coding_s)
-        return min((1 - self.settings.search_share) * self.end_s, self.end_s - search_s)
+        search_s = self.drawings_s + SEARCH_CODINGS * sum(self._coding_s)
+        return min((1 - SEARCH_SHARE) * self.end_s, self.end_s - search_s)
 
 
 def cosine(final_rate: float, progress: float) -> float:

@@ -21,12 +21,15 @@ from sgmethod.fitting.islands import AtlasBackend, Islands, moved
 from sgmethod.fitting.visibility import weigh
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
-from sgmethod.settings.rd import PyramidSettings
 from sgmethod.threads import in_parallel
 
 # Adds back the Laplacian lost to a blur with a variance of 1 / 16 along each axis.
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 DAMPING = 0.01  # of colours by least squares
+SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
+# Pixels per Gaussian: while there are few, for most steps, and for the last steps and the file's integers.
+PIXELS_WHILE_FEW, PIXELS_PER_GAUSSIAN, PIXELS_IN_THE_END = 20.0, 100.0, 250.0
+CONTRAST_KEPT = 0.7  # part of the picture's variance; smaller pictures that keep less are not used
 SQUARE = 4  # pixels along a side: less than a Gaussian that many can be afforded of
 
 
@@ -210,19 +213,18 @@ class Pyramid:
 
     levels: tuple[Level, ...]
     detailed: tuple[Level, ...]
-    settings: PyramidSettings
 
     @classmethod
-    def from_whole(cls, whole: Level, settings: PyramidSettings, gaussians: int) -> Pyramid:
+    def from_whole(cls, whole: Level, gaussians: int) -> Pyramid:
         """Build the pyramid of a picture, without levels finer than this many Gaussians can show."""
         levels = [whole]
-        while min(levels[-1].frame.height, levels[-1].frame.width) >= settings.smallest_side:
-            sharpened = levels[-1].pixels >= 4 * settings.pixels_per_gaussian * gaussians
+        while min(levels[-1].frame.height, levels[-1].frame.width) >= SMALLEST_SIDE:
+            sharpened = levels[-1].pixels >= 4 * PIXELS_PER_GAUSSIAN * gaussians
             levels.append(levels[-1].halved(sharpened))
-        least = settings.contrast_kept * _contrast(whole.target)
+        least = CONTRAST_KEPT * _contrast(whole.target)
         detailed = takewhile(lambda level: _contrast(level.target) >= least, levels)
-        pyramid = cls(tuple(levels), tuple(detailed), settings)
-        return pyramid.from_level(pyramid.coarsest(settings.pixels_in_the_end * gaussians))
+        pyramid = cls(tuple(levels), tuple(detailed))
+        return pyramid.from_level(pyramid.coarsest(PIXELS_IN_THE_END * gaussians))
 
     @property
     def finest(self) -> Level:

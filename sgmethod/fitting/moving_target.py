@@ -26,10 +26,22 @@ from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.bands import Rows, bands, parallel_rows
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray
-from sgmethod.settings.rd import MovingTargetSettings
 from sgmethod.threads import in_parallel
 
 LUMA = (0.299, 0.587, 0.114)
+# For the eye.
+EVERY = 12  # steps
+MAX_DETAIL = (3.0, 1.4)  # in multiples of the source's, by octave, finest first
+DETAIL_WINDOW = 1.4  # sigma, in samples of the octave; small, so that peaks do not hide their surroundings
+DETAIL_POWER = 1.15  # of the inverse of structural similarity
+DETAIL_RATE = 0.5  # part of the way per move
+FAINT_LEVELS = 2.0  # of 8 bits: fainter detail is not exaggerated
+# For alpha.
+OVERSHOOT = 0.4  # most overshoot allowed, 1 being white
+OVERSHOOT_EVERY = 2  # steps
+MARGIN = 0.02  # overshoot asked for at least
+OF_SLOPE = 0.3  # additional overshoot, in multiples of the steepest change between neighbouring pixels
+MAX_SLOPE = 0.67
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +88,15 @@ class ExaggeratedTarget(FitTarget):
 
     half = True
 
-    settings: MovingTargetSettings
     detail: tuple[FloatArray, ...] = ()
     more: tuple[FloatArray, ...] = ()
     added: NDArray[np.int16] | None = None
     kept: FloatArray | None = None
 
     @classmethod
-    def from_target(cls, target: Target, settings: MovingTargetSettings, *, hides: bool) -> ExaggeratedTarget:
+    def from_target(cls, target: Target, *, hides: bool) -> ExaggeratedTarget:
         """Start at the original target. hides: no grain will be hidden."""
-        return cls(target, target, settings.every, hides, settings=settings)
+        return cls(target, target, EVERY, hides)
 
     def is_due(self, step: int, has_grown: bool) -> bool:
         return has_grown and step % self.every == 0
@@ -98,8 +109,8 @@ class ExaggeratedTarget(FitTarget):
         return replace(self, now=now, kept=kept, hides=True)
 
     def moved(self, error: Rows) -> ExaggeratedTarget:
-        detail = self.detail or _octaves(self._luma(self._source), self.settings)
-        more = self._more_detail(detail, _octaves(self._luma(error), self.settings))
+        detail = self.detail or _octaves(self._luma(self._source))
+        more = self._more_detail(detail, _octaves(self._luma(error)))
         added, now = self._exaggerated(detail, more), self.now
         if self.added is not None:
             _in_planes(np.subtract, now, self._enlarged_whole(self.added), now)
@@ -128,8 +139,7 @@ class ExaggeratedTarget(FitTarget):
 
     def _more_detail(self, detail: tuple[FloatArray, ...], missing: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
         """Update the exaggeration of each octave of detail, in place. missing: luma of the error by octave."""
-        s = self.settings
-        margin = math.ceil(4 * s.detail_window) + 1  # to the ends of a blur's kernel
+        margin = math.ceil(4 * DETAIL_WINDOW) + 1  # to the ends of a blur's kernel
 
         def moved(octave: int, less: FloatArray) -> FloatArray:
             source, moved = detail[octave], self.more[octave] if self.more else np.empty_like(less)
@@ -137,10 +147,10 @@ class ExaggeratedTarget(FitTarget):
             def strip(first: int, end: int) -> None:
                 top, bottom = max(first - margin, 0), min(end + margin, len(source))
                 part = source[top:bottom]
-                unlike = _unlikeness(part, part - less[top:bottom], s)[first - top : end - top]
-                new = np.minimum(unlike, s.max_detail[octave]) - 1
+                unlike = _unlikeness(part, part - less[top:bottom])[first - top : end - top]
+                new = np.minimum(unlike, MAX_DETAIL[octave]) - 1
                 old = moved[first:end] if self.more else new
-                moved[first:end] = old + np.float32(s.detail_rate) * (new - old)
+                moved[first:end] = old + np.float32(DETAIL_RATE) * (new - old)
 
             parallel_rows(strip, len(source))
             return moved
@@ -170,15 +180,14 @@ class OvershootingTarget(FitTarget):
     range: FloatArray
 
     @classmethod
-    def from_target(cls, target: Target, background: int, settings: MovingTargetSettings) -> OvershootingTarget:
+    def from_target(cls, target: Target, background: int) -> OvershootingTarget:
         """Start at the original target. background: the grey level that was subtracted from it."""
-        s = settings
         level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255)
         level = level.astype(np.uint8)
         black, white = (level == 0).astype(np.float32), (level == 255).astype(np.float32)
-        margin = s.margin + s.of_slope * np.minimum(_slope(level), s.max_slope)
-        low, high = white * margin - black * s.overshoot, white * s.overshoot - black * margin
-        return cls(target, target, s.overshoot_every, range=np.stack([low, high]))
+        margin = MARGIN + OF_SLOPE * np.minimum(_slope(level), MAX_SLOPE)
+        low, high = white * margin - black * OVERSHOOT, white * OVERSHOOT - black * margin
+        return cls(target, target, OVERSHOOT_EVERY, range=np.stack([low, high]))
 
     def is_due(self, step: int, _has_grown: bool) -> bool:
         return step % self.every == 0
@@ -214,10 +223,10 @@ def led(target: Target, error: Rows, weight: float, shrink: int, into: Target | 
     return moved
 
 
-def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> tuple[FloatArray, ...]:
+def _octaves(plane: FloatArray) -> tuple[FloatArray, ...]:
     """Split a plane into octaves of detail, finest first."""
     found = []
-    for _ in settings.max_detail:
+    for _ in MAX_DETAIL:
         coarse = halved(plane)
         finer = _enlarged(coarse, plane.shape)
         found.append(np.subtract(plane, finer, out=finer))
@@ -225,16 +234,15 @@ def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> tuple[FloatAr
     return tuple(found)
 
 
-def _unlikeness(source: FloatArray, drawn: FloatArray, settings: MovingTargetSettings) -> FloatArray:
+def _unlikeness(source: FloatArray, drawn: FloatArray) -> FloatArray:
     """Power of the inverse structural similarity around each sample of an octave; at least 1."""
 
     def mean(products: FloatArray) -> FloatArray:
-        window = settings.detail_window
-        return np.asarray(cv2.GaussianBlur(products, (0, 0), window, borderType=cv2.BORDER_REFLECT), np.float32)
+        return np.asarray(cv2.GaussianBlur(products, (0, 0), DETAIL_WINDOW, borderType=cv2.BORDER_REFLECT), np.float32)
 
-    faint = np.float32((settings.faint_levels / 255) ** 2)
+    faint = np.float32((FAINT_LEVELS / 255) ** 2)
     both = mean(source * source + drawn * drawn) + faint
-    return np.asarray((both / (np.maximum(2 * mean(source * drawn), 0) + faint)) ** settings.detail_power, np.float32)
+    return np.asarray((both / (np.maximum(2 * mean(source * drawn), 0) + faint)) ** DETAIL_POWER, np.float32)
 
 
 def _in_planes(function: np.ufunc, target: Target, by: Target | NDArray[np.int16], out: Target) -> Target:

@@ -18,10 +18,13 @@ from sgmethod.fitting.moving_target import ExaggeratedTarget, FitTarget, Oversho
 from sgmethod.fitting.visibility import VisibleShare
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians, Pixels
-from sgmethod.settings.rd import Effort, ObjectiveSettings
+from sgmethod.settings.rd import Effort
 from sgmethod.settings.shared import Tune
 
 GREY = 128.0
+# Weight with which mean errors over squares of 4 pixels count once more, after the growth of a run: growth would
+# take the difference for error, and add wide Gaussians instead of correcting fine errors. Notebook, eye.md.
+COARSE = 1.0
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,6 @@ class Objective:
     """
 
     pixels: Pixels
-    settings: ObjectiveSettings
     tune: Tune = "psnr"
     is_alpha: bool = False
     shown: Visibility | None = None
@@ -42,19 +44,17 @@ class Objective:
     visible_share: VisibleShare | None = None
 
     @classmethod
-    def from_pixels(
-        cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, alpha: Pixels | None = None
-    ) -> Objective:
+    def from_pixels(cls, pixels: Pixels, tune: Tune, alpha: Pixels | None = None) -> Objective:
         """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque."""
         shown = None if alpha is None else visibility.of_alpha(alpha)
-        visible = shown if tune == "psnr" else visibility.of_detail(pixels, settings.visibility, shown)
+        visible = shown if tune == "psnr" else visibility.of_detail(pixels, shown)
         share = None if visible is None else VisibleShare(visible)
-        return cls(pixels, settings, tune, False, shown, visible, share)
+        return cls(pixels, tune, False, shown, visible, share)
 
     @classmethod
-    def from_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
+    def from_alpha(cls, alpha: Pixels) -> Objective:
         """Objective for an alpha plane [H, W]."""
-        return cls(np.repeat(alpha[..., None], 3, axis=2), settings, is_alpha=True)
+        return cls(np.repeat(alpha[..., None], 3, axis=2), is_alpha=True)
 
     @cached_property
     def histogram(self) -> Histogram:
@@ -73,14 +73,14 @@ class Objective:
 
     def under(self, pixels: Pixels, alpha: Pixels) -> Objective:
         """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
-        return Objective.from_pixels(pixels, self.tune, self.settings, alpha)
+        return Objective.from_pixels(pixels, self.tune, alpha)
 
     def moving_target(self, target: Target, spacing: int, background: int) -> FitTarget:
         """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
-            return OvershootingTarget.from_target(target, background, self.settings.moving)
+            return OvershootingTarget.from_target(target, background)
         if self.for_eye and min(self.pixels.shape[:2]) >= texture.BLOCK and spacing < COARSE_SIDE:
-            return ExaggeratedTarget.from_target(target, self.settings.moving, hides=not self.replaces_grain)
+            return ExaggeratedTarget.from_target(target, hides=not self.replaces_grain)
         return FitTarget(target, target)
 
     def suppression_levels(self, effort: Effort) -> int:
@@ -92,7 +92,7 @@ class Objective:
         return level if level.visibility is None else replace(level, visibility=self._with_coarse(level.visibility))
 
     def _with_coarse(self, visible: Visibility) -> Visibility:
-        return replace(visible, coarse=self.settings.visibility.coarse) if self.for_eye else visible
+        return replace(visible, coarse=COARSE) if self.for_eye else visible
 
     def energies(self, gaussians: Gaussians) -> FloatArray:
         """Weighted squared error [N] that dropping each Gaussian alone would add."""
@@ -104,7 +104,7 @@ class Objective:
 
     def grain(self, residual: Rows) -> Target:
         """Grain to hide from the fit, given its current residual."""
-        return texture.grain(self.pixels, residual, self.settings.texture)
+        return texture.grain(self.pixels, residual)
 
     def texture(self, stream: Stream) -> Codes | None:
         """Texture codes for a coded picture without texture; None if it needs none."""
@@ -113,7 +113,7 @@ class Objective:
         drawn = draw_whole(stream)
         if self.shown is not None:  # no texture where alpha hides it
             drawn = np.where(self.shown.values[..., None] > 0, drawn, self.pixels)
-        return texture.estimate(self.pixels, drawn, self.settings.texture)
+        return texture.estimate(self.pixels, drawn)
 
     def ssimulacra2(self, decoded: Pixels) -> float:
         """SSIMULACRA 2 of a decoded picture [H, W, 3], composited over grey; sides are at least 8 pixels."""

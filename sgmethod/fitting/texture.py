@@ -19,7 +19,6 @@ from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.opencv import cv2
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import TextureSettings
 from sgmethod.threads import in_parallel
 
 Plane = NDArray[np.float32]
@@ -32,6 +31,13 @@ LIKE = 1 / 6  # part of the contrast by which JPEG may move a pixel away from in
 MAX_DRAWN = 1 / 2  # most pixels of ink or paper in a block of noise
 SIDE = TEXTURE_CELL // BLOCK  # blocks along a side of a cell
 SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/fitting/test_texture.py
+# Grain is hidden gradually between the two values of each pair: not at all below, entirely above.
+GRAIN_LEFT = (0.45, 0.7)  # part of a cell's detail that the fit misses
+GRAIN_LEVELS = (4.0, 7.0)  # strength in levels of 8 bits: faint grain makes no needles
+QUANTILE = 0.4  # of a cell's blocks, ordered by energy: the strength of its grain
+FLOOR = 0.3  # levels of 8 bits: the spread between two rounded pictures
+EXCESS = 8.0  # weight of texture that is too strong in a block, in multiples of that of too weak
+MAX_LEVELS = 3.0  # of 8 bits, which the noise's spread approaches: louder, pebbles and leaves become noise
 STEPS = 30  # towards the strengths of cells, which then move by less than a tenth of a code
 TINY = 1e-3  # squared levels
 # Weights [blocks of a cell, 9] in linear interpolation of the cell and its neighbours: of 3 cells, the middle one's.
@@ -40,11 +46,11 @@ SPREAD = np.kron(ALONG, ALONG)
 MARGIN = 4  # rows, more than reduction and enlargement reach; even, so that rows keep their pairs
 
 
-def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Codes | None:
+def estimate(source: Pixels, decoded: Pixels) -> Codes | None:
     """Texture codes [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None if all are 0.
 
     In each block, the noise gives the energy that the decoded picture lacks in an octave; in each cell, its spread
-    approaches settings.max_levels. Blocks of drawings or lettering count as free of noise.
+    approaches MAX_LEVELS. Blocks of drawings or lettering count as free of noise.
     """
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
@@ -54,17 +60,16 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
         band, here = (slice(row * side, (row + 1) * side) for side in (TEXTURE_CELL, SIDE))
         wanted, drawn = (_padded(_luma(pixels[band]), columns) for pixels in (source, decoded))
         for octave, (whole, part) in enumerate(zip(_energies(wanted), _energies(drawn), strict=True)):
-            missing[octave, here] = np.maximum(whole - part - settings.floor**2, 0)
+            missing[octave, here] = np.maximum(whole - part - FLOOR**2, 0)
         missing[:, here] *= _noisy(wanted)
 
     in_parallel(measure, range(rows))
-    limit = settings.max_levels
-    spreads = in_parallel(lambda one: limit * np.tanh(_strengths(np.sqrt(one), settings) / limit), missing)
+    spreads = in_parallel(lambda one: MAX_LEVELS * np.tanh(_strengths(np.sqrt(one)) / MAX_LEVELS), missing)
     codes = _codes(np.stack([spread / shown for spread, shown in zip(spreads, SHOWN, strict=True)]))
     return codes if codes.any() else None
 
 
-def grain(source: Pixels, residual: Rows, settings: TextureSettings) -> Target:
+def grain(source: Pixels, residual: Rows) -> Target:
     """Grain to remove from the target, [3, H, W], for a picture [H, W, 3]; TARGET_WHITE is white.
 
     residual: of the current fit, by rows. Grain is detail of the finest octave. In each cell its strength is a
@@ -72,7 +77,7 @@ def grain(source: Pixels, residual: Rows, settings: TextureSettings) -> Target:
     as strong as its surroundings is removed, detail that stands out is kept.
     """
     height, width = source.shape[:2]
-    share = _hidden(source, residual, settings)
+    share = _hidden(source, residual)
     size = tuple(BLOCK * side for side in share.shape[::-1])
     share = _plane(cv2.resize(share * (TARGET_WHITE / 255), size, interpolation=cv2.INTER_LINEAR))
     hidden = np.empty((3, height, width), np.int16)
@@ -90,7 +95,7 @@ def grain(source: Pixels, residual: Rows, settings: TextureSettings) -> Target:
     return hidden
 
 
-def _hidden(source: Pixels, residual: Rows, settings: TextureSettings) -> Plane:
+def _hidden(source: Pixels, residual: Rows) -> Plane:
     """Share of each block's detail to remove, 0 to 1."""
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
@@ -104,9 +109,9 @@ def _hidden(source: Pixels, residual: Rows, settings: TextureSettings) -> Plane:
         energy[here], noisy[here] = _energy(_detail(luma)), _noisy(luma)
         missing = 255 * _luma(np.ascontiguousarray(residual(first, end).transpose(1, 2, 0)))
         part = np.minimum(_energy(_detail(_padded(missing, columns))) / (energy[here] + TINY), 1)
-        found = np.quantile(_by_cell(noisy[here] * energy[here])[0], settings.quantile, axis=1)
-        found *= _rise(np.sqrt(found), settings.grain_levels)
-        found *= _rise(np.median(_by_cell(part)[0], axis=1), settings.grain_left)
+        found = np.quantile(_by_cell(noisy[here] * energy[here])[0], QUANTILE, axis=1)
+        found *= _rise(np.sqrt(found), GRAIN_LEVELS)
+        found *= _rise(np.median(_by_cell(part)[0], axis=1), GRAIN_LEFT)
         strength[row] = found
 
     in_parallel(measure, range(rows))
@@ -184,17 +189,17 @@ def _energies(plane: Plane) -> Iterator[Plane]:
         plane = coarse
 
 
-def _strengths(spread: Plane, settings: TextureSettings) -> NDArray[np.float64]:
+def _strengths(spread: Plane) -> NDArray[np.float64]:
     """Strengths of cells, between which the decoder interpolates, for the spread that is missing in each block.
 
     This is a least-squares fit in which too much noise weighs more than too little: otherwise, the noise of foliage
     would spill over the sky beside it. The fit begins at a low quantile of a cell's blocks, and its steps multiply, so
     a cell where only some blocks have noise gets none, and no strength falls below 0.
     """
-    strengths: NDArray[np.float64] = np.quantile(_by_cell(spread), settings.quantile, axis=2).astype(np.float64)
+    strengths: NDArray[np.float64] = np.quantile(_by_cell(spread), QUANTILE, axis=2).astype(np.float64)
     for _ in range(STEPS):
         shown = cv2.resize(strengths, spread.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        weights = np.where(shown > spread, settings.excess, 1.0)
+        weights = np.where(shown > spread, EXCESS, 1.0)
         strengths *= _gathered(weights * spread) / (_gathered(weights * shown) + TINY)
     return strengths
 

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from sgmethod.backend.protocol import VISIBLE, Visibility, seen_difference, to_amplitudes
 from sgmethod.opencv import cv2
 from sgmethod.scene import FloatArray, Gaussians
-from sgmethod.settings.rd import VisibilitySettings
+
+SHRINK = 4  # detail is measured on a picture reduced by this, where SSIMULACRA 2 weighs it most
+WINDOW = 1.5  # sigma of the window, in its samples
+POWER = 0.5  # visibility falls with this power of the variance
+SEEN_LEVELS = 9.0  # of 255: detail that is fainter hides nothing
+MIN_WEIGHT, MAX_WEIGHT = 1 / 32, 3.0  # the mean over detail is 1
+LUMA = (0.26, 0.66, 0.08)  # about the sum of the eye's cones
 
 
 def of_alpha(alpha: NDArray[np.uint8]) -> Visibility:
@@ -25,25 +31,25 @@ def of_alpha(alpha: NDArray[np.uint8]) -> Visibility:
     return Visibility(np.rint(share * share * VISIBLE).astype(np.int16), by_eye=False)
 
 
-def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Visibility | None = None) -> Visibility:
+def of_detail(pixels: NDArray[np.uint8], alpha: Visibility | None = None) -> Visibility:
     """Visibility to the eye of errors in pixels [H, W, 3], times the visibility under alpha if given."""
-    s, (height, width) = settings, pixels.shape[:2]
-    size = (-(-width // s.shrink), -(-height // s.shrink))
+    height, width = pixels.shape[:2]
+    size = (-(-width // SHRINK), -(-height // SHRINK))
     reduced = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    small = np.einsum("ijk,k->ij", reduced, np.array(s.luma, np.float32))
-    variance = np.maximum(_blurred(small * small, s) - np.square(_blurred(small, s)), 0)
-    visible = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
+    small = np.einsum("ijk,k->ij", reduced, np.array(LUMA, np.float32))
+    variance = np.maximum(_blurred(small * small) - np.square(_blurred(small)), 0)
+    visible = (2 * variance + np.float32(SEEN_LEVELS**2)) ** -np.float32(POWER)
     detail = np.sqrt(variance + 1)  # weights of the mean: there are more Gaussians where there is more detail
     visible *= np.sum(detail, dtype=np.float64) / np.sum(visible * detail, dtype=np.float64)
-    levels = np.round(np.clip(visible, s.min_weight, s.max_weight) * VISIBLE).astype(np.int16)
+    levels = np.round(np.clip(visible, MIN_WEIGHT, MAX_WEIGHT) * VISIBLE).astype(np.int16)
     levels = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.int16)
     if alpha is not None:
         levels = (levels.astype(np.int32) * alpha.values // VISIBLE).astype(np.int16)
     return Visibility(levels)
 
 
-def _blurred(plane: FloatArray, settings: VisibilitySettings) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(plane, (0, 0), settings.window, borderType=cv2.BORDER_REFLECT), np.float32)
+def _blurred(plane: FloatArray) -> FloatArray:
+    return np.asarray(cv2.GaussianBlur(plane, (0, 0), WINDOW, borderType=cv2.BORDER_REFLECT), np.float32)
 
 
 def _color_root(visibility: Visibility) -> FloatArray:

@@ -16,7 +16,8 @@ from sgmethod.arguments import AnyInt, checked_integer
 from sgmethod.bitstream.text import from_text, to_text
 from sgmethod.bitstream.v2 import SMALLEST_FILE
 from sgmethod.budget import Budget
-from sgmethod.codec import encode
+from sgmethod.codec import encode_as
+from sgmethod.encode_arguments import EncodeArguments
 from sgmethod.errors import BudgetError
 from sgmethod.io.colour import from_srgb
 from sgmethod.io.image import ImageLimits, Input
@@ -24,7 +25,7 @@ from sgmethod.numerics import quiet
 from sgmethod.previews.reducing import reduced
 from sgmethod.previews.still import webp_uri
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import EFFORTS, RD, RdSettings
+from sgmethod.settings.rd import EFFORTS, NEWTON_ADAM, RdSettings
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
 PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
@@ -110,7 +111,7 @@ def preview(image: Input, bytes: AnyInt | str = DEFAULT_BYTES, *, limits: ImageL
     """
     bytes = checked_bytes(bytes)
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
-    text = to_text(encode(pixels, bytes=bytes, tune="psnr", settings=_softened(pixels, bytes)).data)
+    text = to_text(encode_as(_softened(pixels, bytes), pixels).data)
     color = average_of(pixels)
     light = from_srgb(np.array(color) / 255)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*color)
@@ -124,17 +125,12 @@ def checked_bytes(bytes: AnyInt | str) -> int:
     return checked_integer(bytes, "the bytes of a preview", SMALLEST_FILE, MAX_BYTES, BudgetError)
 
 
-def _softened(pixels: Pixels, bytes: int) -> RdSettings:
-    """Settings for a reduced picture, or for a picture that was small already and so needs smaller Gaussians."""
+def _softened(pixels: Pixels, bytes: int) -> EncodeArguments:
+    """Arguments for a reduced picture, or for a picture that was small already and so needs smaller Gaussians."""
     small = math.sqrt(pixels.shape[0] * pixels.shape[1] / (PIXELS_PER_BYTE * bytes))
-    optimiser, pyramid = RD.fit.optimiser, RD.pyramid
-    least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), optimiser.min_scale_px)
-    return replace(
-        RD,
-        effort=EFFORTS[EFFORT],
-        fit=replace(RD.fit, optimiser=replace(optimiser, min_scale_px=least)),
-        pyramid=replace(pyramid, narrowest=max(pyramid.narrowest, least)),
-    )
+    least = max(SOFT_PX * small * min(SOFT_BYTES / bytes, 1), NEWTON_ADAM.min_scale_px)
+    asked = EncodeArguments.checked(Budget("bytes", bytes), "rd", "psnr", EFFORT)
+    return replace(asked, settings=RdSettings(EFFORTS[EFFORT], replace(NEWTON_ADAM, min_scale_px=least)))
 
 
 def average_of(pixels: Pixels) -> tuple[int, int, int]:

@@ -7,6 +7,7 @@ import statistics
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, quantum_code
@@ -16,9 +17,36 @@ from sgmethod.errors import BudgetError
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.metrics.visual import SMALLEST_SIDE
-from sgmethod.rd.rate_control import Attempts, Coded, Fitted, Measured, RateControl, ssimulacra2_db
+from sgmethod.rd.rate_control import (
+    STEERING_EXPONENT,
+    STEERING_LIMIT,
+    TRIM_EXPONENT,
+    Attempts,
+    Coded,
+    Fitted,
+    Measured,
+    RateControl,
+    ssimulacra2_db,
+)
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import AlphaSettings, PruneSettings, RdSettings, RefineSettings, Times
+from sgmethod.settings.rd import Effort, Times
+
+COARSEST = 0.4  # first quantum
+QUALITY_QUANTUM = (70.0, 0.16)  # a quality, and a typical quantum of photographs there
+# Pixels of a side, and factor on the quantum of smaller pictures, which SSIMULACRA 2 judges more harshly.
+QUALITY_SMALL = (113, 0.25)
+QUALITY_LIMIT = 1.8  # STEERING_LIMIT where SSIMULACRA 2 is measured, which is seldom
+QUALITY_REFINED_DB = 0.35  # least gain of refining
+DB_PER_DOUBLING = 2.5  # PSNR lost when the quantum doubles
+EARLY_UNTIL = 0.45  # end of the time when the aim is lower, by Times.early_db at first
+SLACK_DB = 0.05  # a PSNR this far above the requested one is close enough
+MIN_GAIN = 0.1  # part of the expected gain of a finer quantum; if it gains less, it is finer than needed
+MISSED_DB = 0.1  # if a PSNR is out of reach, one this far below the best seen is enough
+PRUNED_DB = 0.1  # no Gaussians are dropped if that would take the PSNR this far below the requested one
+# When a file is coded again: least saving, further saving per dB above the requested PSNR, and largest saving, as parts
+# of its size.
+LEAST_SAVED, SAVED_PER_DB, MOST_SAVED = 0.005, 0.3, 0.05
+MAX_ERROR_OF_ALPHA = 0.3  # of the error that a PSNR allows
 
 
 @dataclass(frozen=True)
@@ -31,13 +59,13 @@ class Aim(RateControl, ABC):
     """
 
     usual_tries = 4
+    tries: ClassVar[int]
+    steering_limit: ClassVar[float]
+    below_best_db: ClassVar[float]
+    round_slack_db: ClassVar[float]
 
     aim_db: float = 0.0
-    tries: int = 1
-    steering_limit: float = 1.0
     refined_db: float = 0.0
-    below_best_db: float = 0.0
-    round_slack_db: float = 0.0
 
     @abstractmethod
     def reached(self, picture: Measured) -> float:
@@ -47,13 +75,12 @@ class Aim(RateControl, ABC):
         """Steer towards the quality; early in the growth, a larger error than the final one is right."""
         if at < times.steering_from:
             return quantum
-        s = self.settings
-        missing = max(1 - (at - times.steering_from) / (times.early_until - times.steering_from), 0)
+        missing = max(1 - (at - times.steering_from) / (EARLY_UNTIL - times.steering_from), 0)
         above = self.reached(fitted) - self.aim_db + self.refined_db
-        exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
-        ratio = 2 ** ((above + times.early_db * missing) / s.db_per_doubling * exponent)
+        exponent = STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
+        ratio = 2 ** ((above + times.early_db * missing) / DB_PER_DOUBLING * exponent)
         # If rounding loses next to nothing, a finer quantum cannot add what is missing.
-        if ratio < 1 and at > times.growth_at[-1] and fitted.lost_db < min(s.missed_db, -above):
+        if ratio < 1 and at > times.growth_at[-1] and fitted.lost_db < min(MISSED_DB, -above):
             return quantum
         return float(quantum * min(max(ratio, 1 / self.steering_limit), self.steering_limit))
 
@@ -62,9 +89,9 @@ class Aim(RateControl, ABC):
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
         """Return the quantum that should just reach the quality, or None if nothing is between those tried."""
-        s, aim = self.settings, self._reachable(tried)
+        aim = self._reachable(tried)
         above = [self.reached(one) - aim for one in tried]
-        if len(tried) >= self.tries or 0 <= above[-1] <= s.slack_db:
+        if len(tried) >= self.tries or 0 <= above[-1] <= SLACK_DB:
             return None
         known = {quantum_code(one.stream.quantum) for one in tried}
         points = [(math.log2(one.stream.quantum), y) for one, y in zip(tried, above, strict=True)]
@@ -79,12 +106,12 @@ class Aim(RateControl, ABC):
         """Choose the best file for the quality that is within reach."""
         return replace(self, aim_db=self._reachable(tried)).best(tried)
 
-    def relaxed_bytes(self, coded: Coded, s: RefineSettings) -> int:
+    def relaxed_bytes(self, coded: Coded) -> int:
         """Size at which a file that is better than asked should have about the quality asked for."""
         above = self.reached(coded) - self.aim_db
         if above < 0:
             return NO_LIMIT
-        return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.max_spared)))
+        return int(coded.size * (1 - LEAST_SAVED - min(SAVED_PER_DB * above, MOST_SAVED)))
 
     def is_enough(self, coded: Coded) -> bool:
         """Never: a better file than asked is made smaller."""
@@ -106,17 +133,17 @@ class Aim(RateControl, ABC):
         return max(self.aim_db - self.reached_on_backgrounds(decoded, on_backgrounds(source)), 0.0)
 
     def with_higher_target(self, by_db: float) -> Aim:
-        return replace(self, aim_db=min(self.aim_db + by_db + self.settings.slack_db / 2, MAX_PSNR_DB))
+        return replace(self, aim_db=min(self.aim_db + by_db + SLACK_DB / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
         """Quality to aim at, in dB: about the best quality tried, if a finer quantum hardly helps any more."""
-        s, reached = self.settings, self.reached
+        reached = self.reached
         best = max(map(reached, tried))
         if len(tried) < 2 or best >= self.aim_db:
             return self.aim_db
         finest, finer = sorted(tried, key=lambda one: one.stream.quantum)[:2]
         octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
-        if reached(finest) - reached(finer) >= s.min_gain * s.db_per_doubling * octaves:
+        if reached(finest) - reached(finer) >= MIN_GAIN * DB_PER_DOUBLING * octaves:
             return self.aim_db
         return best - self.below_best_db
 
@@ -125,14 +152,14 @@ class Aim(RateControl, ABC):
 
         points: logarithm of the quantum and distance above the aim of each try.
         """
-        s, slope = self.settings, -self.settings.db_per_doubling
+        slope = -DB_PER_DOUBLING
         (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
         if others and others[0][0] != x:
             x1, y1 = others[0]
             slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4)
         # Near the aim, chance decides, so each near miss asks for a little more.
-        near_misses = sum(-s.slack_db < y < 0 for _, y in points)
-        at = x + (0.4 * (1 + near_misses) * s.slack_db - y) / slope
+        near_misses = sum(-SLACK_DB < y < 0 for _, y in points)
+        at = x + (0.4 * (1 + near_misses) * SLACK_DB - y) / slope
         return min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM))
 
 
@@ -140,21 +167,16 @@ class Aim(RateControl, ABC):
 class PsnrAim(Aim):
     """Rate control for a PSNR to reach."""
 
+    further_rounds = 2
+    tries = 7
+    steering_limit = STEERING_LIMIT
+    below_best_db = MISSED_DB
+    round_slack_db = 0.0
+
     @classmethod
-    def from_psnr(cls, db: float, pixels: int, settings: RdSettings) -> PsnrAim:
+    def from_psnr(cls, db: float, pixels: int) -> PsnrAim:
         """Create the aim for a picture of `pixels` pixels, with about the quantum that a photograph needs."""
-        s = settings.rate
-        quantum = min(0.1 * 2 ** ((34 - db) / s.db_per_doubling), s.coarsest_of_aim)
-        return cls(
-            s,
-            pixels,
-            quantum,
-            further_rounds=settings.schedule.rounds_for_psnr,
-            aim_db=db,
-            tries=s.aim_tries,
-            steering_limit=s.steering_limit,
-            below_best_db=s.missed_db,
-        )
+        return cls(pixels, min(0.1 * 2 ** ((34 - db) / DB_PER_DOUBLING), COARSEST), aim_db=db)
 
     def reached(self, picture: Measured) -> float:
         """PSNR in dB."""
@@ -163,47 +185,43 @@ class PsnrAim(Aim):
     def reached_on_backgrounds(self, decoded: Pixels, source: Pixels) -> float:
         return min(psnr(decoded, source), 120.0)
 
-    def allows_alpha(self, error: float, s: AlphaSettings) -> bool:
+    def allows_alpha(self, error: float) -> bool:
         """Whether alpha alone makes no more than its share of the error that the PSNR allows."""
-        return error <= s.max_error * 10 ** (-self.aim_db / 10)
+        return error <= MAX_ERROR_OF_ALPHA * 10 ** (-self.aim_db / 10)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> PsnrAim:
         allowed = 10 ** (-self.aim_db / 10)
         return replace(self, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
 
-    def allows(self, psnr: Callable[[], float], s: PruneSettings) -> bool:
+    def allows(self, psnr: Callable[[], float]) -> bool:
         """Whether about the PSNR is left: after growth, no Gaussian would come back."""
-        return psnr() >= self.aim_db - s.missed_db
+        return psnr() >= self.aim_db - PRUNED_DB
 
 
 @dataclass(frozen=True)
 class QualityAim(Aim):
     """Rate control for a SSIMULACRA 2 to reach, as ssimulacra2_db() counts it."""
 
+    further_rounds = 1
+    tries = 5
+    steering_limit = QUALITY_LIMIT
+    below_best_db = 0.0
+    round_slack_db = SLACK_DB
+
     @classmethod
-    def from_score(cls, score: float, size: tuple[int, int], settings: RdSettings) -> QualityAim:
+    def from_score(cls, score: float, size: tuple[int, int], effort: Effort) -> QualityAim:
         """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
 
         Raises BudgetError for sides that are too small for SSIMULACRA 2.
         """
         if min(size) < SMALLEST_SIDE:
             raise BudgetError(f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
-        s, aim = settings.rate, ssimulacra2_db(score)
-        known, quantum = s.quality_quantum
-        quantum *= 2 ** ((ssimulacra2_db(known) - aim) / s.db_per_doubling)
-        if min(size) < s.quality_small[0]:
-            quantum *= s.quality_small[1]
-        return cls(
-            s,
-            size[0] * size[1],
-            min(quantum, s.coarsest_of_aim),
-            further_rounds=settings.schedule.rounds_for_quality,
-            aim_db=aim,
-            tries=s.quality_tries,
-            steering_limit=s.quality_limit,
-            refined_db=s.quality_refined_db if settings.effort.refine_sweeps else 0.0,
-            round_slack_db=s.slack_db,
-        )
+        aim, (known, quantum) = ssimulacra2_db(score), QUALITY_QUANTUM
+        quantum *= 2 ** ((ssimulacra2_db(known) - aim) / DB_PER_DOUBLING)
+        if min(size) < QUALITY_SMALL[0]:
+            quantum *= QUALITY_SMALL[1]
+        refined_db = QUALITY_REFINED_DB if effort.refine_sweeps else 0.0
+        return cls(size[0] * size[1], min(quantum, COARSEST), aim_db=aim, refined_db=refined_db)
 
     def reached(self, picture: Measured) -> float:
         """SSIMULACRA 2, as ssimulacra2_db() counts it."""
@@ -219,5 +237,5 @@ class QualityAim(Aim):
 
     def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float:
         """Return a quantum that is finer by as much as is missing."""
-        s, reached = self.settings, max(map(self.reached, files))
-        return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.quality_limit))
+        reached = max(map(self.reached, files))
+        return float(quantum * max(2 ** ((reached - self.aim_db) / DB_PER_DOUBLING), 1 / QUALITY_LIMIT))

@@ -29,6 +29,8 @@ from sgmethod.scene import Pixels
 from sgmethod.settings.rd import RdSettings
 
 Plane = NDArray[np.float32]
+TRIES = 4  # for a budget in dB
+TIME = 0.3  # of a time limit
 
 
 def encode(
@@ -45,7 +47,7 @@ def encode(
     layer, error, steps = _alpha(source, problem.is_short, settings, rate, session, backend)
     colours = replace(problem, objective=problem.objective.under(pixels, draw_whole(layer)[..., 0]))
     colour_rate, found = rate.beside_alpha(layer, error), list[tuple[float, StreamV2]]()
-    for _ in session.deadline.attempts(settings.alpha.tries):
+    for _ in session.deadline.attempts(TRIES):
         attempt = replace(session, deadline=session.deadline.at(1.0))
         stream, taken = pipeline.encode(colours, settings, colour_rate, attempt, backend)
         steps += taken
@@ -63,16 +65,16 @@ def _alpha(
     source: Pixels, is_short: bool, settings: RdSettings, rate: RateControl, session: Session, backend: Backend
 ) -> tuple[StreamV2, float, int]:
     """Encode the alpha plane of pixels [H, W, 4]; return it, the error of a file with exact colours, and the steps."""
-    alpha_rate, steps = rate.for_alpha(settings.alpha), 0
-    deadline, recorder = session.deadline.at(settings.alpha.time), Recorder(session.recorder.clock)
-    plane = Problem(Objective.from_alpha(source[..., 3], settings.objective), is_short, with_shear=True)
+    alpha_rate, steps = rate.for_alpha(), 0
+    deadline, recorder = session.deadline.at(TIME), Recorder(session.recorder.clock)
+    plane = Problem(Objective.from_alpha(source[..., 3]), is_short, with_shear=True)
     once = replace(settings, effort=replace(settings.effort, rounds=(0,)))
-    for _ in deadline.attempts(settings.alpha.tries):
+    for _ in deadline.attempts(TRIES):
         attempt = replace(session, deadline=deadline.at(1.0), recorder=recorder)
         layer, taken = pipeline.encode(plane, once, alpha_rate, attempt, backend)
         steps += taken
         error = _error(np.dstack([source[..., :3], draw_whole(layer)[..., 0]]), source)
-        if rate.allows_alpha(error, settings.alpha):
+        if rate.allows_alpha(error):
             break
         alpha_rate = replace(alpha_rate, quantum=alpha_rate.quantum / 2)
     return layer, error, steps

@@ -16,14 +16,30 @@ from sgmethod.bitstream.v2 import (
     alpha_bytes,
 )
 from sgmethod.errors import BudgetError
+from sgmethod.fitting.level import PIXELS_PER_GAUSSIAN
 from sgmethod.fitting.objective import Objective
-from sgmethod.rd.rate_control import Attempts, Coded, Fitted, RateControl, excess
-from sgmethod.settings.rd import AlphaSettings, DensifySettings, RdSettings, Times
+from sgmethod.rd.rate_control import (
+    STEERING_EXPONENT,
+    STEERING_LIMIT,
+    TRIM_EXPONENT,
+    Attempts,
+    Coded,
+    Fitted,
+    RateControl,
+    excess,
+)
+from sgmethod.settings.rd import Times
 
 PRECISION = 1e-3  # of a quantum, as a part
 QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
 OCTAVES = 64  # more than there are quanta
 LONG_FILE, ITS_ALPHA = 20, 12  # bytes that certainly hold a header that is not short, and what alpha adds
+BITS_PER_GAUSSIAN = 30.0  # first guess
+MAX_BYTES = 12  # that a pixel can use, with one Gaussian for each pixel
+MAX_BYTES_OF_ALPHA = 0.6  # of a budget
+MIN_USED = 0.985  # of the allowed bytes; if refining uses less, a finer quantum is tried
+QUANTUM_PER_SIZE = 1.4  # the quantum is about proportional to this power of the size's inverse
+OVERSHOOT_RATIO = 1.1  # of the allowed bytes; a larger fit was cut short: fewer Gaussians are tried too
 
 
 @dataclass(frozen=True)
@@ -37,37 +53,34 @@ class ByteLimit(RateControl):
         return min(super().expected_gaussians(), max(self._gaussians_by_size(), 1))
 
     def _gaussians_by_size(self) -> int:
-        return int(8 * self.max_bytes / self.settings.bits_per_gaussian)
+        return int(8 * self.max_bytes / BITS_PER_GAUSSIAN)
 
-    def allowed_gaussians(self, times: Times, at: float, s: DensifySettings) -> int:
+    def allowed_gaussians(self, times: Times, at: float, crowd: float) -> int:
         """Several times the expected number: some take few bits."""
-        return min(super().allowed_gaussians(times, at, s), int(s.limit * self.expected_gaussians()))
+        return min(super().allowed_gaussians(times, at, crowd), int(crowd * self.expected_gaussians()))
 
 
 @dataclass(frozen=True)
 class ByteBudget(ByteLimit):
-    """Rate control for a budget of bytes: the quantum is steered so that the file uses them.
-
-    pixels_per_gaussian: a picture with more counts as reduced to these.
-    """
-
-    pixels_per_gaussian: float = 100.0
+    """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
 
     @classmethod
-    def from_bytes(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
+    def from_bytes(cls, max_bytes: int, pixels: int, *, has_alpha: bool) -> ByteBudget:
         """Create the budget for a picture of `pixels` pixels. Raises BudgetError if no file is as small."""
         least = SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
         if max_bytes < least:
             kind = "a file with alpha" if has_alpha else "a file of profile rd"
             raise BudgetError(f"{kind} takes at least {least} bytes, the budget is {max_bytes}")
-        empty = cls(settings.rate, pixels, 0.0, pixels_per_gaussian=settings.pyramid.pixels_per_gaussian)
-        return empty.for_bytes(max_bytes)
+        return cls(pixels, 0.0).for_bytes(max_bytes)
 
     def for_bytes(self, max_bytes: int) -> ByteBudget:
-        """Return the same for another number of bytes, at most as many as a file can use."""
-        s, max_bytes = self.settings, min(max_bytes, SMALLEST_FILE + self.settings.max_bytes * self.pixels)
+        """Return the same for another number of bytes, at most as many as a file can use.
+
+        A picture with more pixels than its Gaussians need counts as reduced to these.
+        """
+        max_bytes = min(max_bytes, SMALLEST_FILE + MAX_BYTES * self.pixels)
         bits = 8 * max_bytes
-        pixels = min(self.pixels, self.pixels_per_gaussian * bits / s.bits_per_gaussian)
+        pixels = min(self.pixels, PIXELS_PER_GAUSSIAN * bits / BITS_PER_GAUSSIAN)
         # Quanta grow with the side of the whole picture.
         quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
         return replace(self, quantum=quantum, max_bytes=max_bytes)
@@ -78,11 +91,11 @@ class ByteBudget(ByteLimit):
             return False
         return self.max_bytes < LONG_FILE + has_alpha * ITS_ALPHA or not objective.histogram.has_majority
 
-    def for_alpha(self, s: AlphaSettings) -> ByteLimit:
+    def for_alpha(self) -> ByteLimit:
         """Alpha takes what it is worth, up to a limit."""
         spare = self.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
-        limit = StreamV2.MIN_BYTES + int(s.max_bytes * spare)
-        return ByteLimit(self.settings, self.pixels, self._quantum_of_alpha(s), max_bytes=limit)
+        limit = StreamV2.MIN_BYTES + int(MAX_BYTES_OF_ALPHA * spare)
+        return ByteLimit(self.pixels, self._quantum_of_alpha, max_bytes=limit)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
         return self.for_bytes(self.max_bytes - alpha_bytes(alpha))
@@ -96,12 +109,11 @@ class ByteBudget(ByteLimit):
         Few Gaussians are served well by the fine steps that this means. Later there are more than can stay, and those
         that gain least for their bits go.
         """
-        s = self.settings
         if at < times.steering_from:
             return quantum
-        exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
+        exponent = STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
         ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
-        return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
+        return quantum * min(max(ratio, 1 / STEERING_LIMIT), STEERING_LIMIT)
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
         """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
@@ -141,11 +153,11 @@ class ByteBudget(ByteLimit):
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
         """Return a finer one while bytes are left: refining saves a percent or, after a short fit, a fifth."""
-        s, last = self.settings, tried[-1]
+        last = tried[-1]
         used = last.size / max(limit, 1)
-        if len(tried) > size_tries or used >= s.min_used or used == 0:
+        if len(tried) > size_tries or used >= MIN_USED or used == 0:
             return None
-        return last.stream.quantum * float(used**s.quantum_per_size)
+        return last.stream.quantum * float(used**QUANTUM_PER_SIZE)
 
     def is_cut_short(self, size: int, limit: int) -> bool:
-        return size > self.settings.overshoot_ratio * limit
+        return size > OVERSHOOT_RATIO * limit

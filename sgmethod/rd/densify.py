@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 
 from sgmethod.backend.protocol import TILE_HEIGHT, release_memory
-from sgmethod.fitting.level import Level
+from sgmethod.fitting.level import PIXELS_WHILE_FEW, Level
 from sgmethod.fitting.matching_pursuit import candidates
+from sgmethod.rd.fit import RATE_WEIGHT
 from sgmethod.rd.plan import MANY_VALUES, Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
@@ -17,6 +18,15 @@ from sgmethod.settings.rd import Times
 # Searches for the first Gaussians, each on what is left. One finds a fifth to half of them, and loses up to 8 dB where
 # bytes are many and time is short; sixteen change nothing.
 SEARCHES = 8
+SHARE_PLACED = 0.1  # first Gaussians, as a part of the expected number; the others are added by growth
+FEWEST = 4  # first Gaussians, and new ones allowed regardless of `GROWTH`
+GROWTH = 1.0  # most new Gaussians at one time, as a part of the existing ones
+BITS_OF_NEW = 20.0  # a new Gaussian must reduce the error by what this many bits are worth
+COLOR_SOLVE_STEPS = 4  # of conjugate gradients
+SATURATED = 0.001  # new Gaussians, as a part of all; finding fewer ends the search at that price
+# A Gaussian is dropped if its own energy is worth fewer bits: during growth, if it rounds to nothing in the file.
+WORTHLESS_BITS = 4.3
+BITS_OF_DROPPED = 21.0  # from the last growth on
 
 
 def place(plan: Plan) -> Gaussians:
@@ -25,11 +35,9 @@ def place(plan: Plan) -> Gaussians:
     As they are few, a small picture shows enough; if time is short, a smaller one has to do. On an empty picture, wide
     gains hide most places, so a search finds a few Gaussians at a time.
     """
-    s = plan.settings.place
-    share = max(int(plan.rate.expected_gaussians() * s.share), s.fewest)
+    share = max(int(plan.rate.expected_gaussians() * SHARE_PLACED), FEWEST)
     n = min(share, plan.allowed_gaussians(plan.settings.effort.times, 1.0))
-    few = plan.settings.pyramid.pixels_while_few
-    level = plan.pyramid.coarsest(few * (n // 4 if plan.session.deadline.is_short() else n))
+    level = plan.pyramid.coarsest(PIXELS_WHILE_FEW * (n // 4 if plan.session.deadline.is_short() else n))
     placed = Gaussians.empty(0)
     for _ in range(SEARCHES):
         new = _found(plan, placed, level, n - len(placed), 0.0)
@@ -41,14 +49,13 @@ def place(plan: Plan) -> Gaussians:
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:
     """Drop Gaussians whose energy is not worth their bits, and the faintest of those beyond the budget's limit."""
-    s = plan.settings.prune
-    bits = s.bits_of_dropped if stage.at >= stage.times.growth_at[-1] else s.worthless_bits
+    bits = BITS_OF_DROPPED if stage.at >= stage.times.growth_at[-1] else WORTHLESS_BITS
     return strongest(plan, state, bits, plan.allowed_gaussians(stage.times, stage.at))
 
 
 def prune_to_limit(plan: Plan, state: State, times: Times) -> State:
     """Drop Gaussians beyond the budget's limit at the end of a run: a time limit may have skipped pruning."""
-    return strongest(plan, state, plan.settings.prune.worthless_bits, plan.allowed_gaussians(times, 1.0))
+    return strongest(plan, state, WORTHLESS_BITS, plan.allowed_gaussians(times, 1.0))
 
 
 def strongest(plan: Plan, state: State, bits: float, limit: int) -> State:
@@ -61,7 +68,7 @@ def strongest(plan: Plan, state: State, bits: float, limit: int) -> State:
         return state
     kept = state.rows(keep)
     psnr = partial(plan.psnr, kept.gaussians, kept.quantum)
-    return kept if plan.rate.allows(psnr, plan.settings.prune) else state
+    return kept if plan.rate.allows(psnr) else state
 
 
 def densify(plan: Plan, state: State, stage: Stage) -> State:
@@ -69,19 +76,19 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
 
     They are searched for on a level of the pyramid that is fine enough for all Gaussians together.
     """
-    s, price = plan.settings.densify, plan.settings.fit.rate_weight * state.bit_price
+    price = RATE_WEIGHT * state.bit_price
     is_first = stage.at == stage.times.growth_at[0]
     if not stage.grows or (price >= state.saturated_price and not is_first):
         return state  # nothing was worth this price, and the error has not grown since
     n = len(state.gaussians)
-    at_once = max(int(s.growth * n), plan.rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
+    at_once = max(int(GROWTH * n), plan.rate.expected_gaussians() // len(stage.times.growth_at), FEWEST)
     limit = min(at_once, plan.allowed_gaussians(stage.times, stage.at) - n)
     level = plan.level_for(state, stage, n + limit)
-    min_gain = price * s.bits_of_new / level.frame.spacing**2
+    min_gain = price * BITS_OF_NEW / level.frame.spacing**2
     if level.values > MANY_VALUES:
         release_memory()  # of the steps
     new = _found(plan, state.gaussians, level, limit, min_gain)
-    saturated = price if len(new) < min(limit, s.saturated * n) else state.saturated_price
+    saturated = price if len(new) < min(limit, SATURATED * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
     if level.values > MANY_VALUES:
@@ -106,4 +113,4 @@ def _found(plan: Plan, others: Gaussians, level: Level, limit: int, min_gain: fl
     means, factors = candidates(level.residual(others), size, limit, min_gain, suppression_levels)
     if len(means) == 0:
         return Gaussians.empty(0)
-    return level.solve_colors(level.shapes(means, factors), plan.settings.densify.color_solve_steps, others)
+    return level.solve_colors(level.shapes(means, factors), COLOR_SOLVE_STEPS, others)

@@ -42,8 +42,7 @@ def encode(
     """Encode a picture within a budget; return the coded picture and the optimiser steps it took."""
     if problem.is_one_colour:
         return problem.stream(Gaussians.empty(0), rate.quantum), 0
-    sizes = settings.pyramid, rate.expected_gaussians(), backend
-    plan = Plan(problem, settings, rate, session, pyramid_of(problem, *sizes))
+    plan = Plan(problem, settings, rate, session, pyramid_of(problem, rate.expected_gaussians(), backend))
     gaussians = place(plan)
     plan = plan.in_time(gaussians)
     state, rounds = plan.begin(gaussians), plan.settings.effort.rounds

@@ -14,9 +14,9 @@ from sgmethod.rd import alpha, encode as pipeline
 from sgmethod.rd.aim import PsnrAim, QualityAim
 from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.problem import Problem, Session
-from sgmethod.rd.rate_control import GaussianCount, RateControl
+from sgmethod.rd.rate_control import GAUSSIANS_QUANTUM, GaussianCount, RateControl
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import RdSettings
+from sgmethod.settings.rd import Effort, RdSettings
 
 
 def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, recorder: Recorder) -> tuple[bytes, int]:
@@ -28,10 +28,10 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     assert isinstance(settings, RdSettings)
     height, width, channels = pixels.shape
     has_alpha = channels == 4
-    deadline = Deadline.from_limit(recorder.clock, time_limit_s, height * width, settings.deadline)
+    deadline = Deadline.from_limit(recorder.clock, time_limit_s, height * width)
     colours = np.ascontiguousarray(pixels[..., :3])
-    objective = Objective.from_pixels(colours, asked.objective, settings.objective)
-    rate = rate_of(asked.budget, (width, height), settings, has_alpha=has_alpha)
+    objective = Objective.from_pixels(colours, asked.objective)
+    rate = rate_of(asked.budget, (width, height), settings.effort, has_alpha=has_alpha)
     problem = Problem(objective, rate.is_short(objective, has_alpha=has_alpha))
     session = Session(deadline, recorder)
     if has_alpha:
@@ -41,15 +41,14 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     return container.serialise(stream), steps
 
 
-def rate_of(budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_alpha: bool = False) -> RateControl:
+def rate_of(budget: Budget, size: tuple[int, int], effort: Effort, *, has_alpha: bool = False) -> RateControl:
     """Create rate control for a picture of size (width, height). Raises BudgetError if no file can meet the budget."""
     pixels = size[0] * size[1]
     match budget.kind:
         case "gaussians":
-            limit, quantum = budget.max_gaussians(*size), settings.rate.gaussians_quantum
-            return GaussianCount(settings.rate, pixels, quantum, max_gaussians=limit)
+            return GaussianCount(pixels, GAUSSIANS_QUANTUM, max_gaussians=budget.max_gaussians(*size))
         case "psnr":
-            return PsnrAim.from_psnr(budget.value, pixels, settings)
+            return PsnrAim.from_psnr(budget.value, pixels)
         case "quality":
-            return QualityAim.from_score(budget.value, size, settings)
-    return ByteBudget.from_bytes(budget.max_bytes(*size) or 0, pixels, settings, has_alpha=has_alpha)
+            return QualityAim.from_score(budget.value, size, effort)
+    return ByteBudget.from_bytes(budget.max_bytes(*size) or 0, pixels, has_alpha=has_alpha)

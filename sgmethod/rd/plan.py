@@ -13,15 +13,30 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import COARSE_SIDE, Descent, Moments, Target, Visibility
 from sgmethod.fitting.bands import Rows
-from sgmethod.fitting.deadline import Deadline, Pace
-from sgmethod.fitting.level import Level, Pyramid
+from sgmethod.fitting.deadline import GRADIENTS_PER_STEP, Deadline, Pace
+from sgmethod.fitting.level import PIXELS_PER_GAUSSIAN, PIXELS_WHILE_FEW, Level, Pyramid
 from sgmethod.fitting.moving_target import FitTarget, led
 from sgmethod.rd.problem import Problem, Session
 from sgmethod.rd.rate_control import RateControl, error_per_bit
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import EFFORTS, RdSettings, Times
+from sgmethod.settings.rd import EFFORTS, ROUND, RdSettings, Times
 
 MANY_VALUES = 1 << 23  # samples of a level; work on a smaller one leaves little memory behind
+DENSE_STEPS = 2.25  # factor on the steps for many Gaussians per pixel, which converge more slowly
+SPARSE, DENSE = 0.01, 0.035  # Gaussians per pixel up to which an effort's steps are enough, and from which they are few
+LARGE = (1e6, 8e6)  # pixels; between them the next two are phased in
+LARGE_STEPS = 0.85  # factor on the steps for a large picture, whose last steps gain least for their time
+LARGE_FEW_UNTIL = 0.8  # Times.few_until of a large picture, if later
+ROUND_STEPS = 0.4  # in multiples of the first run's
+# Samples: the energy of a narrower Gaussian depends on its position between the samples of a smaller picture.
+NARROWEST = 0.75
+# Least time for the search, in gradients with few Gaussians: drawings of the whole picture, its texture, and drawings
+# of the finest level.
+SEARCH_GRADIENTS = (4.0, 7.0, 6.0)
+# Least time left for a level to be the finest, in gradients on it, and more if its target moves and loses grain.
+FINEST_GRADIENTS = (25.0, 70.0)
+SPARE_STEPS = 2.0  # steps planned, in multiples of those expected: the limit is what ends them
+CROWD_WHEN_SHORT = 1.3  # RdSettings.crowd if time is too short for the lowest effort
 
 
 @dataclass(frozen=True)
@@ -44,16 +59,17 @@ class Plan:
         that takes too long as well, a smaller picture is fitted. The time of a gradient is measured here.
         """
         s = self.settings
-        usual = self.pyramid.coarsest(s.pyramid.pixels_per_gaussian * self.rate.expected_gaussians())
+        usual = self.pyramid.coarsest(PIXELS_PER_GAUSSIAN * self.rate.expected_gaussians())
         plan = replace(self, settings=sized(s, usual.pixels))
         return (_in_time(plan, usual, gaussians) if self.session.deadline.has_limit() else plan).within_pixels()
 
     def within_pixels(self) -> Plan:
         """Set the scale below which a Gaussian would fall between the pixels of the finest level."""
-        fit, spacing = self.settings.fit, self.finest.frame.spacing
-        narrowest = fit.optimiser.min_scale_px if spacing == 1 else self.settings.pyramid.narrowest * spacing
-        fit = replace(fit, optimiser=replace(fit.optimiser, min_scale_px=narrowest))
-        return replace(self, settings=replace(self.settings, fit=fit))
+        optimiser, spacing = self.settings.optimiser, self.finest.frame.spacing
+        if spacing == 1:
+            return self
+        narrowest = max(NARROWEST, optimiser.min_scale_px) * spacing
+        return replace(self, settings=replace(self.settings, optimiser=replace(optimiser, min_scale_px=narrowest)))
 
     @property
     def finest(self) -> Level:
@@ -72,7 +88,7 @@ class Plan:
     def lengths(self) -> list[int]:
         """Steps of the first run and of each round, including rounds for a quality that is missed."""
         first = first_run(self.settings, self.rate)
-        a_round = max(round(self.settings.schedule.round_steps * first), 1)
+        a_round = max(round(ROUND_STEPS * first), 1)
         further = self.rate.further_rounds
         return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
 
@@ -92,14 +108,14 @@ class Plan:
 
     def level_for(self, state: State, stage: Stage, gaussians: int) -> Level:
         """Choose the level that this many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
-        progress, times, s = stage.pace.progress, stage.times, self.settings.pyramid
+        progress, times = stage.pace.progress, stage.times
         if progress >= times.many_from:
             level = self.finest
         elif progress >= times.few_until:
             expected = max(gaussians, self.rate.expected_gaussians())
-            level = self.pyramid.coarsest(s.pixels_per_gaussian * expected)
+            level = self.pyramid.coarsest(PIXELS_PER_GAUSSIAN * expected)
         else:
-            level = self.pyramid.coarsest(s.pixels_while_few * gaussians)
+            level = self.pyramid.coarsest(PIXELS_WHILE_FEW * gaussians)
         if stage.has_grown:
             level = self.problem.objective.with_coarse(level)
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
@@ -132,7 +148,7 @@ class Plan:
 
         price: squared error of the whole picture that a bit costs; step_length: factor on the longest step.
         """
-        price, optimiser = price / self.problem.pixels.size, self.settings.fit.optimiser
+        price, optimiser = price / self.problem.pixels.size, self.settings.optimiser
         optimiser = replace(optimiser, newton_steps=step_length * optimiser.newton_steps)
         return Descent(level.frame, level.target, level.visibility, quantum, price, *self.problem.size, optimiser)
 
@@ -149,12 +165,12 @@ class Plan:
 
     def allowed_gaussians(self, times: Times, at: float) -> int:
         """Limit on the number of Gaussians."""
-        return self.rate.allowed_gaussians(times, at, self.settings.densify)
+        return self.rate.allowed_gaussians(times, at, self.settings.crowd)
 
     def times(self, run: int) -> Times:
         """Times of a run: 0 is the first, others are rounds."""
         rounds = self.settings.effort.rounds
-        times = self.settings.effort.times if run == 0 else self.settings.schedule.round_times
+        times = self.settings.effort.times if run == 0 else ROUND
         if run < rounds[-1]:
             times = replace(times, many_from=1.0)
         makes_file = run in rounds or run > rounds[-1]
@@ -168,9 +184,9 @@ def _where(shown: NDArray[np.bool_], error: Rows) -> Rows:
 
 def first_run(settings: RdSettings, rate: RateControl) -> int:
     """Steps of the first run."""
-    s, density = settings.schedule, rate.expected_gaussians() / rate.pixels
-    share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
-    return round(settings.effort.steps * (1 + share * (s.dense_steps - 1)))
+    density = rate.expected_gaussians() / rate.pixels
+    share = min(max((density - SPARSE) / (DENSE - SPARSE), 0), 1)
+    return round(settings.effort.steps * (1 + share * (DENSE_STEPS - 1)))
 
 
 def _in_time(plan: Plan, usual: Level, gaussians: Gaussians) -> Plan:
@@ -180,15 +196,15 @@ def _in_time(plan: Plan, usual: Level, gaussians: Gaussians) -> Plan:
     halves the time, because it lacks detail. A level finer than `usual` is used if its drawings leave time for steps.
     """
     settings, pyramid, objective = plan.settings, plan.pyramid, plan.problem.objective
-    deadline, s = plan.session.deadline, plan.session.deadline.settings
+    deadline = plan.session.deadline
 
     def gradient_s(level: Level) -> float:
         return deadline.seconds_of(lambda: level.gradients(gaussians))
 
     took_s = gradient_s(usual)
     pixel_s, hides = took_s / usual.pixels, objective.replaces_grain
-    of_whole, of_texture, of_finest = s.search_gradients
-    as_finest = s.finest_gradients[0] + s.finest_gradients[1] * hides
+    of_whole, of_texture, of_finest = SEARCH_GRADIENTS
+    as_finest = FINEST_GRADIENTS[0] + FINEST_GRADIENTS[1] * hides
 
     def searching(finest: Level) -> Deadline:
         pixels = (of_whole + of_texture * hides) * objective.pixels.size / 3 + of_finest * finest.pixels
@@ -201,7 +217,7 @@ def _in_time(plan: Plan, usual: Level, gaussians: Gaussians) -> Plan:
     in_time = deadline.steps_in_time(took_s)
     all_steps = first_run(settings, plan.rate)
     settings = fit_to_steps(settings, usual.pixels, in_time / all_steps * settings.effort.steps)
-    step_s = took_s * in_time * s.gradients_per_step / first_run(settings, plan.rate)
+    step_s = took_s * in_time * GRADIENTS_PER_STEP / first_run(settings, plan.rate)
     for level in pyramid.from_level(usual).levels[1:]:
         if took_s <= step_s:
             break
@@ -215,12 +231,11 @@ def _in_time(plan: Plan, usual: Level, gaussians: Gaussians) -> Plan:
 
 def sized(settings: RdSettings, pixels: int) -> RdSettings:
     """Adapt settings to this many pixels: a large picture gets fewer steps, and reduced pictures for longer."""
-    s, effort = settings.schedule, settings.effort
-    small, large = s.large
+    effort, (small, large) = settings.effort, LARGE
     share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
-    later = max(s.large_few_until - effort.times.few_until, 0.0)
+    later = max(LARGE_FEW_UNTIL - effort.times.few_until, 0.0)
     times = replace(effort.times, few_until=effort.times.few_until + share * later)
-    steps = round(effort.steps * (1 - share * (1 - s.large_steps)))
+    steps = round(effort.steps * (1 - share * (1 - LARGE_STEPS)))
     return replace(settings, effort=replace(effort, steps=steps, times=times))
 
 
@@ -230,11 +245,11 @@ def fit_to_steps(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     The effort stays if it fits, else it becomes the highest lower effort that fits, with as many steps as there may be
     time for, else the lowest with fewer Gaussians.
     """
-    spare = min(round(settings.deadline.spare_steps * steps), settings.effort.steps) if steps < math.inf else 0
+    spare = min(round(SPARE_STEPS * steps), settings.effort.steps) if steps < math.inf else 0
     lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
     choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
-    few = replace(choices[-1].densify, limit=settings.deadline.max_when_short)
-    found = next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
+    few = replace(choices[-1], crowd=CROWD_WHEN_SHORT)
+    found = next((one for one in choices if one.effort.steps <= steps), few)
     return replace(found, effort=replace(found.effort, steps=max(found.effort.steps, spare)))
 
 

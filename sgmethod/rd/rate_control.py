@@ -23,16 +23,19 @@ from sgmethod.budget import MAX_GAUSSIANS
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.scene import Pixels
-from sgmethod.settings.rd import (
-    AlphaSettings,
-    DensifySettings,
-    PruneSettings,
-    RateSettings,
-    RefineSettings,
-    Times,
-)
+from sgmethod.settings.rd import Times
 
 EXACT_DB = 99.0  # PSNR of a picture without any error
+GAUSSIANS_PER_PIXEL = 0.0023  # first guess, times the quantum
+MIN_PIXELS = 20  # per Gaussian in a first guess; growth may go beyond
+GAUSSIANS_QUANTUM = 3.2 * 2 ** (-85 / 16)  # for a budget of Gaussians: about 1.2 bpp on photographs
+STEERING_EXPONENT = 0.9  # at the times of growth
+TRIM_EXPONENT = 1.0  # later
+STEERING_LIMIT = 1.35  # largest change of the quantum at one time, as a factor
+# Quantum of alpha, in multiples of that of colours: an error of alpha counts in one channel instead of three, and its
+# fit also pays for errors beyond black and white, which decoding clamps.
+COARSER_ALPHA = 6.0
+MAX_GAUSSIANS_OF_ALPHA = 0.25  # of a budget of Gaussians
 
 
 def ssimulacra2_db(score: float) -> float:
@@ -122,11 +125,10 @@ class RateControl:
 
     usual_tries: ClassVar[int] = 1
     weighs_size: ClassVar[bool] = True
+    further_rounds: ClassVar[int] = 0
 
-    settings: RateSettings
     pixels: int
     quantum: float
-    further_rounds: int = 0
     max_bytes: int = NO_LIMIT
     max_gaussians: int = MAX_GAUSSIANS
 
@@ -134,11 +136,10 @@ class RateControl:
 
     def expected_gaussians(self) -> int:
         """First guess of the number of Gaussians."""
-        s = self.settings
-        return max(min(int(s.gaussians_per_pixel * self.pixels / self.quantum), self.pixels // s.min_pixels), 1)
+        return max(min(int(GAUSSIANS_PER_PIXEL * self.pixels / self.quantum), self.pixels // MIN_PIXELS), 1)
 
-    def allowed_gaussians(self, times: Times, at: float, s: DensifySettings) -> int:
-        """Limit on the number of Gaussians, with a surplus early."""
+    def allowed_gaussians(self, times: Times, at: float, crowd: float) -> int:
+        """Limit on the number of Gaussians, with a surplus early. crowd: see RdSettings."""
         return min(self.pixels, MAX_GAUSSIANS, int(self.max_gaussians * excess(times, at)))
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
@@ -148,7 +149,7 @@ class RateControl:
         """
         return self.quantum / float(times.finer_early ** surplus(times, at))
 
-    def allows(self, psnr: Callable[[], float], s: PruneSettings) -> bool:
+    def allows(self, psnr: Callable[[], float]) -> bool:
         """Whether Gaussians may be dropped if this PSNR is left."""
         return True
 
@@ -174,20 +175,21 @@ class RateControl:
         """Choose the best file of one search."""
         return self.best(tried)
 
-    def relaxed_bytes(self, coded: Coded, s: RefineSettings) -> int:
+    def relaxed_bytes(self, coded: Coded) -> int:
         """Limit on the payload when a file is coded again after relaxing."""
         return NO_LIMIT
 
     # --- asked where a picture has alpha, which is encoded before its colours (alpha.py)
 
-    def for_alpha(self, s: AlphaSettings) -> RateControl:
+    def for_alpha(self) -> RateControl:
         """Rate control for the alpha plane."""
-        return RateControl(self.settings, self.pixels, self._quantum_of_alpha(s))
+        return RateControl(self.pixels, self._quantum_of_alpha)
 
-    def _quantum_of_alpha(self, s: AlphaSettings) -> float:
-        return min(s.coarser * self.quantum, MAX_QUANTUM)
+    @property
+    def _quantum_of_alpha(self) -> float:
+        return min(COARSER_ALPHA * self.quantum, MAX_QUANTUM)
 
-    def allows_alpha(self, error: float, s: AlphaSettings) -> bool:
+    def allows_alpha(self, error: float) -> bool:
         """Whether alpha may cause this mean squared error in a file with exact colours."""
         return True
 
@@ -237,9 +239,9 @@ class GaussianCount(RateControl):
     def expected_gaussians(self) -> int:
         return self.max_gaussians
 
-    def for_alpha(self, s: AlphaSettings) -> RateControl:
-        limit = max(int(s.max_gaussians * self.max_gaussians), 1)
-        return replace(self, quantum=self._quantum_of_alpha(s), max_gaussians=limit)
+    def for_alpha(self) -> RateControl:
+        limit = max(int(MAX_GAUSSIANS_OF_ALPHA * self.max_gaussians), 1)
+        return replace(self, quantum=self._quantum_of_alpha, max_gaussians=limit)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> RateControl:
         used = len(alpha.gaussians()) if alpha.payload else 0

@@ -19,6 +19,22 @@ from sgmethod.scene import Gaussians
 TEXTURE_CODINGS = 3.0  # those of a search that has no time, and one for the texture
 FEW_BYTES = 32  # of payload: their Gaussians may gain less than the mean colour alone
 ROUNDING_LEVELS = 2  # spread of a picture whose background may miss no more than rounding to 8 bits does
+TEXTURE_SHARE = 0.05  # most of a budget of bytes
+MAX_TRIES = 7  # quanta
+WEIGHT = 0.35  # price of a bit, in multiples of its theoretical price
+# Once for each round after the first, half of the Gaussians are refitted to what the rounded other half leaves, and all
+# are refined again.
+RELAXED_STEPS, RELAXED_RATE = 20, 0.15
+RELAXED_WEIGHT = 0.6  # price of a bit in these steps, in multiples of its theoretical price
+# Where a file is exact already, smaller ones are tried: with these shares of the Gaussians, after some steps of this
+# rate, on at most so many pixels in all; and with a quantum that is coarser by these factors. Seen for any budget that
+# suffices: a dot on a plain picture takes 47 to 56 bytes instead of 56 to 105, a step of one level 29 to 40 instead of
+# 114 to 372.
+EXACT_SHARES = (0.7, 0.9)
+EXACT_STEPS, EXACT_RATE = 100, 0.4
+EXACT_PIXELS = 1 << 20
+EXACT_COARSER = (2**0.5, 2**0.25)
+EXACT_TRIES = 40  # limit on files with a coarser quantum; it shrinks as a picture grows beyond EXACT_PIXELS
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
@@ -27,7 +43,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     rounds: number completed. For each round after the first, a random half of the Gaussians is fitted again, to make up
     for the rounding of the other half. Then all are refined again: refining alone finds no single change that helps.
     """
-    problem, rate, deadline, s = plan.problem, plan.rate, plan.session.deadline, plan.settings.refine
+    problem, rate, deadline = plan.problem, plan.rate, plan.session.deadline
     coded = cache(partial(problem.stream, state.gaussians))  # several quanta have one code
 
     def payload(quantum: float) -> int:
@@ -58,8 +74,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     for number in deadline.attempts(tries):
         report(number, tries)
         held = rng.random(len(best.stream.gaussians())) < 0.5
-        again = relaxed(plan, best.stream, target, held, [s.relaxed_rate] * s.relaxed_steps)
-        best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best, s)))])
+        again = relaxed(plan, best.stream, target, held, [RELAXED_RATE] * RELAXED_STEPS)
+        best = rate.best([best, refined(again, best.stream.quantum, min(limit, rate.relaxed_bytes(best)))])
     return _or_mean(plan, best, empty)
 
 
@@ -69,7 +85,7 @@ def _tried(
     """Code a fit with one quantum after the other, as rate control chooses them, until nothing is to be gained."""
     rate, tried = plan.rate, list[Coded]()
     quantum: float | None = first
-    for _ in plan.session.deadline.attempts(plan.settings.rate.aim_tries):
+    for _ in plan.session.deadline.attempts(MAX_TRIES):
         if quantum is None:
             break
         tried.append(code(quantum))
@@ -82,8 +98,8 @@ def _texture(plan: Plan, coded: Callable[[], StreamV2]) -> Codes | None:
     """Return the texture of a fit, if there is time to find it and it takes a small part of the budget."""
     if not plan.session.deadline.has_time_for_codings(TEXTURE_CODINGS):
         return None
-    texture, share = plan.problem.objective.texture(coded()), plan.settings.objective.texture.share
-    return texture if texture is not None and len(pack(texture)) <= share * plan.rate.max_bytes else None
+    texture = plan.problem.objective.texture(coded())
+    return texture if texture is not None and len(pack(texture)) <= TEXTURE_SHARE * plan.rate.max_bytes else None
 
 
 def _or_mean(plan: Plan, best: Coded, empty: StreamV2) -> Coded:
@@ -110,12 +126,12 @@ def _refined(
 
     Their integers are refined one Gaussian at a time on the target that the others leave (native/refine/refine.cpp).
     """
-    problem, deadline, s, finest = plan.problem, plan.session.deadline, plan.settings, plan.finest
+    problem, deadline, finest = plan.problem, plan.session.deadline, plan.finest
     quantum = StreamV2.coded_quantum(quantum, problem.is_short)
     coding = replace(problem.coding(quantum), upright=is_upright(gaussians.factors, problem.with_shear))
     spacing = finest.frame.spacing
-    price = s.refine.weight * error_per_bit(quantum) / spacing**2
-    limits = RefineLimits(price, s.effort.refine_sweeps, deadline.left_s(), max_bytes, spacing)
+    price = WEIGHT * error_per_bit(quantum) / spacing**2
+    limits = RefineLimits(price, plan.settings.effort.refine_sweeps, deadline.left_s(), max_bytes, spacing)
     payload = finest.backend.refine(gaussians, coding, target, limits, finest.visibility)
     colours = *problem.size, quantum, problem.background, problem.grey, coding.upright, payload
     return Coded(StreamV2(*colours, texture, is_short=coding.is_short), problem.objective)
@@ -123,7 +139,7 @@ def _refined(
 
 def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
     """Search for a smaller file of an exact picture, with fewer Gaussians or a coarser quantum, until none is found."""
-    problem, deadline, s = plan.problem, plan.session.deadline, plan.settings.refine
+    problem, deadline = plan.problem, plan.session.deadline
     exact, last = Coded(replace(exact.stream, texture=None), problem.objective), None
 
     def fewer(share: float) -> Coded:
@@ -131,17 +147,17 @@ def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
         strongest = np.argsort(-problem.objective.energies(gaussians), kind="stable")
         few = gaussians.rows(np.sort(strongest[: int(share * len(strongest))]))
         held = np.zeros(len(few), bool)
-        moved = relaxed(plan, problem.stream(few, stream.quantum), target, held, [s.exact_rate] * s.exact_steps)
+        moved = relaxed(plan, problem.stream(few, stream.quantum), target, held, [EXACT_RATE] * EXACT_STEPS)
         return _refined(plan, target, None, moved, stream.quantum, exact.size)
 
     def coarser(by: float) -> Coded:
         return _refined(plan, target, None, exact.stream.gaussians(), exact.stream.quantum * by, exact.size)
 
     pixels = problem.pixels.size // 3
-    slow = deadline.attempts(s.exact_pixels // pixels)
-    quick = deadline.attempts(min(s.exact_tries, s.exact_tries * s.exact_pixels // pixels))
-    ways = [(partial(fewer, share), slow) for share in s.exact_shares]
-    ways += [(partial(coarser, by), quick) for by in s.exact_coarser]
+    slow = deadline.attempts(EXACT_PIXELS // pixels)
+    quick = deadline.attempts(min(EXACT_TRIES, EXACT_TRIES * EXACT_PIXELS // pixels))
+    ways = [(partial(fewer, share), slow) for share in EXACT_SHARES]
+    ways += [(partial(coarser, by), quick) for by in EXACT_COARSER]
     while last is not exact:
         last = exact
         for way, attempts in ways:
@@ -155,10 +171,10 @@ def smaller(plan: Plan, exact: Coded, target: Target) -> Coded:
 
 def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_], rates: Sequence[float]) -> Gaussians:
     """Take steps of these rates with the Gaussians [N] of a coded picture, except those that are held [N]."""
-    s, level = plan.settings.refine, replace(plan.finest, target=target)
+    level = replace(plan.finest, target=target)
     before = stream.gaussians()
     moving, moments = before.copy(), Moments.none(len(before))
-    price = s.relaxed_weight * error_per_bit(stream.quantum)
+    price = RELAXED_WEIGHT * error_per_bit(stream.quantum)
     descent = plan.descent(level, stream.quantum, price)
     for rate in rates:
         plan.finest.backend.steps(moving, moments, descent, [rate])

@@ -8,7 +8,6 @@ from sgmethod.backend.protocol import Backend, Frame
 from sgmethod.fitting.islands import Islands
 from sgmethod.fitting.level import Level, Pyramid, target_of
 from sgmethod.rd.problem import Problem
-from sgmethod.settings.rd import PyramidSettings
 
 LARGE = 1 << 18  # pixels of a picture; a smaller one is fitted in no time
 SMALLER = 4  # times: an atlas's fit also takes time for moving Gaussians to it
@@ -20,13 +19,13 @@ def whole_of(problem: Problem, backend: Backend) -> Level:
     return Level(backend, Frame(*problem.size), target, problem.objective.visibility)
 
 
-def pyramid_of(problem: Problem, settings: PyramidSettings, gaussians: int, backend: Backend) -> Pyramid:
+def pyramid_of(problem: Problem, gaussians: int, backend: Backend) -> Pyramid:
     """Build the picture in the sizes that this many Gaussians can show or, if it is sparse, the atlas of its islands.
 
     With alpha, colours are all the same to hidden pixels, and seldom one colour.
     """
     whole, histogram = whole_of(problem, backend), problem.objective.histogram
-    pyramid = Pyramid.from_whole(whole, settings, gaussians)
+    pyramid = Pyramid.from_whole(whole, gaussians)
     if whole.pixels < LARGE or not histogram.has_majority:
         return pyramid
     islands = Islands.from_pixels(problem.pixels, histogram.background)
@@ -34,4 +33,4 @@ def pyramid_of(problem: Problem, settings: PyramidSettings, gaussians: int, back
         return pyramid
     colour = np.array([[histogram.background]], np.uint8)
     atlas = whole.atlas(islands, target_of(colour, problem.background))
-    return Pyramid.from_whole(atlas, settings, gaussians)
+    return Pyramid.from_whole(atlas, gaussians)

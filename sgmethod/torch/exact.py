@@ -23,7 +23,7 @@ from sgmethod.rd.densify import place, prune_to_limit
 from sgmethod.rd.encode import run
 from sgmethod.rd.plan import Plan, Stage, State, first_run
 from sgmethod.rd.problem import Problem, Session
-from sgmethod.rd.rate_control import GaussianCount, surplus
+from sgmethod.rd.rate_control import GAUSSIANS_PER_PIXEL, GAUSSIANS_QUANTUM, GaussianCount, surplus
 from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.rd import RD
@@ -66,13 +66,13 @@ class ExactFit:
     @quiet
     def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
-        rate = GaussianCount(RD.rate, pixels[..., 0].size, self.quantum, max_gaussians=self.gaussians)
+        rate = GaussianCount(pixels[..., 0].size, self.quantum, max_gaussians=self.gaussians)
         steps = self.steps or round(EXACT.share_of_steps * first_run(RD, rate))
         settings = exact_schedule(steps)
-        problem = Problem(Objective.from_pixels(pixels, "psnr", settings.objective))
+        problem = Problem(Objective.from_pixels(pixels, "psnr"))
         session = Session(Deadline.from_limit(clock), _Shares(clock, total=steps, on_step=on_step))
         whole = whole_of(problem, backend)
-        pyramid = Pyramid.from_whole(whole, settings.pyramid, rate.expected_gaussians())
+        pyramid = Pyramid.from_whole(whole, rate.expected_gaussians())
         plan = Plan(problem, settings, rate, session, pyramid).within_pixels()
         state = run(plan, plan.begin(place(plan)), session.deadline.pace(steps), settings.effort.times, self._steered)
         found = _complete(plan, state, self.gaussians).gaussians
@@ -81,11 +81,11 @@ class ExactFit:
 
     def _steered(self, plan: Plan, state: State, stage: Stage) -> State:
         """Set the quantum that prices bits while Gaussians come and go; from the last trim on, exactly N stay."""
-        times, rate = stage.times, plan.settings.rate
+        times = stage.times
         if stage.at == times.trim_at[-1]:
             return _complete(plan, replace(state, quantum=self.quantum), self.gaussians)
-        dense = EXACT.price * rate.gaussians_per_pixel * plan.problem.pixels.size / 3 / self.gaussians
-        chosen = min(dense, rate.gaussians_quantum)
+        dense = EXACT.price * GAUSSIANS_PER_PIXEL * plan.problem.pixels.size / 3 / self.gaussians
+        chosen = min(dense, GAUSSIANS_QUANTUM)
         return replace(state, quantum=max(chosen / float(times.finer_early ** surplus(times, stage.at)), self.quantum))
 
 
@@ -98,9 +98,7 @@ def _complete(plan: Plan, state: State, n: int) -> State:
     error = np.square(level.missing(state.gaussians)(0, level.frame.height), dtype=np.float64).sum(0).ravel() + 1e-12
     places = np.stack(np.divmod(lot.choice(error.size, more, p=error / error.sum()), level.frame.width)[::-1], 1)
     means = ((places + lot.random((more, 2))) * level.frame.spacing).astype(np.float32)
-    radius = max(
-        math.sqrt(level.pixels / (math.pi * n)) * level.frame.spacing, plan.settings.fit.optimiser.min_scale_px
-    )
+    radius = max(math.sqrt(level.pixels / (math.pi * n)) * level.frame.spacing, plan.settings.optimiser.min_scale_px)
     factors = np.tile(np.array([radius, 0, radius], np.float32), (more, 1))
     new = Gaussians(means, factors, np.zeros((more, 3), np.float32))
     return replace(state, gaussians=state.gaussians.with_more(new), moments=state.moments.with_more(more))

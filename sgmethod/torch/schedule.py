@@ -42,6 +42,6 @@ def exact_schedule(steps: int) -> RdSettings:
         few_until=EXACT.few_until,
     )
     low, high = EXACT.final_rate
-    optimiser = replace(RD.fit.optimiser, final_rate=min(max(EXACT.few_steps / steps, low), high))
+    optimiser = replace(RD.optimiser, final_rate=min(max(EXACT.few_steps / steps, low), high))
     effort = replace(RD.effort, steps=steps, times=times, rounds=(0,))
-    return replace(RD, effort=effort, fit=replace(RD.fit, optimiser=optimiser))
+    return replace(RD, effort=effort, optimiser=optimiser)

@@ -44,7 +44,7 @@ def moved(backend: Kernels | Reference, settings: OptimiserSettings, seen: Visib
     return gaussians
 
 
-@pytest.mark.parametrize("settings", [ADAM, RD.fit.optimiser], ids=["adam", "no longer than Gauss-Newton"])
+@pytest.mark.parametrize("settings", [ADAM, RD.optimiser], ids=["adam", "no longer than Gauss-Newton"])
 @pytest.mark.parametrize("kind", VISIBILITIES)
 def test_step(settings: OptimiserSettings, kind: str) -> None:
     seen = visibility(kind, 2)
@@ -61,7 +61,7 @@ def test_step(settings: OptimiserSettings, kind: str) -> None:
 def test_steps_together_are_those_one_by_one(frame: Frame, kind: str) -> None:
     size = frame.width * frame.spacing, frame.height * frame.spacing
     before = scattered(700, 5, size)
-    descent = Descent(frame, target(3), visibility(kind, 3), 0.1, 1e-6, *size, RD.fit.optimiser)
+    descent = Descent(frame, target(3), visibility(kind, 3), 0.1, 1e-6, *size, RD.optimiser)
     found: list[np.ndarray] = []
     wanted: list[np.ndarray] = []
     for steps, out in ((KERNELS.steps, found), (partial(step_by_step, KERNELS), wanted)):

@@ -1,9 +1,9 @@
 import pytest
 
-from benchmarks.scenes import BY_PROPERTY, BY_SETTINGS, drawn, encoded
+from benchmarks.scenes import BY_CONSTANTS, BY_PROPERTY, drawn, encoded
 
 
-@pytest.mark.parametrize("saving", ["", *BY_SETTINGS])
+@pytest.mark.parametrize("saving", ["", *BY_CONSTANTS])
 def test_scene_reaches_the_psnr_without_any_saving(saving: str) -> None:
     file, _ = encoded(drawn()["gradient"][::4, ::4], 30, saving)
     assert file.stats.psnr >= 30

@@ -7,9 +7,8 @@ import numpy as np
 from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.level import target_of
-from sgmethod.fitting.moving_target import ExaggeratedTarget, led
+from sgmethod.fitting.moving_target import MAX_DETAIL, ExaggeratedTarget, led
 from sgmethod.opencv import cv2
-from sgmethod.settings.rd import RD
 
 
 def grainy(height: int = 64, width: int = 96) -> Target:
@@ -21,7 +20,7 @@ def grainy(height: int = 64, width: int = 96) -> Target:
 
 
 def followed(original: Target, drawn: Target, times: int = 40) -> Target:
-    moving = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False)
+    moving = ExaggeratedTarget.from_target(original, hides=False)
     for _ in range(times):
         moving = moving.moved(
             lambda first, end: all_halved((original - drawn)[:, first:end] / np.float32(TARGET_WHITE))
@@ -49,7 +48,7 @@ def test_detail_is_not_exaggerated_beyond_its_limit() -> None:
     original = grainy()
     flat = np.full_like(original, round(original.mean(dtype=np.float64)))
     now = followed(original, flat)
-    most = max(RD.objective.moving.max_detail)
+    most = max(MAX_DETAIL)
     assert original.std() < now.std() < most * original.std()
 
 
@@ -57,7 +56,7 @@ def test_grain_that_is_hidden_is_not_exaggerated() -> None:
     original = grainy()
     missing = (original - np.full_like(original, round(original.mean(dtype=np.float64)))) / np.float32(TARGET_WHITE)
     grain = np.rint(missing * TARGET_WHITE).astype(np.int16)
-    still = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False)
+    still = ExaggeratedTarget.from_target(original, hides=False)
     plain, hiding = (
         moving.moved(lambda first, end: all_halved(missing[:, first:end]))
         for moving in (still, still.without(grain.copy()))
@@ -69,7 +68,7 @@ def test_a_target_that_has_moved_often_is_the_picture_without_grain_and_with_the
     """It moves in place, so what one move adds the next has to take away."""
     original = grainy()
     grain = np.random.default_rng(1).integers(-200, 200, original.shape).astype(np.int16)
-    moving = ExaggeratedTarget.from_target(original, RD.objective.moving, hides=False).without(grain.copy())
+    moving = ExaggeratedTarget.from_target(original, hides=False).without(grain.copy())
     for drawn in (0.9, 0.5, 0.7):
         error = original * np.float32((1 - drawn) / TARGET_WHITE)
         moving = moving.moved(lambda first, end, error=error: all_halved(error[:, first:end]))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -20,20 +21,19 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.fitting.objective import Objective
-from sgmethod.fitting.texture import BLOCK, SHOWN, estimate, grain
+from sgmethod.fitting.texture import BLOCK, MAX_LEVELS, SHOWN, estimate, grain
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.rd.rate_control import EXACT_DB, Coded
+from sgmethod.rd.search import TEXTURE_SHARE
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import RD
 from tests.backend.cases import single
 from tests.support.data import golden_path
 from tests.support.pictures import photo
 
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
-TEXTURE = RD.objective.texture
-UNLIMITED = replace(TEXTURE, max_levels=1000.0)
+UNLIMITED = patch("sgmethod.fitting.texture.MAX_LEVELS", 1000.0)
 STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
 
 
@@ -112,7 +112,8 @@ def levels_of(source: NDArray[np.float64]) -> Pixels:
 def estimated(source: NDArray[np.float64]) -> Codes | None:
     """For a picture of which the Gaussians draw no detail."""
     pixels = levels_of(source)
-    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), UNLIMITED)
+    with UNLIMITED:
+        return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6))
 
 
 def noise(spread: float, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
@@ -129,10 +130,10 @@ def drawn_spread(spread: float) -> float:
 def test_noise_is_given_back_by_its_strength() -> None:
     for spread in (2.0, 3.0, 6.0, 20.0):
         assert drawn_spread(spread) == pytest.approx(spread, rel=0.2)
-    level, loud = (estimate(levels_of(128 + noise(n)), levels_of(128 + noise(0)), TEXTURE) for n in (1, 40))
+    level, loud = (estimate(levels_of(128 + noise(n)), levels_of(128 + noise(0))) for n in (1, 40))
     assert level is not None and loud is not None
     assert 0.7 < STRENGTHS[int(np.median(level[0]))] * SHOWN[0] < 1.2
-    assert STRENGTHS[int(loud.max())] * min(SHOWN) < 1.3 * TEXTURE.max_levels  # else it is all that is seen
+    assert STRENGTHS[int(loud.max())] * min(SHOWN) < 1.3 * MAX_LEVELS  # else it is all that is seen
     faint = estimated(STRAIGHT + noise(0.8))  # sky without it has bands
     assert faint is not None
     assert 0.3 < STRENGTHS[int(np.median(faint[0]))] < 0.8
@@ -197,7 +198,7 @@ def hidden_of(picture: NDArray[np.float64], left: float = 1.0) -> NDArray[np.flo
     """Levels of 8 bits [H, W, 3] that are hidden of a picture [H, W], or in colour, of which the fit leaves a part."""
     pixels = levels_of(picture)
     missing = left * (pixels - cv2.GaussianBlur(pixels, (0, 0), 6).astype(np.float32)).transpose(2, 0, 1) / 255
-    found = grain(pixels, lambda first, end: missing[:, first:end], TEXTURE)
+    found = grain(pixels, lambda first, end: missing[:, first:end])
     assert found.shape == missing.shape
     return np.asarray(found.transpose(1, 2, 0) / (native.TARGET_WHITE / 255))
 
@@ -257,7 +258,7 @@ def test_tuning_for_the_eye_writes_it_within_the_budget() -> None:
         encoded = sgmethod.encode(pixels, bytes=size, tune="visual")
         assert encoded.stats.bytes == len(encoded.data) <= size
         fields = sgmethod.info(encoded.data)
-        assert 0 < fields.bits["texture"] <= 8 * TEXTURE.share * size
+        assert 0 < fields.bits["texture"] <= 8 * TEXTURE_SHARE * size
         smooth = decode(encoded.data, view=View(texture=False))
         assert psnr(smooth, pixels) > psnr(decode(encoded.data), pixels) == encoded.stats.psnr
 
@@ -287,7 +288,7 @@ def test_files_are_compared_without_their_texture() -> None:
     stream, smooth = container.parse(data), decode(data, view=View(texture=False))
     assert isinstance(stream, StreamV2)
     assert psnr(decode(data), smooth) < EXACT_DB
-    objective = Objective.from_pixels(smooth, "visual", RD.objective)
+    objective = Objective.from_pixels(smooth, "visual")
     assert Coded(stream, objective).psnr == EXACT_DB
 
 
@@ -295,7 +296,8 @@ def test_files_are_compared_without_their_texture() -> None:
 def test_the_strength_of_noise_is_found_again(octave: int) -> None:
     size = (512, 512)
     pixels = decode(file_of(codes_of(9 * (octave == 0), 9 * (octave == 1), size), grey=True, size=size))
-    found = estimate(pixels, np.full_like(pixels, 128), UNLIMITED)
+    with UNLIMITED:
+        found = estimate(pixels, np.full_like(pixels, 128))
     assert found is not None and (found[octave] == 9).all()
 
 
@@ -303,7 +305,7 @@ def test_the_strength_of_noise_is_found_again(octave: int) -> None:
 def test_strips_thinner_than_a_block_get_none(thin: int) -> None:
     """A long one would be padded to many times its size."""
     for size in ((thin, 100), (100, thin)):
-        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual", RD.objective)
+        objective = Objective.from_pixels(np.zeros((*size, 3), np.uint8), "visual")
         target = objective.moving_target(np.zeros((3, *size), np.int16), 1, 0)
         assert (objective.replaces_grain, target.hides) == (thin == BLOCK, thin != BLOCK)
 

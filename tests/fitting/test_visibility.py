@@ -11,15 +11,13 @@ from skimage import data
 
 from sgmethod import View, decode, encode
 from sgmethod.backend.protocol import Visibility
+from sgmethod.fitting.objective import COARSE
 from sgmethod.fitting.visibility import VisibleShare, error, of_detail, weigh
 from sgmethod.native import native
 from sgmethod.numerics import quiet
 from sgmethod.scene import FloatArray
-from sgmethod.settings.rd import RD
 from tests.backend.cases import single
 from tests.support.pictures import mirrored
-
-DETAIL = RD.objective.visibility
 
 
 def visibility(width: int, height: int, seed: int = 0) -> Visibility:
@@ -87,10 +85,10 @@ def test_what_is_no_number_has_a_share_all_the_same() -> None:
 def test_detail_hides_errors() -> None:
     pixels = np.full((96, 128, 3), 128, np.uint8)
     pixels[:, 64:] = np.random.default_rng(8).integers(0, 256, (12, 8, 3), np.uint8).repeat(8, 0).repeat(8, 1)
-    visible = of_detail(pixels, DETAIL).values
+    visible = of_detail(pixels).values
     assert visible.shape == (96, 128)
     assert visible[:, :40].min() > 2 * visible[:, 80:].max()
-    assert (of_detail(pixels[:1, :1], DETAIL).values == native.VISIBLE).all()
+    assert (of_detail(pixels[:1, :1]).values == native.VISIBLE).all()
     assert Visibility(visible[:95, :127]).half.values.shape == (48, 64)
 
 
@@ -101,7 +99,7 @@ def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes() -> None:
     """In the mean of mirror images, because chance moves a file by 3 %."""
     ratios = []
     for image in mirrored(PHOTO):
-        visible = replace(of_detail(image, DETAIL), coarse=DETAIL.coarse)
+        visible = replace(of_detail(image), coarse=COARSE)
         both = {tune: encode(image, bpp=0.4, tune=tune) for tune in ("psnr", "visual")}
         errors = {tune: error(visible, decode(e.data, view=View(texture=False)), image) for tune, e in both.items()}
         ratios.append(errors["visual"] / errors["psnr"])

@@ -15,7 +15,7 @@ from itertools import count
 
 import numpy as np
 
-from sgmethod import Budget, codec, decode
+from sgmethod import Budget, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.io.image import read_image_8_bit
@@ -24,6 +24,7 @@ from sgmethod.scene import Gaussians
 from tests.native.harness.golden import GOLDEN, is_golden
 from tests.rd.short import short
 from tests.support.data import EXAMPLES, PHOTOGRAPHS
+from tests.support.profiles import encode_with
 
 WIDTH, HEIGHT = 200, 150
 Action = Callable[[], bytes]
@@ -83,7 +84,7 @@ def refine() -> bytes:
 
 def encode() -> bytes:
     crop = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:56, 40:80])
-    return codec.encode(crop, Budget("bytes", 300), settings=short(40)).data
+    return encode_with(short(40), crop, Budget("bytes", 300)).data
 
 
 SCENARIOS: dict[str, Action] = {

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 import torch
 
-from sgmethod import encode
+from sgmethod import Budget
 from sgmethod.paper import encode as paper
 from sgmethod.paper.adam import EPSILON, Adam
 from tests.support.pictures import photo
+from tests.support.profiles import encode_with
 
 
 @pytest.mark.parametrize(("limit_s", "attempts"), [(0.001, 1), (None, 4)])
@@ -30,7 +31,7 @@ def test_no_further_attempt_starts_after_the_limit(
     monkeypatch.setattr(paper, "run", counted)
     monkeypatch.setattr(paper, "_next_count", lambda tried, *_: 50 + len(tried))  # a new number each time
     settings = paper.PaperSettings(fit_steps=2, tune_steps=2)
-    encode(photo(), psnr=60, settings=settings, time_limit_s=limit_s)
+    encode_with(settings, photo(), Budget("psnr", 60), time_limit_s=limit_s)
     assert len(began) == attempts
 
 

@@ -58,7 +58,7 @@ class Asked:
     @property
     def plan(self) -> Plan:
         """Before anything is placed."""
-        pyramid = pyramid_of(self.problem, self.settings.pyramid, self.rate.expected_gaussians(), self.backend)
+        pyramid = pyramid_of(self.problem, self.rate.expected_gaussians(), self.backend)
         return Plan(self.problem, self.settings, self.rate, self.session, pyramid)
 
     def begun(self) -> tuple[Plan, State]:
@@ -79,8 +79,8 @@ def asked(
     backend: Backend = KERNELS,
 ) -> Asked:
     clock = Clock()
-    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune, settings.objective)
-    rate = rate_of(budget, pixels.shape[1::-1], settings)
+    objective = Objective.from_pixels(np.ascontiguousarray(pixels), tune)
+    rate = rate_of(budget, pixels.shape[1::-1], settings.effort)
     session = Session(deadline or Deadline.from_limit(clock), Recorder(clock))
     return Asked(Problem(objective, rate.is_short(objective, has_alpha=False)), settings, rate, session, backend)
 

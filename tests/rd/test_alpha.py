@@ -22,10 +22,10 @@ from sgmethod.metrics import psnr
 from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import RD
 from tests.definitions.backend import step_by_step
 from tests.rd.short import SlowClock, asked, short
 from tests.support.pictures import photo
+from tests.support.profiles import encode_with
 
 Pixels = NDArray[np.uint8]
 PHOTO = np.ascontiguousarray(photo()[:72, :96])
@@ -34,7 +34,7 @@ SMALLEST = SMALLEST_FILE + SMALLEST_ALPHA
 
 
 def encode(pixels: Pixels, budget: Budget | None = None, **named: Any) -> Encoded:
-    return sgmethod.encode(pixels, budget, settings=SHORT, **named)
+    return encode_with(SHORT, pixels, budget, **named)
 
 
 def disc(soft: bool) -> Pixels:
@@ -189,7 +189,7 @@ def test_only_what_is_clamped_may_overshoot() -> None:
     level[:, 10:20], level[:, 20:] = 128, 255
     grey = np.repeat(level[..., None], 3, 2)
     original = target_of(grey)
-    moving = OvershootingTarget.from_target(original, 0, RD.objective.moving)
+    moving = OvershootingTarget.from_target(original, 0)
     for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
         moving = moving.moved(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
         target = moving.now[0] / TARGET_WHITE

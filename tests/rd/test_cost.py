@@ -17,9 +17,9 @@ from sgmethod.backend.protocol import Descent, Frame, Moments, RefineLimits
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.level import Pyramid
 from sgmethod.metrics import psnr
+from sgmethod.rd.search import MAX_TRIES
 from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import RD
 from tests.definitions.backend import step_by_step
 from tests.rd.short import asked, short
 from tests.support.pictures import photo
@@ -56,7 +56,7 @@ def test_pixels_beyond_what_the_file_shows_cost_nothing() -> None:
     for pixels in (CROP, enlarged(8)):
         backend = Counting()
         stream, _ = asked(pixels, BUDGET, backend=backend).encode()
-        assert 1 <= backend.refinings <= RD.rate.aim_tries + 1
+        assert 1 <= backend.refinings <= MAX_TRIES + 1
         costs.append((backend.fitted, backend.refined))
         found.append(psnr(draw_whole(stream), pixels))
     (fitted, refined), (of_large, refined_of_large) = costs
@@ -70,7 +70,7 @@ def test_the_finest_level_has_the_pixels_that_gaussians_need(tune: Any) -> None:
     plan, _ = asked(enlarged(8), BUDGET, tune).begun()
     expected = plan.rate.expected_gaussians()
     assert 4 * 400 * expected > plan.finest.pixels >= 400 * expected
-    assert plan.settings.fit.optimiser.min_scale_px == 0.75 * plan.finest.frame.spacing
+    assert plan.settings.optimiser.min_scale_px == 0.75 * plan.finest.frame.spacing
     whole, _ = asked(CROP, Budget("bpp", 1), tune).begun()
     assert whole.finest.frame.spacing == 1
 
@@ -80,8 +80,8 @@ def test_a_reduced_level_asks_for_the_gaussians_of_the_whole() -> None:
     y, x = np.mgrid[:512, :512]
     pixels = np.repeat((250 * np.exp(-((x - 255.5) ** 2 + (y - 255.5) ** 2) / 2 / 6**2))[..., None], 3, 2)
     smooth = asked(np.asarray(np.rint(pixels), np.uint8), Budget("bytes", 64))
-    whole, s = whole_of(smooth.problem, smooth.backend), smooth.settings.pyramid
-    level = Pyramid.from_whole(whole, s, smooth.rate.expected_gaussians()).finest  # not the atlas of its one island
+    whole = whole_of(smooth.problem, smooth.backend)
+    level = Pyramid.from_whole(whole, smooth.rate.expected_gaussians()).finest  # not the atlas of its one island
     assert level.frame.spacing >= 4
     peak = level.image()[0].max() * 255 + smooth.problem.background[0]
     assert peak == pytest.approx(250 * np.exp(-(2**2 + 2**2) / 2 / 6**2), abs=2)  # 217 without sharpening

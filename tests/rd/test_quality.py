@@ -15,7 +15,7 @@ from sgmethod.budget import QUALITIES
 from sgmethod.metrics import ssimulacra2
 from sgmethod.rd.aim import Aim, PsnrAim, QualityAim
 from sgmethod.rd.rate_control import ssimulacra2_db
-from sgmethod.settings.rd import RdSettings
+from sgmethod.settings.rd import RD
 
 PHOTO = np.ascontiguousarray(data.astronaut()[40:200, 160:320])
 # In a file of 400 bytes for PHOTO, chance moves a score by two points from one quantum to the next.
@@ -84,9 +84,7 @@ def test_names_stand_for_qualities() -> None:
         ([(0.3, 2.0), (0.2, 3.0)], 0.05, 0.2),
     ],
 )
-@pytest.mark.parametrize(
-    "aim", [QualityAim.from_score(60, (2400, 1800), RdSettings()), PsnrAim.from_psnr(3.98, 1, RdSettings())]
-)
+@pytest.mark.parametrize("aim", [QualityAim.from_score(60, (2400, 1800), RD.effort), PsnrAim.from_psnr(3.98, 1)])
 def test_a_search_goes_on_between_tries_above_and_below(
     aim: Aim, tries: list[tuple[float, float]], finer: float, coarser: float
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,11 @@ from sgmethod import Budget, Encoded, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import SMALLEST_FILE, StreamV2
 from sgmethod.native import native
+from sgmethod.rd.aim import PsnrAim
 from sgmethod.settings.rd import RD, RdSettings
 from tests.rd.short import short
 from tests.support.pictures import ODD, grey, noise, photo
+from tests.support.profiles import encode_with
 
 FloatArray = NDArray[np.float32]
 CROP = photo()[24:72, 40:104] / np.float32(255)  # a parrot's eye, 64 x 48
@@ -27,7 +28,7 @@ SHORTEST = short(40)
 
 
 def encode(pixels: FloatArray, budget: Budget, settings: RdSettings = SHORT, **named: Any) -> Encoded:
-    return sgmethod.encode(pixels, budget, settings=settings, **named)
+    return encode_with(settings, pixels, budget, **named)
 
 
 def quadrants(side: int) -> FloatArray:
@@ -93,12 +94,12 @@ def test_growth_goes_on_in_small_pictures() -> None:
     assert encode(CROP, Budget("bytes", 3000)).stats.psnr > 30
 
 
-def test_a_psnr_out_of_reach_gives_a_good_picture() -> None:
+def test_a_psnr_out_of_reach_gives_a_good_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Noise in 60 steps; with the rounds that a missed PSNR gets, 60 dB are reached."""
     settings = short(60, rounds=(0,))
-    alone = replace(settings, schedule=replace(settings.schedule, rounds_for_psnr=0))
     assert encode(noise(24, 32), Budget("psnr", 60), settings).stats.psnr >= 60
-    encoded = encode(noise(24, 32), Budget("psnr", 60), alone)
+    monkeypatch.setattr(PsnrAim, "further_rounds", 0)
+    encoded = encode(noise(24, 32), Budget("psnr", 60), settings)
     assert_sound(encoded, noise(24, 32))
     assert 15 < encoded.stats.psnr < 60
 

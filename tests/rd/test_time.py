@@ -5,22 +5,26 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-from sgmethod import Budget, codec, decode, encode
+from sgmethod import Budget, codec, decode
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility
-from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting import moving_target
+from sgmethod.fitting.deadline import MIN_ROUND, SEARCH_CODINGS, SEARCH_SHARE, Clock, Deadline
+from sgmethod.rd import plan as plan_module
 from sgmethod.rd.densify import densify, place
 from sgmethod.rd.fit import fit
-from sgmethod.rd.plan import Plan, State, fit_to_steps, sized
+from sgmethod.rd.plan import CROWD_WHEN_SHORT, SPARE_STEPS, Plan, State, fit_to_steps, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 from tests.definitions.backend import step_by_step
 from tests.rd.short import SlowClock, asked, short, stage_of
 from tests.support.pictures import photo
+from tests.support.profiles import encode_with
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 NOISE = np.random.default_rng(0).integers(0, 256, (128, 160, 3), np.uint8)
@@ -34,9 +38,8 @@ def of_effort(effort: int) -> RdSettings:
 @pytest.mark.parametrize("budget", [Budget("bytes", 400), Budget("psnr", 24), Budget("quality", 50)])
 def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(codec, "Clock", SlowClock)
-    moving = replace(RD.objective.moving, every=6)  # at most as many steps between two looks at the clock
-    settings = replace(short(240), objective=replace(RD.objective, moving=moving))
-    limited = partial(encode, CROP, budget, settings=settings)
+    monkeypatch.setattr(moving_target, "EVERY", 6)  # at most as many steps between two looks at the clock
+    limited = partial(encode_with, short(240), CROP, budget)
     encoded = limited(time_limit_s=2.0)
     assert decode(encoded.data).shape == CROP.shape
     assert 40 < encoded.stats.steps < 120
@@ -74,14 +77,14 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed; and a first state."""
     clock = WorkClock()
     spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
-    settings = replace(RD.deadline, search_gradients=(0.0, 0.0, 0.0))
     reserve_s = 1 - Deadline.from_limit(clock, 1.0).left_s()
-    limit_s = (seconds + spent_s) / (1 - RD.deadline.search_share) + reserve_s
-    deadline = Deadline.from_limit(clock, limit_s, settings=settings)
+    limit_s = (seconds + spent_s) / (1 - SEARCH_SHARE) + reserve_s
+    deadline = Deadline.from_limit(clock, limit_s)
     unplanned = asked(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s)).plan
     gaussians = place(unplanned)
     clock.now = 0.0
-    plan = unplanned.in_time(gaussians)
+    with patch.object(plan_module, "SEARCH_GRADIENTS", (0.0, 0.0, 0.0)):
+        plan = unplanned.in_time(gaussians)
     return plan, plan.begin(gaussians)
 
 
@@ -89,7 +92,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     (short_of_time, state), (unhurried, _) = (plan_for(seconds) for seconds in (0.0, math.inf))
     assert unhurried.settings == RD
     assert short_of_time.settings.effort == EFFORTS[1]
-    assert short_of_time.settings.densify.limit == RD.deadline.max_when_short
+    assert short_of_time.settings.crowd == CROWD_WHEN_SHORT
     assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
     stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
     assert short_of_time.level_for(state, stage, 1000).frame == short_of_time.finest.frame
@@ -98,7 +101,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     assert len(added) > len(state.gaussians)
     assert added[:, 0].max() > 80
     assert added[:, 1].max() > 64
-    assert grown.gaussians.factors[:, 0::2].min() >= 8 * RD.fit.optimiser.min_scale_px
+    assert grown.gaussians.factors[:, 0::2].min() >= 8 * RD.optimiser.min_scale_px
 
 
 def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time() -> None:
@@ -138,9 +141,9 @@ def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> 
     assert fit_to_steps(five, pixels, all_steps - 1) == filled(three, all_steps)
     assert fit_to_steps(five, pixels, three.effort.steps - 1) == filled(two, all_steps)
     fewer = two.effort.steps - 1
-    assert fit_to_steps(five, pixels, fewer) == filled(one, min(round(RD.deadline.spare_steps * fewer), all_steps))
+    assert fit_to_steps(five, pixels, fewer) == filled(one, min(round(SPARE_STEPS * fewer), all_steps))
     assert fit_to_steps(two, pixels, three.effort.steps) == two
-    with_few = replace(one, densify=replace(one.densify, limit=RD.deadline.max_when_short))
+    with_few = replace(one, crowd=CROWD_WHEN_SHORT)
     fewest = one.effort.steps // 4
     assert [fit_to_steps(fit, pixels, fewest) for fit in (five, one)] == [with_few, with_few]
 
@@ -150,7 +153,7 @@ def test_a_time_limit_leaves_the_search_its_part() -> None:
     clock = WorkClock()
     deadline = Deadline.from_limit(clock, 10.0)
     whole_s = deadline.left_s()
-    assert deadline.left_to_fit_s() == pytest.approx((1 - RD.deadline.search_share) * whole_s)
+    assert deadline.left_to_fit_s() == pytest.approx((1 - SEARCH_SHARE) * whole_s)
     assert replace(deadline, drawings_s=4.0).left_to_fit_s() == pytest.approx(whole_s - 4)
 
     def code() -> str:
@@ -159,7 +162,7 @@ def test_a_time_limit_leaves_the_search_its_part() -> None:
 
     assert deadline.coded(code) == "coded"
     clock.now = 0.0
-    assert deadline.left_to_fit_s() == pytest.approx(whole_s - 0.25 * RD.deadline.search_codings)
+    assert deadline.left_to_fit_s() == pytest.approx(whole_s - 0.25 * SEARCH_CODINGS)
 
 
 def test_a_round_is_as_long_as_there_is_time_for() -> None:
@@ -172,7 +175,7 @@ def test_a_round_is_as_long_as_there_is_time_for() -> None:
             clock.now += 0.06
     assert lengths[0] == 100
     assert len(lengths) == 2  # the third would have less than the least part of its steps
-    assert RD.deadline.min_round * 80 <= lengths[1] < 80
+    assert MIN_ROUND * 80 <= lengths[1] < 80
 
 
 def test_large_pictures_are_spared_steps() -> None:

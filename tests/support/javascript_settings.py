@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 from sgmethod.backend.protocol import GRID_REACH
+from sgmethod.fitting import moving_target
 from sgmethod.native import native
 from sgmethod.previews import preview, reducing, still
-from sgmethod.settings.rd import RD
+from sgmethod.rd import byte_limit, densify, plan, rate_control, search
+from sgmethod.rd.fit import RATE_WEIGHT
+from sgmethod.settings.rd import NEWTON_ADAM, RD
 from tests.support.data import JAVASCRIPT
 
 WRITTEN = JAVASCRIPT / "encoder" / "settings.js"
-TIMES, ADAM, MOVING = RD.effort.times, RD.fit.optimiser, RD.objective.moving
+TIMES, ADAM = RD.effort.times, NEWTON_ADAM
 CONSTANTS: dict[str, float | tuple[int, ...]] = {
     # fitting.js
-    "SPARSE": RD.schedule.sparse,
-    "DENSE": RD.schedule.dense,
-    "RATE_WEIGHT": RD.fit.rate_weight,
-    "BITS_PER_GAUSSIAN": RD.rate.bits_per_gaussian,
+    "SPARSE": plan.SPARSE,
+    "DENSE": plan.DENSE,
+    "RATE_WEIGHT": RATE_WEIGHT,
+    "BITS_PER_GAUSSIAN": byte_limit.BITS_PER_GAUSSIAN,
     "STEERING_FROM": TIMES.steering_from,
-    "STEERING_LIMIT": RD.rate.steering_limit,
-    "STEERING_EXPONENT": RD.rate.steering_exponent,
+    "STEERING_LIMIT": rate_control.STEERING_LIMIT,
+    "STEERING_EXPONENT": rate_control.STEERING_EXPONENT,
     "EXCESS": TIMES.excess,
     "EXCESS_FROM": TIMES.excess_from,
     "EXCESS_UNTIL": TIMES.excess_until,
     "FINER_EARLY": TIMES.finer_early,
-    "BITS_OF_NEW": RD.densify.bits_of_new,
-    "MIN_GROWN": RD.densify.fewest,
-    "WORTHLESS_BITS": RD.prune.worthless_bits,
+    "BITS_OF_NEW": densify.BITS_OF_NEW,
+    "MIN_GROWN": densify.FEWEST,
+    "WORTHLESS_BITS": densify.WORTHLESS_BITS,
     "RATE": ADAM.mean_rate,
     "LAST_RATE": ADAM.final_rate,
     "BETA1": ADAM.beta1,
@@ -33,15 +36,15 @@ CONSTANTS: dict[str, float | tuple[int, ...]] = {
     "NEWTON_STEPS": ADAM.newton_steps,
     "FAINT": round(native.FAINT**0.5, 6),
     "REACH": GRID_REACH,
-    "REFINE_WEIGHT": RD.refine.weight,
-    "MIN_USED": RD.rate.min_used,
-    "QUANTUM_PER_SIZE": RD.rate.quantum_per_size,
+    "REFINE_WEIGHT": search.WEIGHT,
+    "MIN_USED": byte_limit.MIN_USED,
+    "QUANTUM_PER_SIZE": byte_limit.QUANTUM_PER_SIZE,
     # targets.js
-    "OVERSHOOT": MOVING.overshoot,
-    "MARGIN": MOVING.margin,
-    "OF_SLOPE": MOVING.of_slope,
+    "OVERSHOOT": moving_target.OVERSHOOT,
+    "MARGIN": moving_target.MARGIN,
+    "OF_SLOPE": moving_target.OF_SLOPE,
     # encoder.js
-    "COARSER_ALPHA": RD.alpha.coarser,
+    "COARSER_ALPHA": rate_control.COARSER_ALPHA,
     "PIXELS_PER_BYTE": preview.PIXELS_PER_BYTE,
     "SOFT_PX": preview.SOFT_PX,
     "SOFT_BYTES": preview.SOFT_BYTES,
