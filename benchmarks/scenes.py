@@ -47,7 +47,7 @@ TEXT = ("Structure-guided", "allocation of 2D", "Gaussians: more of", "them wher
 # Each saving, and the constants that refuse it.
 BY_CONSTANTS: dict[str, dict[str, float]] = {
     "reduced pictures while Gaussians are few": {"fitting.level.CONTRAST_KEPT": np.inf},
-    "fewer steps for sparse Gaussians": {"rd.plan.SPARSE": -2.0, "rd.plan.DENSE": -1.0},
+    "fewer steps for sparse Gaussians": {"rd.schedule.SPARSE": -2.0, "rd.schedule.DENSE": -1.0},
     "no growth at a price that found nothing": {"rd.densify.SATURATED": 0.0},
     "Gaussians dropped that are not worth their bits": {
         "rd.densify.WORTHLESS_BITS": 0.0,

@@ -16,7 +16,7 @@ The packages and modules, in the order of the pipeline; each imports only from t
     machine     the cores and the memory that this process may use
     numerics    arithmetic that ignores floating-point errors
     scene       the set of Gaussians
-    settings/   every number of the method
+    settings/   what efforts, previews and experiments choose
     profiles    names of profiles, tunings and efforts
     native/     compiled kernels: drawing, gradients, entropy coding
     backend/    the protocol through which the encoder draws, differentiates and refines

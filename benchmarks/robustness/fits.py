@@ -84,8 +84,8 @@ def starts(profile: str) -> dict[str, Patch]:
     place = getattr(module, name)
 
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
-        def placed(*arguments: Any) -> Gaussians:
-            gaussians: Gaussians = place(*arguments).copy()
+        def placed(*arguments: Any, **named: Any) -> Gaussians:
+            gaussians: Gaussians = place(*arguments, **named).copy()
             spoil(gaussians)
             return gaussians
 

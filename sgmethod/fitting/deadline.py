@@ -132,12 +132,12 @@ class Deadline:
                     break
                 length = in_time
             began_s = self.clock.seconds()
-            yield Pace(self.clock, length, partial(self._run_until_s, min_until_s if number == 0 else 0.0))
+            yield Pace(self, length, partial(self._run_until_s, min_until_s if number == 0 else 0.0))
             step_s = (self.clock.seconds() - began_s) / length
 
     def pace(self, steps: int) -> Pace:
         """A pace for one run of this many steps."""
-        return Pace(self.clock, steps, lambda: self.end_s)
+        return Pace(self, steps, lambda: self.end_s)
 
     def _run_until_s(self, least_s: float) -> float:
         return max(self._fit_until_s(), least_s)
@@ -156,9 +156,10 @@ def cosine(final_rate: float, progress: float) -> float:
 class Pace:
     """Progress through a run, 0 to 1, by steps or by time, whichever is further: a limit shortens the schedule."""
 
-    def __init__(self, clock: Clock, steps: int, until_s: Callable[[], float]) -> None:
-        self._clock, self._until_s = clock, until_s
-        self._began_s = clock.seconds()
+    def __init__(self, deadline: Deadline, steps: int, until_s: Callable[[], float]) -> None:
+        self._clock, self._until_s = deadline.clock, until_s
+        self._began_s = self._clock.seconds()
+        self.grown = deadline.grown  # all that a fit, which knows no clock, tells it
         self.length, self.done, self.progress = steps, 0, 0.0
 
     def until(self, end: float) -> Iterator[float]:

@@ -35,6 +35,7 @@ QUANTUM_TRIES = 8  # sizes, once the first quantum lies between two
 OCTAVES = 64  # more than there are quanta
 LONG_FILE, ITS_ALPHA = 20, 12  # bytes that certainly hold a header that is not short, and what alpha adds
 BITS_PER_GAUSSIAN = 30.0  # first guess
+CROWD, CROWD_WHEN_SHORT = 5.0, 1.3  # ByteLimit.crowd, and if time is too short for the lowest effort
 MAX_BYTES = 12  # that a pixel can use, with one Gaussian for each pixel
 MAX_BYTES_OF_ALPHA = 0.6  # of a budget
 MIN_USED = 0.985  # of the allowed bytes; if refining uses less, a finer quantum is tried
@@ -44,9 +45,14 @@ OVERSHOOT_RATIO = 1.1  # of the allowed bytes; a larger fit was cut short: fewer
 
 @dataclass(frozen=True)
 class ByteLimit(RateControl):
-    """Rate control for a file of at most max_bytes whose quantum is fixed."""
+    """Rate control for a file of at most max_bytes whose quantum is fixed.
+
+    crowd: most Gaussians, in multiples of the expected number.
+    """
 
     weighs_size = False
+
+    crowd: float = CROWD
 
     def expected_gaussians(self) -> int:
         """The quantum's number, if there are bytes for it."""
@@ -55,9 +61,12 @@ class ByteLimit(RateControl):
     def _gaussians_by_size(self) -> int:
         return int(8 * self.max_bytes / BITS_PER_GAUSSIAN)
 
-    def allowed_gaussians(self, times: Times, at: float, crowd: float) -> int:
+    def allowed_gaussians(self, times: Times, at: float) -> int:
         """Several times the expected number: some take few bits."""
-        return min(super().allowed_gaussians(times, at, crowd), int(crowd * self.expected_gaussians()))
+        return min(super().allowed_gaussians(times, at), int(self.crowd * self.expected_gaussians()))
+
+    def with_fewer(self) -> ByteLimit:
+        return replace(self, crowd=CROWD_WHEN_SHORT)
 
 
 @dataclass(frozen=True)

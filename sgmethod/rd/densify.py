@@ -11,7 +11,9 @@ from sgmethod.backend.protocol import TILE_HEIGHT, release_memory
 from sgmethod.fitting.level import PIXELS_WHILE_FEW, Level
 from sgmethod.fitting.matching_pursuit import candidates
 from sgmethod.rd.fit import RATE_WEIGHT
-from sgmethod.rd.plan import MANY_VALUES, Plan, Stage, State
+from sgmethod.rd.levels import MANY_VALUES, Levels
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.state import Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
 
@@ -29,49 +31,49 @@ WORTHLESS_BITS = 4.3
 BITS_OF_DROPPED = 21.0  # from the last growth on
 
 
-def place(plan: Plan) -> Gaussians:
+def place(levels: Levels, rate: RateControl, *, is_short: bool = False) -> Gaussians:
     """Place a part of the expected Gaussians, where they gain most.
 
     As they are few, a small picture shows enough; if time is short, a smaller one has to do. On an empty picture, wide
     gains hide most places, so a search finds a few Gaussians at a time.
     """
-    share = max(int(plan.rate.expected_gaussians() * SHARE_PLACED), FEWEST)
-    n = min(share, plan.allowed_gaussians(plan.settings.effort.times, 1.0))
-    level = plan.pyramid.coarsest(PIXELS_WHILE_FEW * (n // 4 if plan.session.deadline.is_short() else n))
+    share = max(int(levels.gaussians * SHARE_PLACED), FEWEST)
+    n = min(share, rate.allowed_gaussians(levels.effort.times, 1.0))
+    level = levels.pyramid.coarsest(PIXELS_WHILE_FEW * (n // 4 if is_short else n))
     placed = Gaussians.empty(0)
     for _ in range(SEARCHES):
-        new = _found(plan, placed, level, n - len(placed), 0.0)
+        new = _found(levels, placed, level, n - len(placed), 0.0)
         placed = placed.with_more(new)
         if len(placed) >= n or len(new) == 0:
             break
     return placed
 
 
-def prune(plan: Plan, state: State, stage: Stage) -> State:
+def prune(levels: Levels, rate: RateControl, state: State, stage: Stage) -> State:
     """Drop Gaussians whose energy is not worth their bits, and the faintest of those beyond the budget's limit."""
     bits = BITS_OF_DROPPED if stage.at >= stage.times.growth_at[-1] else WORTHLESS_BITS
-    return strongest(plan, state, bits, plan.allowed_gaussians(stage.times, stage.at))
+    return strongest(levels, rate, state, bits, rate.allowed_gaussians(stage.times, stage.at))
 
 
-def prune_to_limit(plan: Plan, state: State, times: Times) -> State:
+def prune_to_limit(levels: Levels, rate: RateControl, state: State, times: Times) -> State:
     """Drop Gaussians beyond the budget's limit at the end of a run: a time limit may have skipped pruning."""
-    return strongest(plan, state, WORTHLESS_BITS, plan.allowed_gaussians(times, 1.0))
+    return strongest(levels, rate, state, WORTHLESS_BITS, rate.allowed_gaussians(times, 1.0))
 
 
-def strongest(plan: Plan, state: State, bits: float, limit: int) -> State:
+def strongest(levels: Levels, rate: RateControl, state: State, bits: float, limit: int) -> State:
     """Keep at most `limit` Gaussians, each with an energy that is worth more than this many bits."""
-    energies = plan.problem.objective.energies(state.gaussians)
+    energies = levels.problem.objective.energies(state.gaussians)
     if len(energies) > limit:
         energies[np.argsort(energies, kind="stable")[: len(energies) - limit]] = 0
     keep = np.flatnonzero(energies > bits * state.bit_price)
     if len(keep) == len(energies):
         return state
     kept = state.rows(keep)
-    psnr = partial(plan.psnr, kept.gaussians, kept.quantum)
-    return kept if plan.rate.allows(psnr) else state
+    psnr = partial(levels.psnr, kept.gaussians, kept.quantum)
+    return kept if rate.allows(psnr) else state
 
 
-def densify(plan: Plan, state: State, stage: Stage) -> State:
+def densify(levels: Levels, rate: RateControl, state: State, stage: Stage) -> State:
     """Add Gaussians that gain more than their bits are worth.
 
     They are searched for on a level of the pyramid that is fine enough for all Gaussians together.
@@ -81,34 +83,35 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     if not stage.grows or (price >= state.saturated_price and not is_first):
         return state  # nothing was worth this price, and the error has not grown since
     n = len(state.gaussians)
-    at_once = max(int(GROWTH * n), plan.rate.expected_gaussians() // len(stage.times.growth_at), FEWEST)
-    limit = min(at_once, plan.allowed_gaussians(stage.times, stage.at) - n)
-    level = plan.level_for(state, stage, n + limit)
+    at_once = max(int(GROWTH * n), levels.gaussians // len(stage.times.growth_at), FEWEST)
+    limit = min(at_once, rate.allowed_gaussians(stage.times, stage.at) - n)
+    level = levels.level_for(state, stage, n + limit)
     min_gain = price * BITS_OF_NEW / level.frame.spacing**2
     if level.values > MANY_VALUES:
         release_memory()  # of the steps
-    new = _found(plan, state.gaussians, level, limit, min_gain)
+    new = _found(levels, state.gaussians, level, limit, min_gain)
     saturated = price if len(new) < min(limit, SATURATED * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
     if level.values > MANY_VALUES:
         release_memory()
     gaussians = state.gaussians.with_more(new)
-    plan.session.deadline.grown(len(gaussians) / max(n, 1))
+    stage.pace.grown(len(gaussians) / max(n, 1))
     size = state.size * len(gaussians) // max(n, 1)
     moments = state.moments.with_more(len(new))
     grown = replace(state, gaussians=gaussians, moments=moments, size=size, saturated_price=saturated)
     x, y = gaussians.means.T
-    bands = np.floor(y / TILE_HEIGHT) * 2 * plan.problem.size[0] + x  # Gaussians of a tile then lie together in memory
+    width = levels.problem.size[0]
+    bands = np.floor(y / TILE_HEIGHT) * 2 * width + x  # Gaussians of a tile then lie together in memory
     return grown.rows(np.argsort(bands, kind="stable"))
 
 
-def _found(plan: Plan, others: Gaussians, level: Level, limit: int, min_gain: float) -> Gaussians:
+def _found(levels: Levels, others: Gaussians, level: Level, limit: int, min_gain: float) -> Gaussians:
     """Find round Gaussians that gain most on what others leave of a level.
 
     Their colours are solved together: neighbours overlap, and would overshoot.
     """
-    suppression_levels = plan.problem.objective.suppression_levels(plan.settings.effort)
+    suppression_levels = levels.problem.objective.suppression_levels(levels.effort)
     size = level.frame.height, level.frame.width
     means, factors = candidates(level.residual(others), size, limit, min_gain, suppression_levels)
     if len(means) == 0:

@@ -138,9 +138,13 @@ class RateControl:
         """First guess of the number of Gaussians."""
         return max(min(int(GAUSSIANS_PER_PIXEL * self.pixels / self.quantum), self.pixels // MIN_PIXELS), 1)
 
-    def allowed_gaussians(self, times: Times, at: float, crowd: float) -> int:
-        """Limit on the number of Gaussians, with a surplus early. crowd: see RdSettings."""
+    def allowed_gaussians(self, times: Times, at: float) -> int:
+        """Limit on the number of Gaussians, with a surplus early."""
         return min(self.pixels, MAX_GAUSSIANS, int(self.max_gaussians * excess(times, at)))
+
+    def with_fewer(self) -> RateControl:
+        """Return the same with fewer Gaussians, if it decides how many, for time too short for the lowest effort."""
+        return self
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Return the quantum from `at` on, given the one before.

@@ -100,15 +100,11 @@ DEFAULT_EFFORT = 5
 
 @dataclass(frozen=True)
 class RdSettings:
-    """The settings of profile rd.
-
-    crowd: most Gaussians under a budget of bytes, in multiples of the expected number.
-    """
+    """The settings of profile rd."""
 
     profile: ClassVar[str] = "rd"
     effort: Effort = EFFORTS[DEFAULT_EFFORT]
     optimiser: OptimiserSettings = NEWTON_ADAM
-    crowd: float = 5.0
 
 
 RD = RdSettings()

@@ -17,14 +17,15 @@ from sgmethod.backend.protocol import Backend
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Pyramid
 from sgmethod.fitting.objective import Objective
-from sgmethod.fitting.recorder import Recorder
 from sgmethod.numerics import quiet
 from sgmethod.rd.densify import place, prune_to_limit
 from sgmethod.rd.encode import run
-from sgmethod.rd.plan import Plan, Stage, State, first_run
-from sgmethod.rd.problem import Problem, Session
+from sgmethod.rd.levels import Levels
+from sgmethod.rd.problem import Problem
 from sgmethod.rd.rate_control import GAUSSIANS_PER_PIXEL, GAUSSIANS_QUANTUM, GaussianCount, surplus
+from sgmethod.rd.schedule import first_run
 from sgmethod.rd.sparse import whole_of
+from sgmethod.rd.state import Stage, State
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.rd import RD
 from sgmethod.torch.schedule import EXACT, exact_schedule
@@ -39,17 +40,6 @@ class Exact:
     gaussians: Gaussians
     background: tuple[int, int, int]
     error: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Shares(Recorder):
-    """Recorder that passes on the share of the steps taken, and measures nothing."""
-
-    total: int
-    on_step: OnStep
-
-    def report(self, _phase: str, step: int, *_figures: object) -> None:
-        self.on_step(step / self.total)
 
 
 @dataclass(frozen=True)
@@ -67,38 +57,53 @@ class ExactFit:
     def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
         rate = GaussianCount(pixels[..., 0].size, self.quantum, max_gaussians=self.gaussians)
-        steps = self.steps or round(EXACT.share_of_steps * first_run(RD, rate))
+        steps = self.steps or round(EXACT.share_of_steps * first_run(RD.effort, rate))
         settings = exact_schedule(steps)
         problem = Problem(Objective.from_pixels(pixels, "psnr"))
-        session = Session(Deadline.from_limit(clock), _Shares(clock, total=steps, on_step=on_step))
         whole = whole_of(problem, backend)
-        pyramid = Pyramid.from_whole(whole, rate.expected_gaussians())
-        plan = Plan(problem, settings, rate, session, pyramid).within_pixels()
-        state = run(plan, plan.begin(place(plan)), session.deadline.pace(steps), settings.effort.times, self._steered)
-        found = _complete(plan, state, self.gaussians).gaussians
+        pyramid = Pyramid.from_whole(whole, self.gaussians)
+        levels = Levels(problem, pyramid, self.gaussians, settings.effort, settings.optimiser)
+        state = levels.begin(place(levels, rate), self.quantum)
+        guide = _Guide(levels, rate, lambda taken: on_step(taken / steps))
+        state = run(levels, rate, guide, state, Deadline.from_limit(clock).pace(steps), settings.effort.times)
+        found = guide.complete(state).gaussians
         found = found.rows(np.argsort(-found.factors[:, 0] * found.factors[:, 2], kind="stable"))
         return Exact(found, problem.background, backend.error(found, whole.frame, whole.target))
 
-    def _steered(self, plan: Plan, state: State, stage: Stage) -> State:
+
+@dataclass(frozen=True)
+class _Guide:
+    """The guide of a fit without a file. on_steps: called with the number of steps taken."""
+
+    levels: Levels
+    rate: GaussianCount
+    on_steps: Callable[[int], None]
+
+    def steer(self, state: State, stage: Stage) -> State:
         """Set the quantum that prices bits while Gaussians come and go; from the last trim on, exactly N stay."""
-        times = stage.times
+        times, n, free = stage.times, self.rate.max_gaussians, self.rate.quantum
         if stage.at == times.trim_at[-1]:
-            return _complete(plan, replace(state, quantum=self.quantum), self.gaussians)
-        dense = EXACT.price * GAUSSIANS_PER_PIXEL * plan.problem.pixels.size / 3 / self.gaussians
-        chosen = min(dense, GAUSSIANS_QUANTUM)
-        return replace(state, quantum=max(chosen / float(times.finer_early ** surplus(times, stage.at)), self.quantum))
+            return self.complete(replace(state, quantum=free))
+        chosen = min(EXACT.price * GAUSSIANS_PER_PIXEL * self.levels.problem.pixels.size / 3 / n, GAUSSIANS_QUANTUM)
+        return replace(state, quantum=max(chosen / float(times.finer_early ** surplus(times, stage.at)), free))
 
+    def report(self, state: State) -> None:
+        """Pass on the steps taken."""
+        self.on_steps(state.steps)
 
-def _complete(plan: Plan, state: State, n: int) -> State:
-    """Return the state with exactly n Gaussians. Those still missing are placed at random where most error is left."""
-    state = prune_to_limit(plan, state, plan.settings.effort.times)
-    more, level, lot = n - len(state.gaussians), plan.finest, np.random.default_rng(0)
-    if more == 0:
-        return state
-    error = np.square(level.missing(state.gaussians)(0, level.frame.height), dtype=np.float64).sum(0).ravel() + 1e-12
-    places = np.stack(np.divmod(lot.choice(error.size, more, p=error / error.sum()), level.frame.width)[::-1], 1)
-    means = ((places + lot.random((more, 2))) * level.frame.spacing).astype(np.float32)
-    radius = max(math.sqrt(level.pixels / (math.pi * n)) * level.frame.spacing, plan.settings.optimiser.min_scale_px)
-    factors = np.tile(np.array([radius, 0, radius], np.float32), (more, 1))
-    new = Gaussians(means, factors, np.zeros((more, 3), np.float32))
-    return replace(state, gaussians=state.gaussians.with_more(new), moments=state.moments.with_more(more))
+    def complete(self, state: State) -> State:
+        """Return the state with exactly N Gaussians. More are placed at random where most error is left."""
+        n, level, lot = self.rate.max_gaussians, self.levels.finest, np.random.default_rng(0)
+        state = prune_to_limit(self.levels, self.rate, state, self.levels.effort.times)
+        more = n - len(state.gaussians)
+        if more == 0:
+            return state
+        missing = level.missing(state.gaussians)(0, level.frame.height)
+        error = np.square(missing, dtype=np.float64).sum(0).ravel() + 1e-12
+        places = np.stack(np.divmod(lot.choice(error.size, more, p=error / error.sum()), level.frame.width)[::-1], 1)
+        means = ((places + lot.random((more, 2))) * level.frame.spacing).astype(np.float32)
+        radius = math.sqrt(level.pixels / (math.pi * n)) * level.frame.spacing
+        radius = max(radius, self.levels.optimiser.min_scale_px)
+        factors = np.tile(np.array([radius, 0, radius], np.float32), (more, 1))
+        new = Gaussians(means, factors, np.zeros((more, 3), np.float32))
+        return replace(state, gaussians=state.gaussians.with_more(new), moments=state.moments.with_more(more))

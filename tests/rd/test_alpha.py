@@ -21,6 +21,7 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.rd import alpha
 from sgmethod.rd.alpha import inpainted
+from sgmethod.rd.search import refining_target
 from sgmethod.scene import Gaussians
 from tests.definitions.backend import step_by_step
 from tests.rd.short import SlowClock, asked, short
@@ -206,7 +207,7 @@ def test_hidden_errors_do_not_move_the_target_of_refining(is_opaque: bool) -> No
     shown = np.repeat(np.where(is_opaque | (np.arange(96) < 48), 255, 0)[None], 72, axis=0).astype(np.uint8)
     given = asked(PHOTO, Budget("gaussians", 40), "fidelity", settings=SHORT)
     objective = given.problem.objective if is_opaque else given.problem.objective.under(PHOTO, shown)
-    plan, state = replace(given, problem=replace(given.problem, objective=objective)).begun()
-    moved = (plan.refining_target(state) != state.target.now).mean(axis=(0, 1))  # by column
+    begun = replace(given, problem=replace(given.problem, objective=objective)).begun()
+    moved = (refining_target(begun.levels, begun.state) != begun.state.target.now).mean(axis=(0, 1))  # by column
     assert moved[:48].min() > 0.5
     assert moved[56:].min() > 0.5 if is_opaque else not moved[56:].any()  # squares of 4, and as much of their enlarging

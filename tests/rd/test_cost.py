@@ -67,11 +67,11 @@ def test_pixels_beyond_what_the_file_shows_cost_nothing() -> None:
 
 @pytest.mark.parametrize("tune", ["psnr", "visual"])
 def test_the_finest_level_has_the_pixels_that_gaussians_need(tune: Any) -> None:
-    plan, _ = asked(enlarged(8), BUDGET, tune).begun()
-    expected = plan.rate.expected_gaussians()
-    assert 4 * 400 * expected > plan.finest.pixels >= 400 * expected
-    assert plan.settings.optimiser.min_scale_px == 0.75 * plan.finest.frame.spacing
-    whole, _ = asked(CROP, Budget("bpp", 1), tune).begun()
+    levels = asked(enlarged(8), BUDGET, tune).begun().levels
+    expected = levels.gaussians
+    assert 4 * 400 * expected > levels.finest.pixels >= 400 * expected
+    assert levels.optimiser.min_scale_px == 0.75 * levels.finest.frame.spacing
+    whole = asked(CROP, Budget("bpp", 1), tune).begun().levels
     assert whole.finest.frame.spacing == 1
 
 

@@ -12,15 +12,13 @@ import pytest
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.metrics import ssimulacra2
-from sgmethod.rd.densify import densify, prune
-from sgmethod.rd.fit import fit
-from sgmethod.rd.plan import Plan, State, stages
+from sgmethod.rd.densify import prune
 from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.search import relaxed, search
-from sgmethod.rd.steer import steer
+from sgmethod.rd.search import relaxed
+from sgmethod.rd.state import stages
 from sgmethod.settings.rd import DEFAULT_EFFORT
 from sgmethod.settings.shared import Tune
-from tests.rd.short import SlowClock, asked
+from tests.rd.short import Begun, SlowClock, asked
 from tests.support.pictures import CROPS, mirrored, photo
 
 CROP = np.ascontiguousarray(photo()[24:64, 40:88])  # a parrot's eye, 48 x 40
@@ -30,15 +28,16 @@ LONG = Budget("psnr", 60)  # out of reach at first: rounds for it take seconds
 
 
 @cache
-def fitted(budget: Budget, tune: Tune) -> tuple[Plan, State]:
+def fitted(budget: Budget, tune: Tune) -> Begun:
     """Gaussians as an encode of the default effort has them before they are rounded."""
-    plan, state = asked(CROP, budget, tune).begun()
-    for number, pace in enumerate(plan.session.deadline.runs(plan.lengths)):
-        for stage in stages(pace, plan.times(number)):
+    begun = asked(CROP, budget, tune).begun()
+    for _, pace, times in begun.schedule.runs():
+        for stage in stages(pace, times):
             if stage.is_due:
-                state = densify(plan, steer(plan, prune(plan, state, stage), stage), stage)
-            state = fit(plan, state, stage)
-    return plan, state
+                pruned = replace(begun, state=prune(begun.levels, begun.rate, begun.state, stage))
+                begun = pruned.steered(stage).grown(stage)
+            begun = begun.fitted(stage)
+    return begun
 
 
 @cache
@@ -80,24 +79,25 @@ def test_most_effort_gains() -> None:
 @pytest.mark.parametrize("tune", ["psnr", "visual"])
 def test_gaussians_that_are_held_stay(tune: Tune) -> None:
     """The others take over what rounding has left."""
-    plan, state = fitted(Budget("bytes", 600), tune)
-    stream = plan.problem.stream(state.gaussians, state.quantum)
+    begun = fitted(Budget("bytes", 600), tune)
+    levels, state = begun.levels, begun.state
+    stream = levels.problem.stream(state.gaussians, state.quantum)
     rounded = stream.gaussians()
     held = np.arange(len(rounded)) % 2 == 0
-    moved = relaxed(plan, stream, state.target.now, held, [0.15] * 20)
+    moved = relaxed(levels, stream, state.target.now, held, [0.15] * 20)
     for before, after in zip(rounded.arrays, moved.arrays, strict=True):
         assert (before[held] == after[held]).all()
         assert (before[~held] != after[~held]).any(1).mean() > 0.9
-    level = replace(plan.finest, target=state.target.now)
+    level = replace(levels.finest, target=state.target.now)
     assert level.gradients(moved)[0] < 0.97 * level.gradients(rounded)[0]
 
 
 @pytest.mark.parametrize("budget", [Budget("bytes", 600), Budget("gaussians", 80)])
 def test_relaxing_makes_a_better_file(budget: Budget) -> None:
-    plan, state = fitted(budget, "psnr")
-    refined, again, once_more = (search(plan, state, rounds) for rounds in (1, 9, 9))
+    begun = fitted(budget, "psnr")
+    refined, again, once_more = (begun.found(rounds) for rounds in (1, 9, 9))
     assert again.stream == once_more.stream
-    price = 8 * error_per_bit(plan.rate.quantum)
+    price = 8 * error_per_bit(begun.rate.quantum)
     assert again.error + price * again.size < refined.error + price * refined.size
     assert again.psnr > refined.psnr + 0.02
     assert budget.kind != "bytes" or len(container.serialise(again.stream)) <= 600
@@ -108,8 +108,8 @@ def test_relaxing_makes_smaller_files_of_a_psnr() -> None:
     """On average: a single target may have nothing that reaches it with less (0 to 5 %, as processors round)."""
     before, after = 0, 0
     for aim in (*np.arange(23, 36.5, 0.5), 60):
-        plan, state = fitted(Budget("psnr", aim), "psnr")
-        refined, again = (search(plan, state, rounds) for rounds in (1, 9))
+        begun = fitted(Budget("psnr", aim), "psnr")
+        refined, again = (begun.found(rounds) for rounds in (1, 9))
         assert again.size <= refined.size
         assert again.psnr >= aim
         if aim != 60:  # each Gaussian is worth decibels there: none can go

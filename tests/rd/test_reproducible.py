@@ -28,7 +28,7 @@ FIT = """
 import sys
 from sgmethod.budget import Budget
 from tests.rd.test_effort import fitted
-for array in fitted(Budget("bytes", 600), "visual")[1].gaussians.arrays:
+for array in fitted(Budget("bytes", 600), "visual").state.gaussians.arrays:
     sys.stdout.buffer.write(array.tobytes())
 """
 

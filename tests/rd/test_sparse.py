@@ -65,7 +65,7 @@ def test_a_dot_does_not_vanish(options: Any) -> None:
 def test_errors_are_those_of_the_whole_picture() -> None:
     pixels = dots(5)
     sparse = asked(pixels, Budget("bytes", 300))
-    level, whole = sparse.plan.finest, whole_of(sparse.problem, sparse.backend)
+    level, whole = sparse.levels.finest, whole_of(sparse.problem, sparse.backend)
     assert level.pixels < whole.pixels
     places = np.argwhere(pixels[..., 0] == 255)[:, ::-1].astype(np.float32) + 0.5
     gaussians = Gaussians(places, np.tile(np.float32([0.6, 0, 0.6]), (5, 1)), np.full((5, 3), 0.3, np.float32))
@@ -97,4 +97,4 @@ def test_a_plain_picture_has_none() -> None:
 
 def test_a_photograph_is_fitted_whole() -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
-    assert asked(pixels, Budget("bytes", 300)).plan.finest.islands is None
+    assert asked(pixels, Budget("bytes", 300)).levels.finest.islands is None

@@ -1,4 +1,4 @@
-"""Time: a limit shortens the schedule, and the plan is made for what is left."""
+"""Time: a limit shortens the schedule, which is made for what is left."""
 
 from __future__ import annotations
 
@@ -15,24 +15,20 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame, Target, Visibility
 from sgmethod.fitting import moving_target
 from sgmethod.fitting.deadline import MIN_ROUND, SEARCH_CODINGS, SEARCH_SHARE, Clock, Deadline
-from sgmethod.rd import plan as plan_module
-from sgmethod.rd.densify import densify, place
-from sgmethod.rd.fit import fit
-from sgmethod.rd.plan import CROWD_WHEN_SHORT, SPARE_STEPS, Plan, State, fit_to_steps, sized
+from sgmethod.rd import schedule
+from sgmethod.rd.byte_limit import CROWD, CROWD_WHEN_SHORT
+from sgmethod.rd.densify import place
+from sgmethod.rd.schedule import SPARE_STEPS, fit_to_steps, planned, sized
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import EFFORTS, RD, RdSettings
+from sgmethod.settings.rd import EFFORTS, RD, Effort
 from tests.definitions.backend import step_by_step
-from tests.rd.short import SlowClock, asked, short, stage_of
+from tests.rd.short import Begun, SlowClock, asked, short
 from tests.support.pictures import photo
 from tests.support.profiles import encode_with
 
 CROP = np.ascontiguousarray(photo()[24:72, 40:104])
 NOISE = np.random.default_rng(0).integers(0, 256, (128, 160, 3), np.uint8)
 PIXEL_S = 1e-6
-
-
-def of_effort(effort: int) -> RdSettings:
-    return replace(RD, effort=EFFORTS[effort])
 
 
 @pytest.mark.parametrize("budget", [Budget("bytes", 400), Budget("psnr", 24), Budget("quality", 50)])
@@ -73,30 +69,31 @@ class Timed(Kernels):
         return super().gradients(gaussians, frame, target, visibility)
 
 
-def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
-    """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed; and a first state."""
+def begun_for(seconds: float, any_s: float = 0.0) -> Begun:
+    """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed."""
     clock = WorkClock()
     spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
     reserve_s = 1 - Deadline.from_limit(clock, 1.0).left_s()
     limit_s = (seconds + spent_s) / (1 - SEARCH_SHARE) + reserve_s
     deadline = Deadline.from_limit(clock, limit_s)
-    unplanned = asked(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s)).plan
-    gaussians = place(unplanned)
+    unplanned = asked(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
+    gaussians = place(unplanned.levels, unplanned.rate)
     clock.now = 0.0
-    with patch.object(plan_module, "SEARCH_GRADIENTS", (0.0, 0.0, 0.0)):
-        plan = unplanned.in_time(gaussians)
-    return plan, plan.begin(gaussians)
+    with patch.object(schedule, "SEARCH_GRADIENTS", (0.0, 0.0, 0.0)):
+        levels, rate, runs = planned(unplanned.levels, unplanned.rate, deadline, gaussians)
+    return Begun(levels, rate, runs, levels.begin(gaussians, rate.quantum), unplanned.session.recorder)
 
 
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
-    (short_of_time, state), (unhurried, _) = (plan_for(seconds) for seconds in (0.0, math.inf))
-    assert unhurried.settings == RD
-    assert short_of_time.settings.effort == EFFORTS[1]
-    assert short_of_time.settings.crowd == CROWD_WHEN_SHORT
-    assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
-    stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
-    assert short_of_time.level_for(state, stage, 1000).frame == short_of_time.finest.frame
-    grown = fit(short_of_time, densify(short_of_time, state, stage), stage)
+    short_of_time, unhurried = (begun_for(seconds) for seconds in (0.0, math.inf))
+    assert unhurried.schedule.effort == unhurried.levels.effort == RD.effort
+    assert short_of_time.schedule.effort == short_of_time.levels.effort == EFFORTS[1]
+    assert [vars(one.rate)["crowd"] for one in (unhurried, short_of_time)] == [CROWD, CROWD_WHEN_SHORT]
+    levels, state = short_of_time.levels, short_of_time.state
+    assert (levels.finest.frame.width, unhurried.levels.finest.frame.width) == (20, 160)
+    stage = short_of_time.stage(100, at=EFFORTS[1].times.growth_at[0])
+    assert levels.level_for(state, stage, 1000).frame == levels.finest.frame
+    grown = short_of_time.grown(stage).fitted(stage).state
     added = grown.gaussians.means  # found in the small picture, but in pixels of the whole
     assert len(added) > len(state.gaussians)
     assert added[:, 0].max() > 80
@@ -106,14 +103,13 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
 
 def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time() -> None:
     whole_s = PIXEL_S * NOISE[..., 0].size
-    least, _ = plan_for(0.0)
-    steps = least.lengths[0]
+    steps = begun_for(0.0).schedule.lengths[0]
     for in_time, halvings in ((1.1, 0), (0.3, 1), (0.1, 2), (0.01, 3)):
-        plan, _ = plan_for(in_time * steps * whole_s)
-        assert plan.finest.frame.spacing == 1 << halvings
+        levels = begun_for(in_time * steps * whole_s).levels
+        assert levels.finest.frame.spacing == 1 << halvings
     for part, halvings in ((1.0, 0), (0.1, 2)):  # of what all pixels take, for any picture
-        plan, _ = plan_for(0.0, part * whole_s)
-        assert plan.finest.frame.spacing == 1 << halvings
+        levels = begun_for(0.0, part * whole_s).levels
+        assert levels.finest.frame.spacing == 1 << halvings
 
 
 def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
@@ -130,22 +126,21 @@ def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
 
 @pytest.mark.parametrize("pixels", [400_000, 8_000_000])
 def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> None:
-    one, two, three, five = (sized(of_effort(effort), pixels) for effort in (1, 2, 3, 5))
-    all_steps = five.effort.steps
+    one, two, three, five = (sized(EFFORTS[effort], pixels) for effort in (1, 2, 3, 5))
+    all_steps = five.steps
 
-    def filled(chosen: RdSettings, steps: int) -> RdSettings:
+    def filled(chosen: Effort, steps: int) -> tuple[Effort, bool]:
         """As many steps as the estimate may be short of."""
-        return replace(chosen, effort=replace(chosen.effort, steps=steps))
+        return replace(chosen, steps=steps), False
 
-    assert [fit_to_steps(five, pixels, steps) for steps in (math.inf, all_steps)] == [five, five]
+    assert [fit_to_steps(five, pixels, steps) for steps in (math.inf, all_steps)] == 2 * [(five, False)]
     assert fit_to_steps(five, pixels, all_steps - 1) == filled(three, all_steps)
-    assert fit_to_steps(five, pixels, three.effort.steps - 1) == filled(two, all_steps)
-    fewer = two.effort.steps - 1
+    assert fit_to_steps(five, pixels, three.steps - 1) == filled(two, all_steps)
+    fewer = two.steps - 1
     assert fit_to_steps(five, pixels, fewer) == filled(one, min(round(SPARE_STEPS * fewer), all_steps))
-    assert fit_to_steps(two, pixels, three.effort.steps) == two
-    with_few = replace(one, crowd=CROWD_WHEN_SHORT)
-    fewest = one.effort.steps // 4
-    assert [fit_to_steps(fit, pixels, fewest) for fit in (five, one)] == [with_few, with_few]
+    assert fit_to_steps(two, pixels, three.steps) == (two, False)
+    fewest = one.steps // 4
+    assert [fit_to_steps(fit, pixels, fewest) for fit in (five, one)] == 2 * [(one, True)]
 
 
 def test_a_time_limit_leaves_the_search_its_part() -> None:
@@ -179,11 +174,11 @@ def test_a_round_is_as_long_as_there_is_time_for() -> None:
 
 
 def test_large_pictures_are_spared_steps() -> None:
-    small, *others, large = (sized(RD, pixels) for pixels in (400_000, 2_000_000, 4_000_000, 8_000_000))
-    assert small == RD
-    assert large == sized(RD, 50_000_000)
-    found = [(one.effort.steps, -one.effort.times.few_until) for one in (small, *others, large)]
+    small, *others, large = (sized(RD.effort, pixels) for pixels in (400_000, 2_000_000, 4_000_000, 8_000_000))
+    assert small == RD.effort
+    assert large == sized(RD.effort, 50_000_000)
+    found = [(one.steps, -one.times.few_until) for one in (small, *others, large)]
     assert sorted(found, reverse=True) == found
     assert len(set(found)) == 4
-    quick = of_effort(1)
-    assert sized(quick, 8_000_000).effort.times == quick.effort.times  # which see small pictures for longer as it is
+    quick = EFFORTS[1]
+    assert sized(quick, 8_000_000).times == quick.times  # which see small pictures for longer as it is

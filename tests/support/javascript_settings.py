@@ -6,7 +6,7 @@ from sgmethod.backend.protocol import GRID_REACH
 from sgmethod.fitting import moving_target
 from sgmethod.native import native
 from sgmethod.previews import preview, reducing, still
-from sgmethod.rd import byte_limit, densify, plan, rate_control, search
+from sgmethod.rd import byte_limit, densify, rate_control, schedule, search
 from sgmethod.rd.fit import RATE_WEIGHT
 from sgmethod.settings.rd import NEWTON_ADAM, RD
 from tests.support.data import JAVASCRIPT
@@ -15,8 +15,8 @@ WRITTEN = JAVASCRIPT / "encoder" / "settings.js"
 TIMES, ADAM = RD.effort.times, NEWTON_ADAM
 CONSTANTS: dict[str, float | tuple[int, ...]] = {
     # fitting.js
-    "SPARSE": plan.SPARSE,
-    "DENSE": plan.DENSE,
+    "SPARSE": schedule.SPARSE,
+    "DENSE": schedule.DENSE,
     "RATE_WEIGHT": RATE_WEIGHT,
     "BITS_PER_GAUSSIAN": byte_limit.BITS_PER_GAUSSIAN,
     "STEERING_FROM": TIMES.steering_from,
