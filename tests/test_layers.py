@@ -136,6 +136,11 @@ RULES = {
         r"\b(SELECT|INSERT INTO|DELETE FROM|UPDATE jobs)\b|^\s*(from|import) (sqlite3|psycopg)\b",
         "service/jobs/",
     ),
+    "the loop of a fit knows no clock and no file": (
+        "sgmethod/rd/densify.py sgmethod/rd/fit.py sgmethod/rd/levels.py sgmethod/rd/state.py",
+        IMPORT + r"(time|sgmethod\.(bitstream|fitting\.recorder|rd\.(schedule|search|steer))|.*\b(Deadline|Clock))\b",
+        "",
+    ),
     "the encoder computes through its backend": (  # and the reader of profile paper's files draws
         "sgmethod/rd sgmethod/fitting sgmethod/paper",
         IMPORT + r"sgmethod\.native",
