@@ -15,7 +15,9 @@ def open_job_table(settings: Settings) -> JobTable:
         try:
             from service.jobs.postgres import PostgresJobTable
         except ImportError as error:
-            raise MissingPackagesError(f"PostgreSQL needs extra packages ({error}): pip install '.[postgres]'") from error
+            raise MissingPackagesError(
+                f"PostgreSQL needs extra packages ({error}): pip install '.[postgres]'"
+            ) from error
         return PostgresJobTable(settings.database_url, settings)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     return SqliteJobTable(settings.database_path, settings)

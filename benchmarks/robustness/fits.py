@@ -113,8 +113,8 @@ def starts(profile: str) -> dict[str, Patch]:
     found: dict[str, Patch] = {"as it is": nullcontext, "all Gaussians equal at the start": spoiled(equal)}
     found["singular shapes at the start"] = spoiled(singular)
     for value, word in ((math.nan, "not a number"), (math.inf, "infinite")):
-        for name in ("means", "factors"):
-            found[f"every second {name[:-1]} {word} at the start"] = spoiled(some(value, name))
+        for array in ("means", "factors"):
+            found[f"every second {array[:-1]} {word} at the start"] = spoiled(some(value, array))
     return found
 
 
