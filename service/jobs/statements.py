@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+PUT_OFF_S = 60.0  # until a job whose image is lost is tried again, so that others go on and operators have 20 minutes
+# A queued job with a lease is put off until then. If that is further away than any pause, the clock was set back.
+DUE = f"NOT coalesce(lease_until > epoch() AND lease_until <= epoch() + {PUT_OFF_S}, FALSE)"
 # A job that was put off has waited since it was due again, and waits for no worker before.
-COUNTS = """
+COUNTS = f"""
 SELECT epoch() - (
-        SELECT coalesce(lease_until, created_at) FROM jobs
-        WHERE state = 'queued' AND coalesce(lease_until, 0) <= epoch() ORDER BY number LIMIT 1
+        SELECT coalesce(lease_until, created_at) FROM jobs WHERE state = 'queued' AND {DUE} ORDER BY number LIMIT 1
     ) AS waiting_s
 """
 INSERT = """
@@ -23,14 +25,13 @@ SELECT (SELECT count(*) FROM jobs WHERE state = 'queued' AND priority > ?)
     + (SELECT count(*) FROM jobs WHERE state = 'queued' AND priority = ? AND number <= ?) AS position
 """
 # Owners take turns by the number of their running jobs. Of each, only the first queued job is looked at. A client,
-# which may be somebody's address, is forgotten once its job runs. A queued job with a lease is put off until then.
-CLAIM = """
+# which may be somebody's address, is forgotten once its job runs.
+CLAIM = f"""
 UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, started_at = epoch(),
     lease_until = epoch() + ?, client = ''
 WHERE state = 'queued' AND number = (
     SELECT number FROM stored JOIN jobs ON number = (
-        SELECT number FROM jobs AS own WHERE own.state = 'queued' AND own.owner = stored.owner
-        AND coalesce(own.lease_until, 0) <= epoch()
+        SELECT number FROM jobs WHERE state = 'queued' AND owner = stored.owner AND {DUE}
         ORDER BY priority DESC, number LIMIT 1
     )
     LEFT JOIN stored AS busy ON busy.owner = stored.owner AND busy.state = 'running'

@@ -39,7 +39,6 @@ IMAGE_LOST = JobError("crashed", "the image is missing from the storage, or is n
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
 MAX_LOSSES = 20  # until a job fails: few jobs are the cause of a lost worker, but one might be
-PUT_OFF_S = 60.0  # until a job whose image is lost is tried again, so that others go on and operators have 20 minutes
 KEYS_AT_ONCE = 500  # of a query
 FORGET_AFTER_S = 900.0  # a worker that is silent for longer is removed
 
@@ -255,7 +254,7 @@ class JobTable(ABC):
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
         """Return the job after an attempt that failed; None if the attempt is not its latest."""
         lost = error in (WORKER_LOST, IMAGE_LOST)
-        crashed, put_off_s = error.code == "crashed" and not lost, PUT_OFF_S if error == IMAGE_LOST else None
+        crashed, put_off_s = error.code == "crashed" and not lost, sql.PUT_OFF_S if error == IMAGE_LOST else None
         job = _update(db, sql.PUT_BACK, where, as_json(error), int(crashed), int(lost), put_off_s, *values)
         again = (crashed or lost) and job is not None and job.crashes < MAX_ATTEMPTS and job.losses < MAX_LOSSES
         if job is not None and not again:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import JobTableError
-from service.jobs import table as table_module
+from service.jobs import statements
 from service.jobs.job import EncodeResult, Job, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import IMAGE_LOST, MAX_LOSSES
@@ -284,10 +284,12 @@ def test_an_image_that_is_missing_or_cut(
     assert (counts.totals, counts.waiting_s) == ({"put_off": 1}, None)  # what raises no alert of crashes and waits
     change(table, "UPDATE jobs SET lease_until = epoch() WHERE id = ?", claim.id)
     assert 0 <= (table.counts().waiting_s or 0) < LONG_S
-    change(table, "UPDATE jobs SET lease_until = epoch() + 60 WHERE id = ?", claim.id)
+    change(table, "UPDATE jobs SET lease_until = epoch() + 3600 WHERE id = ?", claim.id)
+    assert table.counts().waiting_s is not None  # a clock that was set back puts nothing off for longer
+    change(table, "UPDATE jobs SET lease_until = epoch() + 50 WHERE id = ?", claim.id)
     other = submitted(table)
     assert claimed(table).id == other
-    monkeypatch.setattr(table_module, "PUT_OFF_S", 0.0)
+    monkeypatch.setattr(statements, "PUT_OFF_S", 0.0)
     change(table, "UPDATE jobs SET lease_until = 0 WHERE id = ?", claim.id)
     for _ in range(MAX_LOSSES - 1):
         assert worker.run_one()
