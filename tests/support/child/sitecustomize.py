@@ -80,7 +80,7 @@ class _StandIn(MetaPathFinder, Loader):
         return spec_from_loader(name, self) if name == NAME else None
 
     def exec_module(self, module: ModuleType) -> None:
-        module.encode = encode  # type: ignore[attr-defined]
+        module.encode = module.encode_as = encode  # type: ignore[attr-defined]
 
 
 if os.environ.get("PYTHON_FAKE_CODEC"):
