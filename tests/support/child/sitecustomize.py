@@ -67,6 +67,11 @@ def encode(
     return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, warnings=[], to_dict=lambda: figures))
 
 
+def encode_as(_asked: Any, image: Any, limit_s: float | None = None) -> Any:
+    """As sgmethod.codec.encode_as has it, for a preview."""
+    return encode(image, time_limit_s=limit_s)
+
+
 def _sleep(seconds: float, asked: Sequence[int]) -> None:
     until = time.monotonic() + seconds
     while not asked and (left := until - time.monotonic()) > 0:
@@ -80,7 +85,7 @@ class _StandIn(MetaPathFinder, Loader):
         return spec_from_loader(name, self) if name == NAME else None
 
     def exec_module(self, module: ModuleType) -> None:
-        module.encode = module.encode_as = encode  # type: ignore[attr-defined]
+        module.encode, module.encode_as = encode, encode_as  # type: ignore[attr-defined]
 
 
 if os.environ.get("PYTHON_FAKE_CODEC"):
