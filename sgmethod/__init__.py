@@ -114,7 +114,8 @@ _HOMES = {
     "view": ("View",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted(_HOME)  # noqa: PLE0605 - a list of names, each of which is imported above
+# All but `open`: `from sgmethod import *` must replace no builtin.
+__all__ = sorted(_HOME.keys() - {"open"})  # noqa: PLE0605 - a list of names, each of which is imported above
 
 plugin.register()
 
@@ -132,4 +133,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted({*globals(), *_HOME, "__version__"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import re
 import subprocess
 import sys
@@ -178,7 +179,8 @@ def test_what_each_room_of_the_service_knows(room: str) -> None:
 def test_the_exported_names() -> None:
     """The names in docs/python.md have a test beside that page's examples (tests/torch/test_python_page.py)."""
     assert sgmethod.__all__ == sorted(sgmethod.__all__)
-    assert all(getattr(sgmethod, name) is not None for name in sgmethod.__all__)
+    assert all(getattr(sgmethod, name) is not None for name in [*sgmethod.__all__, "open"])
+    assert not {*sgmethod.__all__} & {*dir(builtins)}  # which import * would replace
     assert sgmethod.__version__ == version("sgmethod")
     with pytest.raises(AttributeError, match="no attribute 'transmogrify'"):
         _ = sgmethod.transmogrify

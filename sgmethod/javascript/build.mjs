@@ -93,6 +93,7 @@ for (const name of Object.keys(ENTRIES).filter((name) => name !== "encoder" && n
   const built = await import(`./dist/${name}.js`);
   assert.deepEqual(built.decodePreview(SAMPLE), decodePreview(SAMPLE), `${name}.js decodes otherwise`);
   assert.throws(() => built.decodePreview(SAMPLE.slice(0, -4)), built.SgError);
+  assert.deepEqual([built.SgError.name, new built.SgError().name], ["SgError", "SgError"], `${name}.js renames SgError`);
   for (const text of built.decode ? [SAMPLE, TEXTURED] : []) {
     const file = Uint8Array.of(0xd3, ...Buffer.from(text, "base64url"));
     assert.deepEqual(built.decode(file, VIEW), decode(file, VIEW), `${name}.js decodes files otherwise`);

@@ -57,6 +57,6 @@ def test_the_page_of_data_sets() -> None:
     assert names["right"] > 0.9
 
 
-@pytest.mark.parametrize("name", [*sgmethod.__all__, *(f"torch.{name}" for name in sgmethod.torch.__all__)])
+@pytest.mark.parametrize("name", ["open", *sgmethod.__all__, *(f"torch.{name}" for name in sgmethod.torch.__all__)])
 def test_every_name_is_on_the_page(name: str) -> None:
     assert f"`{name}`" in PAGE.split("## All names")[1]

@@ -29,6 +29,7 @@ export const CELL = 64; // pixels along a side of a cell of texture
 
 /** A file that cannot be decoded; if `unknown`, it may be valid, but of a kind that this decoder does not know. */
 export class SgError extends Error {
+  static name = "SgError"; // which minifying would shorten, and stack traces show
   name = "SgError";
 }
 
