@@ -2,7 +2,7 @@
 
 Read api/routes.py first, which lists the routes; then api/encode.py, which makes a job of a request; jobs/table.py,
 where the job waits; worker/loop.py and worker/attempt.py, which claim and finish it; and sandbox/tasks.py, which
-encodes. docs/design.md follows one request through them.
+encodes. CONTRIBUTING.md follows one request through them.
 
 The packages and modules; each imports only from those above it:
 

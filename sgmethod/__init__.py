@@ -4,7 +4,7 @@
         pixels = sgmethod.decode("photo.sg")  # uint8 [H, W, 3]
 
 Read codec.py first, which turns a picture into a file; then rd/encode.py, the stages of an encode, and the modules
-that it imports; then decoder.py, the way back. docs/design.md follows one encode through them.
+that it imports; then decoder.py, the way back. CONTRIBUTING.md follows one encode through them.
 
 The packages and modules, in the order of the pipeline; each imports only from those above it:
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import subprocess
@@ -68,3 +69,27 @@ def test_names_in_the_glossary_exist() -> None:
         found: object = importlib.import_module(".".join(parts[:2]))
         for k, part in enumerate(parts[2:], 3):
             found = getattr(found, part, None) or importlib.import_module(".".join(parts[:k]))
+
+
+def functions(path: Path) -> set[str]:
+    """The functions of a file, and its methods as Class.method, without importing what it needs."""
+    tree = ast.parse(path.read_text())
+    inner = {
+        f"{one.name}.{part.name}"
+        for one in tree.body
+        if isinstance(one, ast.ClassDef)
+        for part in one.body
+        if isinstance(part, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    return inner | {one.name for one in tree.body if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)}
+
+
+def test_the_calls_that_contributing_draws_pass_functions_that_exist() -> None:
+    opening = (ROOT / "CONTRIBUTING.md").read_text().split("\n## ")[0]
+    drawing = re.findall(r"^ +(\d+)  (\S+\.py) +([\w.]+)\(\)", opening, re.MULTILINE)
+    numbers = [int(number) for number, _, _ in drawing]
+    assert numbers == [*range(1, 10), *range(1, 7), *range(1, 11)]
+    for _, file, name in drawing:
+        assert name in functions(ROOT / file), name
+    for path in re.findall(r"`((?:sgmethod|service|docs|benchmarks)/[\w./]*)`", opening):
+        assert (ROOT / path).exists() or "NAME" in path, path
