@@ -63,8 +63,8 @@ sgmethod.Gaussians.from_covariances([[4, 4]], torch.ones(1, 2, 2), np.ones((1, 3
 for background in ([0, 0, 0], (half, half, half), np.zeros(3), torch.zeros(3)):
     sgmethod.pack(gaussians, n, n, bpp=half, background=background, image=bytearray())
     sgmethod.torch.render(means, factors, colors, [n, n], background, half)
-sgmethod.torch.fit(torch.zeros(1, 3, 8, 8), n, steps=n, quantum=half, tune="psnr")
-sgmethod.torch.fit(torch.zeros(1, 3, 8, 8), 5, tune="visual")  # type: ignore[arg-type]
+sgmethod.torch.fit(torch.zeros(1, 3, 8, 8), n, steps=n, quantum=half)
+sgmethod.torch.fit(torch.zeros(1, 3, 8, 8), 5, steps="many")  # type: ignore[arg-type]
 sgmethod.torch.SgDataset(["a.sg", bytearray()], size=[8, 8])
 sgmethod.torch.fit_many([pixels, (pixels, 1)], "out", n, shard=n, device="cpu")
 

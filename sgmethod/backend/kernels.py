@@ -19,7 +19,6 @@ from sgmethod.backend.protocol import (
 )
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
-from sgmethod.settings.shared import OptimiserSettings
 
 Loss = Callable[[Gaussians], tuple[float, Gaussians]]
 
@@ -73,28 +72,17 @@ class Kernels:
         _raster(gaussians, frame).gram(gaussians.colors, product, None if visibility is None else visibility.values)
         return product
 
-    def step(
-        self,
-        gaussians: Gaussians,
-        gradient: Gaussians,
-        moments: Moments,
-        settings: OptimiserSettings,
-        rate: float,
-        values: int,
-        visibility: Visibility | None = None,
-        spacing: int = 1,
-    ) -> None:
+    def step(self, gaussians: Gaussians, gradient: Gaussians, moments: Moments, descent: Descent, rate: float) -> None:
         """Move Gaussians in place by one step of Adam in each one's own frame, and update the moments.
 
         A mean moves by L d and a factor by L S with S lower triangular, so a rate is the same relative change for a
         speck and for a wide ellipse. A step is at most settings.newton_steps times the Gauss-Newton step with a
         diagonal matrix, whose curvature grows with the visibility at the centre, if that is above 1, and with the part
-        of the Gaussian that coarse errors count once more. rate: factor on all rates of the settings; values: samples
-        of the picture, over which the loss is a mean; spacing: of the visibility, in pixels of the whole picture.
+        of the Gaussian that coarse errors count once more. rate: factor on all rates of the settings.
         """
-        weights, _, coarse = _weights(visibility)
+        weights, _, coarse = _weights(descent.visibility)
         arrays = *gaussians.arrays, *gradient.arrays, moments.first, moments.second, moments.bias
-        native.frame_adam(_adam(settings, values), rate, *arrays, weights, spacing, coarse)
+        native.frame_adam(_adam(descent), rate, *arrays, weights, descent.frame.spacing, coarse)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
         """Add, in place, the gradient of `weight` times a smooth estimate of all Gaussians' bits.
@@ -118,7 +106,7 @@ class Kernels:
             spacing=f.spacing,
             quantum=d.quantum,
             price=d.price,
-            settings=_adam(d.settings, d.values),
+            settings=_adam(d),
             rates=np.array(rates, np.float32),
             reach=GRID_REACH,
             width=d.width,
@@ -157,10 +145,10 @@ class Kernels:
         )
 
 
-def _adam(settings: OptimiserSettings, values: int) -> native.AdamSettings:
-    s = settings
+def _adam(descent: Descent) -> native.AdamSettings:
+    s = descent.settings
     rates = s.mean_rate, s.factor_rate, s.color_rate
-    return native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, values)
+    return native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, descent.values)
 
 
 def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:

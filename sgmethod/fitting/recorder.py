@@ -14,10 +14,14 @@ REPORT_INTERVAL_S = 0.1
 
 @dataclass(frozen=True)
 class Recorder:
-    """Collector of the trace: reports a point at most every REPORT_INTERVAL_S."""
+    """Collector of the trace: reports a point at most every REPORT_INTERVAL_S.
+
+    tries: quanta that a search usually tries.
+    """
 
     clock: Clock
     on_progress: Progress | None = None
+    tries: int = 1
     points: list[TracePoint] = field(default_factory=list)
     _slow_s: list[float] = field(default_factory=list)  # duration of the last measurement for the trace
 
@@ -29,13 +33,11 @@ class Recorder:
         mse: float | Callable[[], float],
         gaussians: int,
         size: int = 0,
-        tries: int = 1,
     ) -> None:
         """Add a point if one is due.
 
         mse: the error, or a function that measures it only for the trace, in at most a fiftieth of the time, or a
-        twentieth if somebody watches; size: of the file in bytes, 0 while unknown; tries: quanta that the search
-        usually tries.
+        twentieth if somebody watches; size: of the file in bytes, 0 while unknown.
         """
         seconds, multiple = self.clock.seconds(), 20 if self.on_progress else 50
         interval_s = max(REPORT_INTERVAL_S, multiple * self._slow_s[-1] if self._slow_s else 0.0)
@@ -46,7 +48,7 @@ class Recorder:
             mse = mse()
             self._slow_s[:] = [self.clock.seconds() - seconds]
         psnr = -10 * math.log10(max(mse, 1e-12))
-        share = round(share_of(phase, step, steps, tries), 4)
+        share = round(share_of(phase, step, steps, self.tries), 4)
         point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), size, gaussians, phase, share)
         self.points.append(point)
         if self.on_progress:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sgmethod.backend.kernels import Kernels, Loss
-from sgmethod.backend.protocol import MAX_CUTOFF, Frame, Moments
+from sgmethod.backend.protocol import MAX_CUTOFF, Descent, Frame, Moments
 from sgmethod.errors import GaussiansError
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level, target_of
@@ -29,6 +29,12 @@ def loss_of(level: Level, lambda_g: float) -> Loss:
     if lambda_g == 0:
         return level.gradients
     return KERNELS.regularised(level.frame, level.image(), lambda_g)
+
+
+def descent_on(level: Level, settings: PaperSettings) -> Descent:
+    """Describe the steps on a level. Their gradient has the price of bits and all other terms."""
+    size = level.frame.width, level.frame.height
+    return Descent(level.frame, level.target, level.visibility, 0.0, 0.0, *size, settings.optimiser)
 
 
 def usable(start: Gaussians, level: Level) -> Gaussians:
@@ -53,11 +59,11 @@ def fit(
     Raises GaussiansError if the fit diverged to values that are not finite.
     """
     s, loss = settings, loss_of(level, settings.lambda_g)
-    gaussians, moments = usable(start, level), Moments.none(len(start))
+    gaussians, moments, descent = usable(start, level), Moments.none(len(start)), descent_on(level, settings)
 
     def step(rate: float) -> tuple[float, int, int]:
         mse, gradient = loss(gaussians)
-        KERNELS.step(gaussians, gradient, moments, s.optimiser, rate, 1)
+        KERNELS.step(gaussians, gradient, moments, descent, rate)
         return mse, len(start), 0
 
     schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate)

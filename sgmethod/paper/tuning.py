@@ -21,7 +21,7 @@ from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.adam import Adam
 from sgmethod.paper.codebook import ResidualCodebook
-from sgmethod.paper.fit import KERNELS, loss_of
+from sgmethod.paper.fit import KERNELS, descent_on, loss_of
 from sgmethod.paper.settings import PaperSettings
 from sgmethod.paper.stream import CODEBOOK_ENTRIES, CODEBOOK_STAGES, Group, PaperStream, file_bytes, record_bits
 from sgmethod.scene import Gaussians
@@ -67,7 +67,7 @@ class Tuner:
         """Start from fitted Gaussians. max_bytes: largest size of the file; None to let lambda_b decide."""
         self.level, self.max_bytes = level, max_bytes
         s = self.settings = settings
-        self.loss = loss_of(level, s.lambda_g)
+        self.loss, self.descent = loss_of(level, s.lambda_g), descent_on(level, s)
         self.p = Parameters.from_gaussians(gaussians)
         self.n = len(gaussians)
         means, factors, tail = self.p.means, self.p.factors, s.range_quantile
@@ -175,7 +175,7 @@ class Tuner:
         s = self.settings
         by_colors = grads[2] + 2 * s.lambda_r / coded_colors.numel() * (self.p.colors - coded_colors)  # L_r
         gradient = Parameters(grads[0], grads[1], by_colors).numpy()
-        KERNELS.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
+        KERNELS.step(self.p.numpy(), gradient, self.moments, self.descent, rate * s.tune_rate)
         # L_b, or with a budget in its place the price at which the mean bitwidth stays the same.
         price = others[4].mean() if s.bits_by_budget and self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price

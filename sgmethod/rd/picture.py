@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sgmethod.bitstream import container
@@ -33,7 +35,7 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
     objective = Objective.from_pixels(colours, asked.objective)
     rate = rate_of(asked.budget, (width, height), settings.effort, has_alpha=has_alpha)
     problem = Problem(objective, rate.is_short(objective, has_alpha=has_alpha))
-    session = Session(deadline, recorder)
+    session = Session(deadline, replace(recorder, tries=rate.usual_tries))
     if has_alpha:
         stream, steps = alpha.encode(problem, np.ascontiguousarray(pixels[..., 3]), settings, rate, session)
     else:

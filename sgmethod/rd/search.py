@@ -130,8 +130,8 @@ class Search:
     def _report(self, step: int, steps: int) -> None:
         """Report the progress, unless another run of the schedule follows."""
         if self.rounds >= self.levels.effort.rounds[-1]:
-            gaussians, tries = len(self.state.gaussians), self.rate.usual_tries
-            self.recorder.report("search", step, steps, self.aim.error, gaussians, self.state.size, tries)
+            state = self.state
+            self.recorder.report("search", step, steps, self.aim.error, len(state.gaussians), state.size)
 
     def _refined(self, texture: Codes | None, gaussians: Gaussians, quantum: float, max_bytes: int) -> Coded:
         """Code Gaussians with this quantum in at most max_bytes of payload, beside a texture.

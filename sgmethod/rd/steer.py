@@ -68,5 +68,5 @@ class Steering:
     def report(self, state: State) -> None:
         """Report the progress of the fit."""
         error = partial(self.levels.error, state.gaussians, state.quantum)
-        all_steps, tries = self.schedule.all_steps(state.steps, state.retaken), self.rate.usual_tries
-        self.recorder.report("joint", state.steps, all_steps, error, len(state.gaussians), state.size, tries)
+        all_steps = self.schedule.all_steps(state.steps, state.retaken)
+        self.recorder.report("joint", state.steps, all_steps, error, len(state.gaussians), state.size)

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from threading import Event
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -54,7 +54,6 @@ def fit(
     gaussians: AnyInt,
     *,
     steps: AnyInt | None = None,
-    tune: Literal["psnr"] = "psnr",
     quantum: AnyFloat | None = None,
     on_progress: OnProgress | None = None,
 ) -> Fit:
@@ -69,7 +68,6 @@ def fit(
     device, which also does the work.
     gaussians: number for each picture, at most its number of pixels. The largest come first.
     steps: the default, 150 to 340 depending on the Gaussians per pixel, has about the PSNR of encode(gaussians=N).
-    tune: only "psnr", which is squared error.
     quantum: also minimise the bits that pack() will need with this quantum. By default, bits are free.
     on_progress: called with the share that is done, 0 to 1; if it raises, the fits are abandoned.
 
@@ -79,8 +77,6 @@ def fit(
 
     Raises ImageError for anything but a batch of pictures, and BudgetError.
     """
-    if tune != "psnr":
-        raise BudgetError(f"fits of tensors can only be tuned for psnr, not {tune!r}")
     pictures, device = pictures_of(images), images.device
     task = task_of(gaussians, images.shape[2:].numel(), steps, quantum)
     found = fit_pictures(pictures, task, device, on_progress)

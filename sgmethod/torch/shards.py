@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from sgmethod.arguments import AnyFloat, AnyInt, checked_integer
@@ -33,7 +34,7 @@ from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import OnRow, Run, Tally, Task, caught, finish_locally
 from sgmethod.scene import Pixels
 from sgmethod.torch.devices import checked_device
-from sgmethod.torch.exact import Exact
+from sgmethod.torch.exact import Exact, ExactFit
 from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
 
 MAX_IN_A_SHARD = 1_000_000
@@ -79,35 +80,37 @@ def fit_many(
     shard, where = checked_integer(shard, "pictures in a shard", 1, MAX_IN_A_SHARD), checked_device(device)
     folder, pictures = checked_path(output_dir), len(dataset)
     folder.mkdir(parents=True, exist_ok=True)
-
-    def written(task: Task[Row]) -> Row:
-        samples: dict[int, Labelled] = {}
-        lost = []
-        for index in task.picture:
-            try:
-                samples[index] = _sample(dataset[index], fit.gaussians)
-            except (SgError, OSError) as error:
-                lost.append(f"picture {index}: {error}")
-        row = replace(task.row, notes=lost)
-        if lost:
-            row = replace(row, error=f"{len(lost)} of {len(task.picture)} pictures cannot be fitted; {lost[0]}")
-        if not samples:
-            return row
-        fitted = fit_pictures([pixels for pixels, _ in samples.values()], fit, where)
-        data = _archive(samples, fitted)
-        write_atomically(folder / row.name, data)
-        mean = float(np.mean([one.error for one in fitted]))
-        return replace(row, bytes=len(data), figures={"pictures": len(fitted), "error": mean})
-
+    make = partial(caught, partial(_written, dataset, fit, where, folder))
     asked = {"gaussians": gaussians, "steps": steps, "quantum": quantum}
     with Manifest(folder, {**asked, "shard": shard, "pictures": pictures}) as manifest:
         run = Run[Row](manifest, resume, -(-pictures // shard))
-        return run.finish(finish_locally(partial(caught, written), run.rest(_tasks(pictures, shard)), 1), on_row)
+        return run.finish(finish_locally(make, run.rest(_tasks(pictures, shard)), 1), on_row)
 
 
 def _tasks(pictures: int, shard: int) -> Iterator[Task[Row]]:
     for number, first in enumerate(range(0, pictures, shard)):
         yield Task(range(first, min(first + shard, pictures)), Row(f"{number:06}.tar", None))
+
+
+def _written(dataset: Pictures, fit: ExactFit, device: torch.device, folder: Path, task: Task[Row]) -> Row:
+    """Fit the pictures of a shard and write it; return its line of the manifest."""
+    samples: dict[int, Labelled] = {}
+    lost = []
+    for index in task.picture:
+        try:
+            samples[index] = _sample(dataset[index], fit.gaussians)
+        except (SgError, OSError) as error:
+            lost.append(f"picture {index}: {error}")
+    row = replace(task.row, notes=lost)
+    if lost:
+        row = replace(row, error=f"{len(lost)} of {len(task.picture)} pictures cannot be fitted; {lost[0]}")
+    if not samples:
+        return row
+    fitted = fit_pictures([pixels for pixels, _ in samples.values()], fit, device)
+    data = _archive(samples, fitted)
+    write_atomically(folder / row.name, data)
+    mean = float(np.mean([one.error for one in fitted]))
+    return replace(row, bytes=len(data), figures={"pictures": len(fitted), "error": mean})
 
 
 def _sample(item: Any, gaussians: int) -> Labelled:

@@ -57,7 +57,7 @@ class Tensors(Kernels):
             error, gradient = self.gradients(gaussians, d.frame, d.target, d.visibility)
             if d.price > 0:
                 self.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
-            self.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
+            self.step(gaussians, gradient, moments, d, rate)
             self.keep_in_range(gaussians, d.width, d.height)
             errors.append(error)
         return errors

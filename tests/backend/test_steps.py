@@ -33,14 +33,16 @@ def various(n: int, seed: int) -> Gaussians:
 
 def moved(backend: Kernels | Reference, settings: OptimiserSettings, seen: Visibility | None) -> Gaussians:
     """Gaussians after six steps, of which the last hundred join after three."""
-    before, gradient, values = various(1200, 7), various(1200, 8), 20
+    before, gradient = various(1200, 7), various(1200, 8)
+    frame = Frame(250, 250, spacing=2)
+    descent = Descent(frame, np.empty((3, 0, 0), np.int16), seen, 0.1, 0.0, 7, 1, settings)
     early = before.rows(np.arange(1100))
     moments = Moments.none(1100)
     for _ in range(3):
-        backend.step(early, gradient.rows(np.arange(1100)), moments, settings, 0.6, values, seen, 2)
+        backend.step(early, gradient.rows(np.arange(1100)), moments, descent, 0.6)
     gaussians, moments = early.with_more(before.rows(np.arange(1100, 1200))), moments.with_more(100)
     for _ in range(3):
-        backend.step(gaussians, gradient, moments, settings, 0.6, values, seen, 2)
+        backend.step(gaussians, gradient, moments, descent, 0.6)
     return gaussians
 
 

@@ -28,7 +28,6 @@ from sgmethod.backend.protocol import (
 )
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
-from sgmethod.settings.shared import OptimiserSettings
 from tests.definitions.drawing import render, render_pyramid
 
 MAX_SCALE, MAX_SLANT, MAX_AMPLITUDE = 8192.0, 2048.0, 32.0  # limits during a fit; a slant is |l2| / l3
@@ -102,7 +101,7 @@ def step_by_step(
         error, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
         if d.price > 0:
             backend.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
-        backend.step(gaussians, gradient, moments, d.settings, rate, d.values, d.visibility, d.frame.spacing)
+        backend.step(gaussians, gradient, moments, d, rate)
         backend.keep_in_range(gaussians, d.width, d.height)
         errors.append(error)
     return errors
@@ -148,18 +147,8 @@ class Reference:
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return _gradient(squared(_drawn(leaves, frame), alike) / 2, leaves).colors
 
-    def step(
-        self,
-        gaussians: Gaussians,
-        gradient: Gaussians,
-        moments: Moments,
-        settings: OptimiserSettings,
-        rate: float,
-        values: int,
-        visibility: Visibility | None = None,
-        spacing: int = 1,
-    ) -> None:
-        s = settings
+    def step(self, gaussians: Gaussians, gradient: Gaussians, moments: Moments, descent: Descent, rate: float) -> None:
+        s = descent.settings
         means, factors, colors, gm, gf, gc = (a.astype(np.float64) for a in (*gaussians.arrays, *gradient.arrays))
         l1, l2, l3 = factors.T
         of_mean = l1 * gm[:, 0] + l2 * gm[:, 1], l3 * gm[:, 1]
@@ -172,8 +161,8 @@ class Reference:
         adam = rates / (np.sqrt(second / (1 - bias[:, 1:])) + 1e-15)
         weight = np.repeat(np.maximum(np.square(colors).sum(1, keepdims=True), FAINT**2), 8, axis=1)
         weight[:, 5:] = 1
-        weight *= _seen_by(visibility, spacing, gaussians)[:, None]
-        newton = s.newton_steps * values / (2 * math.pi * (l1 * l3)[:, None] * CURVATURE * weight)
+        weight *= _seen_by(descent.visibility, descent.frame.spacing, gaussians)[:, None]
+        newton = s.newton_steps * descent.values / (2 * math.pi * (l1 * l3)[:, None] * CURVATURE * weight)
         d1, d2, s1, s2, s3, *by_color = (-np.minimum(adam, newton) * first / (1 - bias[:, :1])).T
         gaussians.means[:] = means + np.stack([l1 * d1, l2 * d1 + l3 * d2], 1)
         l1, l2, l3 = l1 * np.exp(s1), l2 * np.exp(s1) + l3 * s2, l3 * np.exp(s3)

@@ -147,7 +147,6 @@ def test_an_error_in_a_fit_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
         (lambda: fit(BATCH, 1552), BudgetError, "from 1 to 1551, got 1552"),
         (lambda: fit(BATCH, 5, steps=0), BudgetError, "steps must be a whole number from 1"),
         (lambda: fit(BATCH, 5, quantum=0), BudgetError, "the quantum must be from"),
-        (lambda: fit(BATCH, 5, tune="visual"), BudgetError, "only be tuned for psnr, not 'visual'"),
         (lambda: fit(BATCH.to("meta"), 5), SgError, "no device 'meta' here"),
     ],
 )
