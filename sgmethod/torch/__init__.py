@@ -7,7 +7,7 @@
 drawing.py has the renderer, reading.py .sg files as tensors, fitting.py fits of batches, shards.py fitted data
 sets, gaussian_image.py parameters of GaussianImage.
 
-A fit (exact.py, with the settings in schedule.py) runs the steps of sgmethod.rd on a Backend: the compiled kernels on
+A fit (exact.py) runs the steps of sgmethod.rd on a Backend: the compiled kernels on
 the CPU, batched.py for many pictures at once on a GPU with Triton, tensors.py on other devices. Gaussians are drawn by
 tiles.py, which launches tile_kernels.py, or by the operations on tensors in pairs.py.
 """

@@ -27,8 +27,19 @@ from sgmethod.rd.schedule import first_run
 from sgmethod.rd.sparse import whole_of
 from sgmethod.rd.state import Stage, State
 from sgmethod.scene import Gaussians, Pixels
-from sgmethod.settings.rd import RD
-from sgmethod.torch.schedule import EXACT, exact_schedule
+from sgmethod.settings.rd import RD, RdSettings
+
+# Times are fractions of the run, 0 to 1.
+SHARE_OF_STEPS = 0.6  # default steps, as a part of an effort's: nothing has to be rounded
+STEPS_OF_GROWTH = 40  # between two; in 4,000 steps, 60 growths make 0.2 dB more than ten and a longer rest
+MIN_GROWTHS, GROWTH_UNTIL = 5, 0.6
+TRIMS, TRIM_UNTIL = 8, 0.8
+FEW_UNTIL = 0.3  # Times.few_until
+# Quantum that prices bits until the last trim, in multiples of that at which growth would find as many Gaussians; at
+# most that of an encode of as many, because few Gaussians on a smooth picture cannot pay for more.
+PRICE = 0.8
+FINAL_RATE = (0.1, 0.5)  # of many and of few steps
+FEW_STEPS = 75.0  # divided by the number of steps, this is the final rate
 
 OnStep = Callable[[float], None]  # called with the share of the steps that are taken, 0 to 1
 
@@ -57,8 +68,8 @@ class ExactFit:
     def fit(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
         rate = GaussianCount(pixels[..., 0].size, self.quantum, max_gaussians=self.gaussians)
-        steps = self.steps or round(EXACT.share_of_steps * first_run(RD.effort, rate))
-        settings = exact_schedule(steps)
+        steps = self.steps or round(SHARE_OF_STEPS * first_run(RD.effort, rate))
+        settings = schedule_of(steps)
         problem = Problem(Objective.from_pixels(pixels, "psnr"))
         whole = whole_of(problem, backend)
         pyramid = Pyramid.from_whole(whole, self.gaussians)
@@ -69,6 +80,23 @@ class ExactFit:
         found = guide.complete(state).gaussians
         found = found.rows(np.argsort(-found.factors[:, 0] * found.factors[:, 2], kind="stable"))
         return Exact(found, problem.background, backend.error(found, whole.frame, whole.target))
+
+
+def schedule_of(steps: int) -> RdSettings:
+    """Adapt the settings of profile rd to a fit of this many steps."""
+    growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), MIN_GROWTHS)
+    times = replace(
+        RD.effort.times,
+        growth_at=tuple(np.linspace(0.01, GROWTH_UNTIL, growths).tolist()),
+        trim_at=tuple(np.linspace(GROWTH_UNTIL + 0.02, TRIM_UNTIL, TRIMS).tolist()),
+        excess_from=0.7 * GROWTH_UNTIL,
+        excess_until=TRIM_UNTIL,
+        few_until=FEW_UNTIL,
+    )
+    low, high = FINAL_RATE
+    optimiser = replace(RD.optimiser, final_rate=min(max(FEW_STEPS / steps, low), high))
+    effort = replace(RD.effort, steps=steps, times=times, rounds=(0,))
+    return replace(RD, effort=effort, optimiser=optimiser)
 
 
 @dataclass(frozen=True)
@@ -84,7 +112,7 @@ class _Guide:
         times, n, free = stage.times, self.rate.max_gaussians, self.rate.quantum
         if stage.at == times.trim_at[-1]:
             return self.complete(replace(state, quantum=free))
-        chosen = min(EXACT.price * GAUSSIANS_PER_PIXEL * self.levels.problem.pixels.size / 3 / n, GAUSSIANS_QUANTUM)
+        chosen = min(PRICE * GAUSSIANS_PER_PIXEL * self.levels.problem.pixels.size / 3 / n, GAUSSIANS_QUANTUM)
         return replace(state, quantum=max(chosen / float(times.finer_early ** surplus(times, stage.at)), free))
 
     def report(self, state: State) -> None:
