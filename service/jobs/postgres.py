@@ -83,6 +83,10 @@ def _begin_session(connection: psycopg.Connection[DictRow]) -> None:
 def _translated_errors() -> Iterator[None]:
     try:
         yield
+    except psycopg.errors.ReadOnlySqlTransaction as error:
+        raise JobTableError(
+            "PostgreSQL is read-only, like a standby; let SG_DATABASE_URL lead to the primary"
+        ) from error
     except psycopg.Error as error:
         raise JobTableError(f"PostgreSQL: {' '.join(str(error).split())}") from error
 
@@ -151,7 +155,11 @@ class PostgresJobTable(JobTable):
     @contextmanager
     def _connection(self) -> Iterator[_Session]:
         with _translated_errors(), self._pool.connection() as db:
-            yield _Session(db)
+            try:
+                yield _Session(db)
+            except psycopg.errors.ReadOnlySqlTransaction:
+                self._pool.drain()  # new sessions may be on another server, after a failover
+                raise
 
     @contextmanager
     def _transaction(self, *, alone: bool = False) -> Iterator[_Session]:
@@ -159,11 +167,6 @@ class PostgresJobTable(JobTable):
             if alone:
                 db.execute("SELECT pg_advisory_xact_lock(?)", (QUEUE_LOCK,))
             yield db
-
-    def check_writable(self) -> None:
-        with self._connection() as db:
-            if db.execute("SHOW transaction_read_only").fetchone()["transaction_read_only"] == "on":
-                raise JobTableError("PostgreSQL is read-only, as a standby is; let SG_DATABASE_URL lead to the primary")
 
     def close(self) -> None:
         self._pool.close()

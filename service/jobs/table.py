@@ -67,12 +67,13 @@ class JobTable(ABC):
         """
 
     @abstractmethod
-    def check_writable(self) -> None:
-        """Raise JobTableError if the database can be read but not changed."""
-
-    @abstractmethod
     def close(self) -> None:
         """Close all connections."""
+
+    def check_writable(self) -> None:
+        """Raise JobTableError if the database can be read but not changed."""
+        with self._connection() as db:
+            db.execute("DELETE FROM workers WHERE FALSE")
 
     def submit(self, job: NewJob) -> tuple[Job, bool]:
         """Insert a job; return it and True, or its owner's earlier job with the same key and False.
