@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 import secrets
@@ -14,11 +15,12 @@ from typing import Any
 
 from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.gate import SAFE_METHODS, address_of
 from service.api.metrics import Metrics
-from service.api.problems import REFUSAL, RETRY_AFTER, ProblemError
+from service.api.problems import REFUSAL, RETRY_AFTER, ProblemError, refused
 from service.api.requests import IN_MEMORY_BYTES
 from service.logs import FIELDS, request_id
 
@@ -72,6 +74,10 @@ class RequestLog:
         token = request_id.set(name)
         try:
             await self._app(scope, receive, note)
+        except asyncio.CancelledError:  # by the server, when a stop has waited long enough
+            if not status:
+                problem = ProblemError(503, "the service is stopping", reason="stop", headers=RETRY_AFTER)
+                await refused(Request(scope), problem)(scope, receive, note)
         finally:
             ms = 1000 * (time.monotonic() - started)
             fields = {"method": method, "path": path[:MAX_LOGGED_PATH], "status": status, "ms": round(ms, 1)}

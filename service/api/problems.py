@@ -49,7 +49,7 @@ REASONS = {
 # The reasons that problems name themselves. The counter of each begins with 0.
 NAMED_REASONS = (
     *("queue", "own_queue", "quota", "own_quota", "turns", "own_turns"),
-    *("cut", "disk", "memory", "origin", "sandbox", "stall", "storage", "table"),
+    *("cut", "disk", "memory", "origin", "sandbox", "stall", "stop", "storage", "table"),
 )
 REFUSAL = "refusal"  # the attribute of request.state that holds the reason
 

@@ -84,9 +84,7 @@ def _translated_errors() -> Iterator[None]:
     try:
         yield
     except psycopg.errors.ReadOnlySqlTransaction as error:
-        raise JobTableError(
-            "PostgreSQL is read-only, like a standby; let SG_DATABASE_URL lead to the primary"
-        ) from error
+        raise JobTableError("PostgreSQL is read-only, as a standby is; let SG_DATABASE_URL name the primary") from error
     except psycopg.Error as error:
         raise JobTableError(f"PostgreSQL: {' '.join(str(error).split())}") from error
 

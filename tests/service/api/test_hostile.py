@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import pytest
 from PIL import Image
 
+from service.api.problems import RETRYABLE
 from tests.support.attacks import crowded_bitstream, png_chunk, png_that_claims
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL, saved
@@ -121,10 +124,10 @@ def test_paths_that_lead_nowhere(web: Service, done: str, path: str) -> None:
         assert b"localhost" not in answer
 
 
-def connect(web: Service, *headers: str) -> socket.socket:
-    """A connection that has sent the head of POST /encode."""
+def connect(web: Service, *headers: str, path: str = "/encode") -> socket.socket:
+    """A connection that has sent the head of a POST."""
     connection = web.connect()
-    lines = ["POST /encode HTTP/1.1", "Host: localhost", f"Content-Type: {FORM['Content-Type']}", *headers]
+    lines = [f"POST {path} HTTP/1.1", "Host: localhost", f"Content-Type: {FORM['Content-Type']}", *headers]
     connection.sendall("\r\n".join([*lines, "", ""]).encode())
     return connection
 
@@ -135,6 +138,7 @@ def problem_from(connection: socket.socket, status: int) -> dict[str, object]:
         assert response.readline().startswith(f"HTTP/1.1 {status} ".encode())
         headers = dict(line.lower().split(b": ", 1) for line in iter(response.readline, b"\r\n"))
         assert headers[b"content-type"].strip() == b"application/problem+json"
+        assert status not in RETRYABLE or b"retry-after" in headers
         problem: dict[str, object] = json.loads(response.read(int(headers[b"content-length"])))
     assert problem["status"] == status
     return problem
@@ -191,10 +195,25 @@ def test_a_full_queue_refuses_a_body_unread(empty: Service) -> None:
 
 @pytest.mark.thorough
 def test_the_end_does_not_wait_for_ever(start_service: StartService) -> None:
-    service = start_service(stop_grace_s=2)
-    service.client.get("/livez")
-    with connect(service, "Content-Length: 5000") as connection:
-        connection.sendall(HEAD)
+    """Whoever is not served by then is told to ask again: with an upload on its way, or in line behind other decodes.
+
+    They got 500, which no client repeats, and the log a traceback for each.
+    """
+    service = start_service(stop_grace_s=2, max_decodes=1)
+    service.wait_ready()
+    crowded = crowded_bitstream()  # takes seconds to draw
+    with ExitStack() as connections:
+        sending = connections.enter_context(connect(service, "Content-Length: 5000"))
+        sending.sendall(HEAD)
+        for _ in range(4):
+            waiting = connections.enter_context(connect(service, f"Content-Length: {len(crowded)}", path="/decode"))
+            waiting.sendall(crowded)
+        service.client.get("/livez")
         service.process.send_signal(signal.SIGTERM)
+        for connection in (sending, waiting):
+            assert problem_from(connection, 503)["type"] == "/docs#stop"
         assert service.stop() == 0
     assert service.files() == []
+    log = service.log.read_text()
+    assert "Traceback" not in log
+    assert len(re.findall(r"access: POST '/encode' 503 .* stop ", log)) == 1
