@@ -130,7 +130,7 @@ class Settings(BaseSettings):
     )
     max_time_limit_s: float = _setting(
         300.0,
-        "seconds, the longest and default time limit of an encode; an encode that takes twice as long is killed",
+        "seconds, the longest and default time limit of an encode; one that takes twice as long is ended and retried",
         gt=0,
         le=MAX_SECONDS,
     )
@@ -261,7 +261,7 @@ class Settings(BaseSettings):
 
     @property
     def job_timeout_s(self) -> float:
-        """Seconds until a running encode is killed. Starting and finishing it takes time, too, on a busy machine."""
+        """Seconds until a running encode is ended. Starting and finishing it takes time, too, on a busy machine."""
         return 2 * self.max_time_limit_s
 
     @property

@@ -59,6 +59,7 @@ async def encode(request: Request, context: UseContext, caller: UseCaller, wait:
     wait_s, key = requests.wanted_wait_s(request, wait), requests.idempotency_key(request)
     await context.read(context.table.check_queue, caller.client, caller.owner, key)  # before the body is read
     async with requests.image_and_fields(request) as (image, fields):
+        deadline = time.monotonic() + wait_s  # a proxy's, too, counts from here
         query = read_options(fields)
         # First, since what would be refused now may have been accepted then.
         job, fingerprint = await context.read(_earlier, context.table, query, image.file, caller.owner, key)
@@ -68,7 +69,7 @@ async def encode(request: Request, context: UseContext, caller: UseCaller, wait:
             new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, query.priority, caller.client)
             job = await context.store(_accept, context, new, image.file)
     if wait_s:
-        job = await _waited(request, context, job, wait_s)
+        job = await _waited(request, context, job, deadline)
     return await _answer(request, context, job, wants_file=wait_s > 0)
 
 
@@ -101,13 +102,13 @@ def _accept(context: Context, new: NewJob, image: BinaryIO) -> Job:
     return job
 
 
-async def _waited(request: Request, context: Context, job: Job, wait_s: int) -> Job:
-    """Return the job once it has ended, or as it is after wait_s seconds, and where no place to wait is free."""
+async def _waited(request: Request, context: Context, job: Job, deadline: float) -> Job:
+    """Return the job once it has ended, or as it is at the deadline, and where no place to wait is free."""
     began, client = time.monotonic(), request.state.caller.client
     if not context.waits.is_full_for(client):
         with context.waits.one(client), suppress(JobTableError, OSError):
             try:
-                job = await requests.while_client_waits(request, _ended(context, job, began + wait_s))
+                job = await requests.while_client_waits(request, _ended(context, job, deadline))
             finally:
                 setattr(request.state, WAITED_S, time.monotonic() - began)
     return job

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers
-from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.problems import PAGE, ProblemError, refused
@@ -101,7 +100,7 @@ class Authentication:
             scope.setdefault("state", {})["caller"] = self._caller(scope)
             scope["query_string"] = _without_link(scope)
         except ProblemError as problem:
-            await refused(Request(scope), problem)(scope, receive, send)
+            await refused(scope, problem)(scope, receive, send)
             return
         await self._app(scope, receive, send)
 

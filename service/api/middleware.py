@@ -15,7 +15,6 @@ from typing import Any
 
 from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.gate import SAFE_METHODS, address_of
@@ -77,7 +76,7 @@ class RequestLog:
         except asyncio.CancelledError:  # by the server, when a stop has waited long enough
             if not status:
                 problem = ProblemError(503, "the service is stopping", reason="stop", headers=RETRY_AFTER)
-                await refused(Request(scope), problem)(scope, receive, note)
+                await refused(scope, problem)(scope, receive, note)
         finally:
             ms = 1000 * (time.monotonic() - started)
             fields = {"method": method, "path": path[:MAX_LOGGED_PATH], "status": status, "ms": round(ms, 1)}

@@ -14,6 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
+from starlette.types import Scope
 
 from service.errors import JobTableError, KeyReusedError, LimitError
 from service.logs import log_seldom
@@ -76,11 +77,11 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
-def refused(request: Request, problem: ProblemError) -> Response:
+def refused(scope: Scope, problem: ProblemError) -> Response:
     """Build the response for a problem, and note its reason in the state of the request."""
-    setattr(request.state, REFUSAL, problem.reason)
+    scope["state"][REFUSAL] = problem.reason
     title = HTTPStatus(problem.status).phrase
-    scope = request.scope  # within a mount, root_path includes the mount's path
+    # Within a mount, root_path includes the mount's path.
     kind = f"{scope.get('app_root_path', scope.get('root_path', ''))}{PAGE}#{problem.reason}"
     document = {"type": kind, "title": title, "status": problem.status, "detail": problem.detail}
     headers = {"Cache-Control": "no-store", **problem.headers}
@@ -95,7 +96,7 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 async def _on_error(request: Request, error: Exception) -> Response:
-    return refused(request, _problem_of(request, error))
+    return refused(request.scope, _problem_of(request, error))
 
 
 def _problem_of(request: Request, error: Exception) -> ProblemError:

@@ -35,6 +35,8 @@ from service.settings import Settings
 # What happens to a job through no fault of its own.
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 IMAGE_LOST = JobError("crashed", "the image is missing from the storage, or is not whole there")
+NO_PROCESSOR = JobError("timed_out", "the machine was too busy to encode the image in time")
+PUT_OFF = (IMAGE_LOST, NO_PROCESSOR)  # until then, others go first
 # A worker that was silent for half of its lease is watched for the other half before it counts as lost.
 WATCHED = 1 / 2
 MAX_ATTEMPTS = 4  # crashes until a job fails
@@ -254,8 +256,8 @@ class JobTable(ABC):
 
     def _fail(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
         """Return the job after an attempt that failed; None if the attempt is not its latest."""
-        lost = error in (WORKER_LOST, IMAGE_LOST)
-        crashed, put_off_s = error.code == "crashed" and not lost, sql.PUT_OFF_S if error == IMAGE_LOST else None
+        lost = error in (WORKER_LOST, *PUT_OFF)
+        crashed, put_off_s = error.code == "crashed" and not lost, sql.PUT_OFF_S if error in PUT_OFF else None
         job = _update(db, sql.PUT_BACK, where, as_json(error), int(crashed), int(lost), put_off_s, *values)
         again = (crashed or lost) and job is not None and job.crashes < MAX_ATTEMPTS and job.losses < MAX_LOSSES
         if job is not None and not again:

@@ -14,7 +14,7 @@ import time
 from typing import BinaryIO
 
 from service.jobs.job import Job, JobError
-from service.jobs.table import IMAGE_LOST, JobTable
+from service.jobs.table import IMAGE_LOST, NO_PROCESSOR, JobTable
 from service.processes import PeriodicThread, StopSignal, log_errors
 from service.sandbox import frames
 from service.sandbox.client import KILLED, RunningTask, Sandbox, SandboxUnavailableError
@@ -34,12 +34,8 @@ BEGINS_SOON_S = 5.0  # after which this worker no longer reports that it is aliv
 GIVES_UP_S = 60.0  # after which it ends, for whoever started it to start another
 
 
-class FailedError(Exception):
-    """An attempt ends without a file. error: the reason."""
-
-    def __init__(self, error: JobError) -> None:
-        super().__init__(error.detail)
-        self.error = error
+class ImageLostError(Exception):
+    """The image of a job is missing from the storage, or cut."""
 
 
 class Worker:
@@ -138,8 +134,8 @@ class Worker:
                 self._owed_since = self._owed_since or time.monotonic()
                 with self._sandbox.start(self._task(attempt.claim), source) as running:
                     return self._follow(running, attempt)
-        except FailedError as failed:
-            return failed.error
+        except ImageLostError:
+            return IMAGE_LOST
         except frames.FrameError as error:
             return JobError("crashed", f"the encoder sent an invalid message: {error}")
 
@@ -155,19 +151,19 @@ class Worker:
         )
 
     def _source(self, claim: Job) -> BinaryIO:
-        """Open the image of a job. Raises FailedError if it is missing or cut, OSError."""
+        """Open the image of a job. Raises ImageLostError, OSError."""
         try:
             source = self._storage.open(source_key(claim.id))
         except FileNotFoundError:
             self._storage.check()  # one that is away has no image either
-            raise FailedError(IMAGE_LOST) from None
+            raise ImageLostError from None
         if source.seek(0, io.SEEK_END) != claim.image.size_bytes:
             source.close()
-            raise FailedError(IMAGE_LOST)
+            raise ImageLostError
         return source
 
-    def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded:
-        """Relay progress to the job table until the encode ends or must be ended. Raises FailedError and others."""
+    def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
+        """Relay progress to the job table until the encode ends or must be ended. Raises StoppedError and others."""
         started = time.monotonic()
         while not self._stop.requested:
             messages = running.read(FOLLOW_S)
@@ -178,34 +174,33 @@ class Worker:
                     attempt.add(message.model_dump(exclude={"kind"}))
                 else:
                     attempt.beat(now=True)
-                    return _encoded(message)
+                    return _outcome(message)
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxUnavailableError("the sandbox cannot be started")
             if seconds > self._settings.job_timeout_s:
-                limit_s = self._settings.job_timeout_s
-                raise FailedError(JobError("timed_out", f"the encode took longer than {limit_s:g} s"))
+                return NO_PROCESSOR
             attempt.beat()
         raise StoppedError
 
 
-def _encoded(message: frames.Message) -> Encoded:
-    """Return the file of the message that ended a task. Raises FailedError if there is none."""
-    code, detail = "crashed", ""
+def _outcome(message: frames.Message) -> Encoded | JobError:
+    """Return the file of the message that ended a task, or why there is none."""
     match message:
         case frames.Result(figures=figures, file=file):
             return Encoded(figures.model_dump(), file)
         case frames.Refused(error="MemoryError"):
-            code, detail = "refused", "the encode exceeds the memory limit"
+            return JobError("refused", "the encode exceeds the memory limit")
         case frames.Refused(detail=detail):
-            code = "refused"
+            return JobError("refused", detail)
         case frames.Crashed(detail=how):
-            detail = f"the encoder crashed: {how}"
+            return JobError("crashed", f"the encoder crashed: {how}")
+        case frames.Ended(status=status) if status == -signal.SIGPROF:
+            return JobError("timed_out", "the encode exceeds the time limit")
         case frames.Ended(status=status) if status == -signal.SIGKILL:
-            detail = f"{KILLED}: the encode needs more than there is"
+            return JobError("crashed", f"{KILLED}: the encode needs more than there is")
         case frames.Ended(status=status):
             how = f"exit status {status}" if status >= 0 else signal.strsignal(-status) or "an unknown signal"
-            detail = f"the encoder crashed ({how})"
+            return JobError("crashed", f"the encoder crashed ({how})")
         case _:
             raise AssertionError(message)
-    raise FailedError(JobError(code, detail))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
+import signal
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import httpx2
@@ -120,6 +123,22 @@ def test_waits_do_not_hold_up_the_end(start_service: StartService) -> None:
         assert asking.result().json()["id"] == job_id
     web.start()
     assert web.job(job_id)["state"] == "queued"
+
+
+@pytest.mark.thorough
+def test_reading_the_header_counts_too(start_service: StartService) -> None:
+    """On a busy machine that may take long, and a proxy counts from when it has sent the image."""
+    web = start_service("web")
+    web.accepted()
+    sandbox = web.sandbox()
+    with ThreadPoolExecutor(1) as pool:
+        os.kill(sandbox, signal.SIGSTOP)
+        asking = pool.submit(httpx2.post, f"{web.url}/encode?wait=6", content=SMALL, headers=BODY, timeout=100)
+        time.sleep(6)
+        os.kill(sandbox, signal.SIGCONT)
+        began = time.monotonic()
+        assert asking.result().status_code == 202
+        assert time.monotonic() - began < 6
 
 
 @pytest.mark.thorough

@@ -11,7 +11,7 @@ import pytest
 from service.errors import LimitError
 from service.jobs import table as table_module
 from service.jobs.job import EncodeResult
-from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, JobTable
+from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, NO_PROCESSOR, JobTable
 from service.jobs.tallies import ENCODING, OUTCOMES, QUEUEING
 from service.storage.files import source_key
 from tests.support.job_table import (
@@ -105,6 +105,19 @@ def test_a_lost_worker_is_no_crash_of_its_job(open_job_table: OpenTable) -> None
     claimed(hasty)
     assert [job.id for job in hasty.reconcile()] == [job_id]
     assert state(hasty, job_id) == "failed"
+
+
+def test_a_machine_that_is_too_busy_fails_no_job(table: JobTable) -> None:
+    """It failed a job for good. Others go first, and the job is tried again as after a lost worker."""
+    job_id, other = submitted(table), submitted(table)
+    assert table.fail(claimed(table), NO_PROCESSOR)
+    job = job_of(table, job_id)
+    assert (job.state, job.crashes, job.losses, job.error) == ("queued", 0, 1, NO_PROCESSOR)
+    assert claimed(table).id == other
+    assert table.claim("w") is None  # until it is due
+    change(table, "UPDATE jobs SET lease_until = 0 WHERE id = ?", job_id)
+    assert claimed(table).id == job_id
+    assert table.counts().totals["retried"] == 1
 
 
 @pytest.mark.parametrize("lives", [True, False])

@@ -286,6 +286,16 @@ def test_one_that_the_system_kills_is_no_fault_of_its_client(taken_over: Sandbox
         killed.result()
 
 
+def test_only_processor_time_counts_against_a_task(taken_over: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine refused good images for good: it had no processor for their tasks."""
+    what = frames.MakePreview(**{**LIMITS, "cpu_s": 0.1}, max_bytes=100)
+    with monkeypatch.context() as impatient, pytest.raises(SandboxUnavailableError, match="no processor"):
+        impatient.setattr(client, "TIMEOUT_S", 1.0)
+        asked(taken_over, what, b"import time\ntime.sleep(1000)")
+    with pytest.raises(TaskError, match="time limit"):
+        asked(taken_over, what, b"while True: pass")
+
+
 def test_tasks_are_killed_before_the_service(taken_over: Sandbox) -> None:
     what = task()
     with begun(taken_over, WAITS, what):

@@ -212,14 +212,19 @@ def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
 
 @pytest.mark.thorough
 def test_rule_4_timed_out(start_service: StartService) -> None:
-    """An encode beyond the time-out is ended and not tried again."""
+    """An encode that has used up its processor time is not tried again. One that had none in twice its limit is."""
     service = start_service(max_time_limit_s=2, extra=FAKE_CODEC)
-    job_id = service.accepted(SLOW, bpp=1, time_limit_s=2)
-    encoder = running_encoder(job_id)
+    starved = service.accepted(SLOW, bpp=1, time_limit_s=2)
+    encoder = running_encoder(starved)
     os.kill(encoder, signal.SIGSTOP)
-    job = service.wait(job_id)
-    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
+    job = service.wait(starved, "queued", "failed")
+    assert (job["state"], job["attempt"]) == ("queued", 1)
     wait_until(lambda: encoder not in processes())
+    spent = service.accepted(SLOW, bpp=1, time_limit_s=2)
+    os.kill(running_encoder(spent), signal.SIGPROF)
+    job = service.wait(spent)
+    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
+    service.client.delete(f"/jobs/{starved}")
     assert_settled(service)
 
 
