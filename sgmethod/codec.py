@@ -57,7 +57,8 @@ def encode(
     that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
     time_limit_s: limit for the whole encode, which uses it up unless it needs less. About 0.1 s per megapixel, divided
-    by the cores, is needed in any case. Without a limit, the same call gives the same file on the same machine.
+    by the cores, is needed in any case; a profile that can fit nothing in it raises BudgetError. Without a limit, the
+    same call gives the same file on the same machine.
     on_progress: called with each point of the trace; if it raises, the encode is abandoned.
     measure: also measure SSIMULACRA 2, which takes a large part of the time of a small encode.
 

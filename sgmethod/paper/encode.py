@@ -27,8 +27,9 @@ from sgmethod.scene import Pixels
 
 SEED = 0  # of the initial places and of the codebook
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
-PSNR_UNTIL = (0.22, 0.46, 0.72, 1.0)  # of the time: when attempts end, each a little longer, so that the next has time
+PSNR_UNTIL = (0.22, 0.46, 0.72, 1.0)  # of the time left: when attempts end, each a little longer than the last
 EXPECTED_GROUPS = 2  # bitwidths: most Gaussians have the least, and some one bit more
+USABLE_STEPS, USABLE_DB = 30, 20.0  # with less of both, as after a short time limit, nothing can be recognised
 PSNR_PER_DOUBLING_DB = 1.7  # first guess in a search for a PSNR: gain from twice as many Gaussians
 
 
@@ -50,11 +51,13 @@ class PaperProblem:
 def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, recorder: Recorder) -> tuple[bytes, int]:
     """Encode pixels [H, W, 3]; return the file and the number of steps.
 
-    Raises BudgetError for a budget that no file can meet.
+    Raises BudgetError for a budget that no file can meet, and for a time limit that leaves too few steps.
     """
     budget, settings = asked.budget, asked.settings
     assert isinstance(settings, PaperSettings)
     deadline = Deadline.from_limit(recorder.clock, time_limit_s, pixels.shape[0] * pixels.shape[1])
+    if not deadline.left_s():  # loading PyTorch counts, too
+        raise _too_short(recorder, 0)
     problem = PaperProblem(pixels, settings, deadline, recorder)
     with _torch_defaults(), _memory_errors():
         if budget.kind == "psnr":
@@ -63,6 +66,8 @@ def encode(pixels: Pixels, asked: EncodeArguments, time_limit_s: float | None, r
             stream, steps = run(problem, budget.max_gaussians(*problem.size), None)
         else:
             stream, steps = within_bytes(problem, budget.max_bytes(*problem.size) or 0)
+    if deadline.has_limit() and steps < USABLE_STEPS and recorder.points[-1].psnr < USABLE_DB:
+        raise _too_short(recorder, steps)
     return container.serialise(stream), steps
 
 
@@ -85,8 +90,9 @@ def reach_psnr(problem: PaperProblem, target_db: float) -> tuple[PaperStream, in
     pixels = problem.size[0] * problem.size[1]
     n, steps = max(pixels // 300, 1), 0
     tried: dict[int, tuple[float, PaperStream]] = {}
-    for attempt in problem.deadline.attempts(len(PSNR_UNTIL)):
-        part = replace(problem, deadline=problem.deadline.at(PSNR_UNTIL[attempt]))
+    parts = [problem.deadline.after(share) for share in PSNR_UNTIL]
+    for attempt in problem.deadline.attempts(len(parts)):
+        part = replace(problem, deadline=parts[attempt])
         stream, taken = run(part, n, None)
         steps += taken
         tried[n] = (psnr(draw(stream.scene()), problem.pixels), stream)
@@ -140,6 +146,17 @@ def _memory_errors() -> Iterator[None]:
         if "can't allocate memory" not in str(error):
             raise
         raise MemoryError("not enough memory for this encode") from error
+
+
+def _too_short(recorder: Recorder, steps: int) -> BudgetError:
+    """Describe a time limit that ended the encode after so many steps, and what should be enough."""
+    passed_s = recorder.clock.seconds()
+    start_s = recorder.points[0].seconds if steps else passed_s
+    enough_s = 2 * start_s + USABLE_STEPS * (passed_s - start_s) / max(steps, 1)
+    return BudgetError(
+        f"the time limit is too short: profile paper took {start_s:.1f} s to start, and then had {steps} steps of the "
+        f"{USABLE_STEPS} that it needs; allow at least {enough_s:.1f} s"
+    )
 
 
 def _next_count(tried: dict[int, tuple[float, PaperStream]], target_db: float, limit: int) -> int:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from sgmethod import Budget, Encoded, TracePoint
+from sgmethod import Budget, BudgetError, Encoded, TracePoint
+from sgmethod.paper import encode as paper
 from tests import test_codec as codec
 from tests.rd.short import SlowClock
 from tests.support.pictures import noise
@@ -71,11 +74,29 @@ def test_a_time_limit_ends_the_encode_with_what_there_is(budget: Budget, clocks:
     assert {p.phase for p in encoded.trace} == {"fit", "tune", "done"}
 
 
-def test_a_limit_too_short_for_anything_still_gives_a_file() -> None:
-    for budget in (Budget("bytes", 400), Budget("psnr", 30)):
-        encoded = encode(SMALL, budget, time_limit_s=1e-6)
-        codec.assert_true_figures(encoded, SMALL)
-        assert encoded.stats.steps <= 8
+def asked_time(budget: Budget, limit_s: float) -> float:
+    """The time that the refusal of a limit asks for."""
+    with pytest.raises(BudgetError, match=r"the time limit is too short: profile paper took .* to start") as refused:
+        encode(SMALL, budget, time_limit_s=limit_s)
+    named = re.search(r"at least ([0-9.]+) s$", str(refused.value))
+    assert named
+    return float(named[1])
+
+
+@pytest.mark.parametrize("budget", [Budget("bytes", 400), Budget("psnr", 30)])
+def test_a_limit_too_short_to_fit_anything_is_refused(budget: Budget, clocks: list[SlowClock]) -> None:
+    """It gave files of 10 dB: to load PyTorch and to start counts, and may take all of it."""
+    assert asked_time(budget, 1e-6) > 0
+    assert clocks[-1].now < 0.1  # it is refused before it starts
+    encoded = encode(SMALL, budget, time_limit_s=asked_time(budget, 0.3))
+    codec.assert_true_figures(encoded, SMALL)
+    assert encoded.stats.steps >= paper.USABLE_STEPS or encoded.stats.psnr >= paper.USABLE_DB
+
+
+@pytest.mark.usefixtures("clocks")
+def test_a_flat_picture_needs_hardly_any_time() -> None:
+    encoded = encode(np.zeros((40, 56), np.uint8), Budget("gaussians", 20), time_limit_s=0.3)
+    assert encoded.stats.psnr >= paper.USABLE_DB
 
 
 def test_the_file_does_not_depend_on_threads(set_threads: Callable[[int], None]) -> None:
