@@ -48,6 +48,7 @@ PAGE_POLICY = (
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
 PICTURE_CACHE_BYTES = 64 << 20
+MAX_UNREAD_BYTES = 256 << 20  # of files that clients have yet to read, and one more; one client may have half
 KEYS_POLL_S = 1.0
 STABLE_READS = 5  # times in a row: a file that is being written may end after any line
 KEEP_ALIVE_S = 75  # longer than a proxy keeps connections, so that it does not send a request as one closes
@@ -166,6 +167,7 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
         Shares(settings.max_waits, -(-settings.max_waits // 2)),
+        Shares(MAX_UNREAD_BYTES, MAX_UNREAD_BYTES // 2),
         stopping,
         KeyRing(settings.key_names),
         metrics,

@@ -57,8 +57,8 @@ class PictureCache:
 class Context:
     """The parts of the running service.
 
-    tasks: sandbox tasks of clients; waits: requests that wait for a job; stopping: returns whether the service is
-    shutting down.
+    tasks: sandbox tasks of clients; waits: requests that wait for a job; unread: bytes of files that clients have not
+    read yet; stopping: returns whether the service is shutting down.
 
     reading, writing, storing: threads in which read() and write() use the job table, and store() the storage. The pools
     are separate, so that a lock or a silent bucket does not block anything else.
@@ -70,6 +70,7 @@ class Context:
     tasks: ClientTasks
     pictures: PictureCache
     waits: Shares
+    unread: Shares
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics

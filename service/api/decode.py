@@ -16,6 +16,7 @@ from pydantic import Field
 from service.api import models, requests
 from service.api.context import Context, JobId, UseCaller, UseContext, context_of, known_job, no_such_job
 from service.api.problems import ProblemError
+from service.api.sending import FileResponse
 from service.jobs.job import EncodeResult, Job
 from service.pictures import (
     MAX_COMPARED_PIXELS,
@@ -82,7 +83,7 @@ async def _drawn_body(
     async with requests.body_as_file(request) as upload:
         drawing = tasks.draw(client, upload.file, options, kind, max_gaussians=MAX_GAUSSIANS)
         file = await requests.while_client_waits(request, drawing)
-    return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
+    return FileResponse(request, file, headers, MEDIA_TYPES[kind])
 
 
 async def bitstream(job_id: JobId, request: Request) -> Response:
@@ -179,7 +180,7 @@ async def bitstream_response(request: Request, job: Job) -> Response:
         return answer
     with await context.store(_open_bitstream, context, job, result) as file:
         data = await context.store(file.read)
-    return Response(data, headers=headers, media_type=requests.BITSTREAM_TYPE)
+    return FileResponse(request, data, headers, requests.BITSTREAM_TYPE)
 
 
 async def _cached_response(
@@ -193,7 +194,7 @@ async def _cached_response(
     if file is None:
         file = await requests.while_client_waits(request, make())
         context.pictures.put(headers["ETag"], file)
-    return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
+    return FileResponse(request, file, headers, MEDIA_TYPES[kind])
 
 
 def _not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:

@@ -106,7 +106,7 @@ async def _waited(request: Request, context: Context, job: Job, deadline: float)
     """Return the job once it has ended, or as it is at the deadline, and where no place to wait is free."""
     began, client = time.monotonic(), request.state.caller.client
     if not context.waits.is_full_for(client):
-        with context.waits.one(client), suppress(JobTableError, OSError):
+        with context.waits.hold(client), suppress(JobTableError, OSError):
             try:
                 job = await requests.while_client_waits(request, _ended(context, job, deadline))
             finally:

@@ -48,14 +48,21 @@ class Shares:
     def is_full_for(self, client: str) -> bool:
         return self.is_full() or self._held[client] >= self._max_own
 
+    def refuse_if_full(self, client: str, things: str, state: str) -> None:
+        """Raise ProblemError 503 if nothing is left, or 429 if the client has its part. things, state: for the text."""
+        if self.is_full():
+            raise ProblemError(503, f"too many {things} are {state}", reason="turns", headers=RETRY_SOON)
+        if self.is_full_for(client):
+            raise ProblemError(429, f"too many of your {things} are {state}", reason="own_turns", headers=RETRY_SOON)
+
     @contextmanager
-    def one(self, client: str) -> Iterator[None]:
-        """Count one for the client during the context."""
-        self._held[client] += 1
+    def hold(self, client: str, amount: int = 1) -> Iterator[None]:
+        """Count an amount for the client during the context."""
+        self._held[client] += amount
         try:
             yield
         finally:
-            self._held[client] -= 1
+            self._held[client] -= amount
             if not self._held[client]:
                 del self._held[client]
 
@@ -80,13 +87,9 @@ class Turns:
 
         Raises ProblemError 503 at once if the queue is full, or 429 if the client's part of it is.
         """
-        if self._present.is_full_for(client):
-            if self._present.is_full():
-                raise ProblemError(503, "too many pictures are being processed", reason="turns", headers=RETRY_SOON)
-            detail = "too many of your pictures are already waiting"
-            raise ProblemError(429, detail, reason="own_turns", headers=RETRY_SOON)
+        self._present.refuse_if_full(client, "pictures", "being processed")
         own_places = self._clients.setdefault(client, asyncio.Semaphore(self._own_places))
-        with self._present.one(client):
+        with self._present.hold(client):
             async with own_places, self._places:
                 yield
 

@@ -125,10 +125,10 @@ def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | N
 def test_places_to_wait_are_shared() -> None:
     """One client leaves half of them to others."""
     waits = Shares(4, 2)
-    with waits.one("ann"), waits.one("ann"):
+    with waits.hold("ann"), waits.hold("ann"):
         assert waits.is_full_for("ann")
         assert not waits.is_full()
-        with waits.one("bob"), waits.one("bob"):
+        with waits.hold("bob"), waits.hold("bob"):
             assert waits.is_full_for("cat")
             assert waits.total == 4
     assert waits.total == 0

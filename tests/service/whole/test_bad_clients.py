@@ -7,9 +7,11 @@ from __future__ import annotations
 import contextlib
 import socket
 import ssl
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import httpx2
@@ -127,6 +129,40 @@ def test_a_client_that_never_reads(behind: tuple[Service, Nginx]) -> None:
             return False
 
         assert wait_until(cut_off)
+
+
+def test_what_a_client_has_not_read_waits_in_the_service(start_proxy: Any) -> None:
+    """nginx took a whole answer at once, and kept it on its disk: 60 connections made it hold 255 MB."""
+    answer, sent = bytes(30_000_000), threading.Event()  # more than the buffers of connections hold
+
+    class Web(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            body = answer if self.path == "/large" else b""
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+            if body:
+                sent.set()
+
+        def log_message(self, *_: object) -> None: ...
+
+    web = ThreadingHTTPServer(("127.0.0.1", 0), Web)
+    threading.Thread(target=web.serve_forever, daemon=True).start()
+    try:
+        proxy = start_proxy([f"127.0.0.1:{web.server_port}"])
+        with connected(proxy) as connection:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+            connection.sendall(b"GET /large HTTP/1.1\r\n" + HEAD + b"\r\n")
+            assert not sent.wait(2)
+            read = 0
+            while data := connection.recv(1 << 20):
+                read += len(data)
+        assert read > len(answer)
+        assert sent.wait(TIMEOUT_S)
+    finally:
+        web.shutdown()
+        web.server_close()
 
 
 def test_connections_of_one_address_are_limited(patient: tuple[Service, Nginx]) -> None:
