@@ -1,4 +1,4 @@
-"""The commands of `python -m service`: serve, web, worker and check."""
+"""The commands of `python -m service`: serve, web, worker, check and retry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import socket
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -82,7 +82,9 @@ def _parser() -> argparse.ArgumentParser:
     web = commands.add_parser("web", help="run only the web process")
     worker = commands.add_parser("worker", help="run a single worker")
     check = commands.add_parser("check", help="check settings, database, storage, disk, kernels and sandbox")
-    runs = (serve, _serve), (web, _web), (worker, _worker), (check, _check)
+    retry = commands.add_parser("retry", help="put failed jobs back into the queue, while their images are kept")
+    retry.add_argument("jobs", nargs="+", metavar="ID")
+    runs = (serve, _serve), (web, _web), (worker, _worker), (check, _check), (retry, _retry)
     for command, run in runs:
         command.set_defaults(run=run)
     web.add_argument("--socket", type=int, help=argparse.SUPPRESS)
@@ -152,6 +154,14 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
         print(f"{'ok    ' if passed else 'FAILED'}  {name}: {detail}", flush=True)
         failures += not passed
     return TROUBLE if failures else 0
+
+
+def _retry(settings: Settings, arguments: argparse.Namespace) -> int:
+    with closing(open_job_table(settings)) as table:
+        refused = [job for job in arguments.jobs if not table.retry(job)]
+    for job in refused:
+        print(f"{job}: not a failed job whose image is kept (SG_SOURCE_RETENTION_S)", file=sys.stderr)
+    return TROUBLE if refused else 0
 
 
 def _announce(settings: Settings) -> socket.socket:

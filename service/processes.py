@@ -10,6 +10,7 @@ from __future__ import annotations
 import ipaddress
 import logging
 import os
+import re
 import select
 import signal
 import socket
@@ -18,7 +19,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from service.errors import JobTableError
 from service.logs import log_seldom
@@ -31,6 +33,9 @@ WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 MAX_PAUSE_S = 10.0
 STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its start
+# How often a process is looked at, and how many looks in a row find one still that hangs. Not seconds: a container that
+# was paused does not hang.
+LOOK_S, MAX_STILL_LOOKS = 1.0, 60
 
 
 class StopSignal:
@@ -104,8 +109,27 @@ class PeriodicThread(threading.Thread):
             step()
 
 
+class Pulse:
+    """Tells whether a process of this service hangs. The main thread of each wakes up at least once a second."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._switches: list[bytes] = []
+        self._still_looks, self._next = 0, 0.0
+
+    def has_stopped(self) -> bool:
+        """Look, if it is time to. Whether the main thread has not run for MAX_STILL_LOOKS looks."""
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + LOOK_S
+            with suppress(OSError):  # it has ended
+                status = Path(f"/proc/{self._number}/status").read_bytes()
+                before, self._switches = self._switches, re.findall(rb"ctxt_switches:\s*(\d+)", status)
+                self._still_looks = self._still_looks + 1 if before == self._switches != [] else 0
+        return self._still_looks >= MAX_STILL_LOOKS
+
+
 class Supervised:
-    """A process that is restarted when it dies, with growing pauses if it keeps dying."""
+    """A process that is restarted when it dies or hangs, with growing pauses if it keeps dying."""
 
     def __init__(
         self,
@@ -128,13 +152,16 @@ class Supervised:
         self.process = subprocess.Popen(
             self._command, env=self._environment, stdin=subprocess.DEVNULL, pass_fds=self._descriptors, process_group=0
         )
+        self._pulse = Pulse(self.process.pid)
 
     def keep_alive(self) -> None:
-        """Restart the process if it is dead and its pause is over."""
+        """Restart the process if it is dead and its pause is over, and kill it if it hangs."""
         status = self.process.poll()
         if status is None:
-            return
-        if self._restart_at is None:
+            if self._pulse.has_stopped():
+                log.error("%s hangs: killing it", self.name)
+                self.process.kill()
+        elif self._restart_at is None:
             self._start_later(f"ended ({status})")
         elif time.monotonic() >= self._restart_at:
             try:

@@ -54,6 +54,11 @@ DONE = "state = 'done', result = ?, file_bytes = ?, image_bytes = ? * image_byte
 PUT_BACK = "state = 'queued', error = ?, crashes = crashes + ?, losses = losses + ?, lease_until = epoch() + ?"
 RELEASE = "state = 'queued', started_at = NULL, lease_until = epoch() + ?"
 FAIL = "state = 'failed', image_bytes = ? * image_bytes, finished_at = epoch()"
+# It is due at once, and has waited since then.
+RETRY = """
+state = 'queued', crashes = 0, losses = 0, error = NULL, started_at = NULL, finished_at = NULL, lease_until = epoch()
+"""
+RETRIED = "WHERE id = ? AND state = 'failed' AND image_bytes > 0"
 CLAIMED = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is too long because the clock was set back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"

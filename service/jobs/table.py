@@ -171,6 +171,11 @@ class JobTable(ABC):
                 tallies.count(db, "cancelled")
         return None if row is None else job_of(row)
 
+    def retry(self, job_id: str) -> bool:
+        """Put a failed job back into the queue, as if it had never run. False: it has not failed, or has no image."""
+        with self._transaction() as db:
+            return _update(db, sql.RETRY, sql.RETRIED, job_id) is not None
+
     def reconcile(self) -> list[Job]:
         """Requeue running jobs whose worker is lost; those that lost too many fail. Returns the jobs that failed.
 

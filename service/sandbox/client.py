@@ -32,9 +32,6 @@ TINY_IMAGE = b"P6 1 1 255 rgb"
 MODULE = "service.sandbox.server"
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 ENDS_S = 2.0
-# Looks by keep_alive() without a word from the sandbox until it counts as hung, a minute. Looks, not seconds: a paused
-# container hears nothing and is not hung.
-MAX_SILENT_LOOKS = int(60 / WATCH_S)
 # A fork starts without memory of its own: with pages of 2 MB, a picture of 768x512 takes 800 page faults, not 2,000.
 HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 
@@ -165,7 +162,7 @@ class RunningTask:
 
 
 class SandboxProcess(Supervised):
-    """The process of the sandbox. requests: socket that its clients write to.
+    """The process of the sandbox, which kills this one if it hangs. requests: socket that its clients write to.
 
     absent: layers that tasks may lack, as found at the start: later, a layer may be missing because memory is short.
     Requests written while it is dead are handled by its successor.
@@ -176,31 +173,8 @@ class SandboxProcess(Supervised):
         # Libraries read these when they load. OpenBLAS has one thread, since forks would lose the others.
         variables = {**dict.fromkeys(THREAD_VARIABLES, str(settings.encode_threads)), "OPENBLAS_NUM_THREADS": "1"}
         number = self._served.fileno()
-        command = [sys.executable, "-m", MODULE, str(number), settings.log_format, *absent]
+        command = [sys.executable, "-m", MODULE, str(number), settings.log_format, str(os.getpid()), *absent]
         super().__init__("sandbox", command, (number,), {**HUGE_PAGES, **environment(os.environ), **variables})
-
-    def _start(self) -> None:
-        self._silent_looks: int | None = None  # until its first word, as importing the codec may take long
-        super()._start()
-
-    def keep_alive(self) -> None:
-        """Restart the sandbox if it is dead, and kill it if it hangs."""
-        if self._is_heard():
-            self._silent_looks = 0
-        elif self._silent_looks is not None:
-            self._silent_looks += 1
-            if self._silent_looks == MAX_SILENT_LOOKS:
-                log.error("the sandbox hangs: killing it")
-                self.process.kill()
-        super().keep_alive()
-
-    def _is_heard(self) -> bool:
-        """Read what the sandbox has said since the last call; whether it has said anything."""
-        heard = False
-        with contextlib.suppress(BlockingIOError):
-            while self.requests.recv(len(frames.ALIVE), socket.MSG_DONTWAIT):
-                heard = True
-        return heard
 
     def stop(self, deadline: float) -> None:
         """Let it end, which it does when all its clients have closed their sockets."""

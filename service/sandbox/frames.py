@@ -27,7 +27,6 @@ from sgmethod.errors import BitstreamError, ImageError
 from sgmethod.io.formats import name_of
 from sgmethod.io.pictures import SUFFIXES
 
-ALIVE = b"!"  # which the sandbox sends on the socket for requests, at least once a second
 FRAME_HEADER = struct.Struct(">II")
 MAX_TASK_BYTES = MAX_MESSAGE_BYTES = 1 << 16
 FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than both together

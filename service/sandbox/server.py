@@ -1,4 +1,4 @@
-"""The sandbox: `service.sandbox.server DESCRIPTOR LOG_FORMAT ABSENT...`. It has the codec in memory, and forks.
+"""The sandbox: `service.sandbox.server DESCRIPTOR LOG_FORMAT WATCHED ABSENT...`. It has the codec in memory, and forks.
 
 It reads no upload, and has one thread. Each fork does one task. Two forks wait in advance, so that no client waits for
 a fork. The sandbox ends when all its clients have closed their sockets, and its forks end with it.
@@ -23,14 +23,15 @@ from typing import NoReturn
 from pydantic import TypeAdapter
 
 from service.logs import log_seldom, set_up_logging
+from service.processes import Pulse
 from service.sandbox.confinement import SandboxError, confine, die_first, end_with, set_name
-from service.sandbox.frames import ALIVE, MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
+from service.sandbox.frames import MAX_TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed
 from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
 WAITING_FORKS = 2
 MAX_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
-ALIVE_EVERY_S = 1.0  # and how often tasks are looked at
+LOOK_S = 1.0  # how often tasks are looked at, at least
 PAUSE_S = 0.25  # after a fork that ended without a task
 # Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
 # process and before encodes, since no request waits for an encode. Those that have used more than SHORT_CPU_S of a core
@@ -69,11 +70,13 @@ class TaskProcess:
 class Server:
     """Hands tasks to forks, ends those whose clients have disconnected, and reports how each ended.
 
-    absent: layers of confinement that the system lacks, and tasks do without.
+    absent: layers of confinement that the system lacks, and tasks do without; watched: number of its parent, which it
+    kills if that hangs, or 0.
     """
 
-    def __init__(self, requests: socket.socket, absent: Collection[str]) -> None:
+    def __init__(self, requests: socket.socket, absent: Collection[str], watched: int) -> None:
         self._requests = requests
+        self._watched, self._pulse = watched, Pulse(watched)
         self._absent = absent
         self._waiting: list[TaskProcess] = []
         self._forks: dict[int, TaskProcess] = {}  # all that have not ended, by number
@@ -91,9 +94,10 @@ class Server:
         """Serve until all clients have disconnected."""
         while True:
             self._fork()
-            with contextlib.suppress(OSError):  # who started this does not read it at present
-                self._requests.send(ALIVE, socket.MSG_DONTWAIT)
-            for key, _ in self._selector.select(ALIVE_EVERY_S):
+            if self._watched == os.getppid() and self._pulse.has_stopped():
+                log.error("the process that runs this sandbox hangs: killing it")
+                os.kill(self._watched, signal.SIGKILL)
+            for key, _ in self._selector.select(LOOK_S):
                 if key.fileobj is self._requests:
                     if not self._take():
                         return
@@ -121,10 +125,7 @@ class Server:
 
     def _take(self) -> bool:
         """Hand a task to a fork, and drop malformed requests. Returns False once all clients have disconnected."""
-        try:
-            line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
-        except ConnectionResetError:  # they left words of this unread
-            return False
+        line, descriptors, _, _ = socket.recv_fds(self._requests, MAX_TASK_BYTES, 2)
         if not line and _is_closed(self._requests):
             return False
         try:
@@ -262,8 +263,8 @@ def _read_whole(file: int) -> bytes:
 
 
 def main() -> None:
-    """Serve the socket that the command line names, as it does the format of the log and the layers that are absent."""
-    descriptor, log_format, *absent = sys.argv[1:]
+    """Serve the socket that the command line names."""
+    descriptor, log_format, watched, *absent = sys.argv[1:]
     set_up_logging("json" if log_format == "json" else "text")
     for number in (signal.SIGTERM, signal.SIGINT):  # it ends with its clients
         signal.signal(number, signal.SIG_IGN)
@@ -271,7 +272,7 @@ def main() -> None:
     warm_up()
     gc.collect()
     gc.freeze()  # so that forks share it
-    server = Server(requests, absent)
+    server = Server(requests, absent, int(watched))
     try:
         server.run()
     finally:

@@ -50,7 +50,7 @@ def sandbox(
     """A sandbox and the number of its process, which runs the preamble first. absent: layers that tasks may lack."""
     requests, served = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     program = ["-c", f"{preamble}\nfrom service.sandbox import server\nserver.main()"] if preamble else ["-m", MODULE]
-    command = [sys.executable, *program, str(served.fileno()), "json", *absent]
+    command = [sys.executable, *program, str(served.fileno()), "json", "0", *absent]
     known = {**environment(os.environ), "OPENBLAS_NUM_THREADS": "1", **(extra or {})}
     known["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), known.get("PYTHONPATH", ""))))
     with requests:

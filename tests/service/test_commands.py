@@ -6,6 +6,7 @@ import json
 import signal
 import socket
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,10 @@ from service import checking
 from service.api.options import EncodeQuery
 from service.api.problems import ProblemError
 from service.commands import _for_whom, _where
+from service.opening import open_job_table
 from service.settings import Settings
 from sgmethod import machine
-from tests.support.job_table import IMAGE
+from tests.support.job_table import IMAGE, REFUSED, claimed, state, submitted
 from tests.support.postgres_server import PostgresServer
 from tests.support.processes import Outcome, run
 from tests.support.profiles import OTHER
@@ -137,6 +139,21 @@ def test_a_database_out_of_reach_is_one_clear_line(
         (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]
         assert "PostgreSQL: " in line
         assert "does not exist" in line
+
+
+def test_retry_puts_failed_jobs_back(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
+    settings = {"data_dir": tmp_path, "database_url": database_url}
+    with closing(open_job_table(Settings(**settings))) as table:  # type: ignore[arg-type]
+        failed, waits = submitted(table), submitted(table)
+        table.fail(claimed(table), REFUSED)
+        again = run_command("retry", failed, **settings)
+        assert (again.status, again.stdout, again.stderr) == (0, "", "")
+        assert state(table, failed) == "queued"
+        assert table.fail(claimed(table), REFUSED)
+        some = run_command("retry", waits, failed, **settings)
+        assert some.status == 1
+        assert some.stderr == f"{waits}: not a failed job whose image is kept (SG_SOURCE_RETENTION_S)\n"
+        assert state(table, failed) == "queued"
 
 
 @pytest.mark.thorough

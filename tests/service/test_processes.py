@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
+import signal
+import sys
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from service import logs
+from service import logs, processes
 from service.api import app
 from service.keys import KeyRing
-from service.processes import PeriodicThread, StopSignal
+from service.processes import PeriodicThread, StopSignal, Supervised
 from tests.support.processes import TIMEOUT_S, failing, wait_until
 
 
@@ -29,6 +33,23 @@ def test_rounds_go_on() -> None:
         until.request()
         thread.join(TIMEOUT_S)
     assert done.is_set()
+
+
+def test_a_process_that_hangs_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its container was called unhealthy, which restarts nothing. One that goes on waiting does not hang."""
+    monkeypatch.setattr(processes, "LOOK_S", 0.05)
+    process = Supervised("a test", [sys.executable, "-c", "import time\nwhile True:\n    time.sleep(0.01)"], ())
+    try:
+        first, until = process.process.pid, time.monotonic() + 2 * processes.LOOK_S * processes.MAX_STILL_LOOKS
+        while time.monotonic() < until:
+            process.keep_alive()
+            time.sleep(0.01)
+        assert process.process.pid == first
+        os.kill(first, signal.SIGSTOP)
+        wait_until(lambda: process.keep_alive() or process.process.pid != first)
+    finally:
+        process.process.kill()
+        process.process.wait()
 
 
 def test_a_line_of_the_log_is_one_line() -> None:

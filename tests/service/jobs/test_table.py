@@ -10,7 +10,7 @@ import pytest
 
 from service.errors import LimitError
 from service.jobs import table as table_module
-from service.jobs.job import EncodeResult
+from service.jobs.job import EncodeResult, new_job_id
 from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, NO_PROCESSOR, JobTable
 from service.jobs.tallies import ENCODING, OUTCOMES, QUEUEING
 from service.storage.files import source_key
@@ -314,3 +314,22 @@ def test_quotas(open_job_table: OpenTable) -> None:
     submitted(own, owner="bob")
     assert refused("cat", quota_bytes=3 * size - 1, quota_bytes_per_key=size) == "quota"
     submitted(open_job_table(LONG_S, quota_bytes=3 * size, quota_bytes_per_key=size), owner="cat")
+
+
+@pytest.mark.parametrize("kept_s", [0.0, LONG_S])
+def test_a_failed_job_is_put_back(open_job_table: OpenTable, kept_s: float) -> None:
+    """As if it had never run, while its image is kept. No other job is."""
+    table = open_job_table(LONG_S, source_retention_s=kept_s)
+    failed, waits = submitted(table), submitted(table)
+    for _ in range(MAX_ATTEMPTS):
+        assert not table.retry(failed)
+        table.fail(claimed(table), CRASH)
+    assert state(table, failed) == "failed"
+    assert [table.retry(job_id) for job_id in (failed, waits, new_job_id())] == [bool(kept_s), False, False]
+    if kept_s:
+        job = job_of(table, failed)
+        assert (job.state, job.error, job.crashes, job.finished_at) == ("queued", None, 0, None)
+        assert (table.counts().jobs["queued"], table.counts().jobs["failed"]) == (2, 0)
+        assert claimed(table).id == failed  # the oldest
+        table.finish(claimed(table), RESULT)
+        assert [table.retry(job_id) for job_id in (failed, waits)] == [False, False]

@@ -164,7 +164,7 @@ def test_what_starts_tasks_has_one_thread_and_reads_nothing() -> None:
 NO_PROCESS = """
 import os
 from service.sandbox import server
-server.ALIVE_EVERY_S, fork, tries = 0.01, os.fork, []
+server.LOOK_S, fork, tries = 0.01, os.fork, []
 
 def sometimes():
     tries.append(None)
@@ -192,10 +192,9 @@ def test_no_process_to_spare(capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_a_sandbox_that_hangs_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     """It was left alone for ever. What it was asked is done by its successor."""
-    monkeypatch.setattr(client, "MAX_SILENT_LOOKS", 100)
+    monkeypatch.setattr("service.processes.LOOK_S", 0.05)
     process = SandboxProcess(Settings(workers=1), absent_layers())
     try:
-        wait_until(lambda: process.keep_alive() or process._silent_looks is not None)
         first = process.process.pid
         os.kill(first, signal.SIGSTOP)
         with file_of(SMALL) as file, Sandbox(process.requests).start(task(), file) as running:

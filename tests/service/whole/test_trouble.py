@@ -165,6 +165,25 @@ def test_a_storage_that_breaks(start_service: StartService) -> None:
     assert "Traceback" not in web.log.read_text()
 
 
+@pytest.mark.parametrize("command", ["serve", "worker"])
+def test_a_worker_that_hangs(command: str, start_service: StartService) -> None:
+    """It was never restarted. With `worker`, it ends, for whoever started it to start another; its sandbox ends it."""
+    service = start_service("serve" if command == "serve" else "web", extra=FAKE_CODEC)
+    number = service.ours("worker")[0] if command == "serve" else 0
+    alone = None
+    if command == "worker":
+        alone = subprocess.Popen([sys.executable, "-m", "service", "worker"], cwd=ROOT, env=service.environment)
+        number = alone.pid
+    service.wait(service.accepted())
+    os.kill(number, signal.SIGSTOP)
+    if alone is None:
+        wait_until(lambda: service.ours("worker") not in ([], [number]), 2 * TIMEOUT_S)
+        assert service.wait(service.accepted())["state"] == "done"
+    else:
+        assert alone.wait(2 * TIMEOUT_S) == -signal.SIGKILL
+        wait_until(lambda: not [one for one in processes().values() if one.parent == number])
+
+
 def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
     """It accepts and never answers. Clients hear so within seconds, whatever the size of what they send or fetch."""
     settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}
