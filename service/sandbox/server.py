@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
+import math
 import os
+import resource
 import select
 import selectors
 import signal
@@ -35,9 +37,11 @@ LOOK_S = 1.0  # how often tasks are looked at, at least
 PAUSE_S = 0.25  # after a fork that ended without a task
 # Encodes have the lowest priority, so that responses are fast while every core encodes. Pictures come after the web
 # process and before encodes, since no request waits for an encode. Those that have used more than SHORT_CPU_S of a core
-# get the priority of an encode: two of one client left an encode 2 % of a core.
+# get the priority of an encode: two of one client left an encode 2 % of a core. So do pictures from the start if those
+# before them had more than EAGER_SHARE of what all tasks used: many of less than a second each left an encode 5 %.
 ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
 SHORT_CPU_S = 0.5
+EAGER_SHARE, RECENT_CPU_S = 0.2, 5.0
 
 log = logging.getLogger("service.sandbox.server")  # its __name__ is __main__
 _tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
@@ -47,7 +51,7 @@ class TaskProcess:
     """A forked process for one task.
 
     control: socket on which it receives the task; answer: blocking socket shared with the client, set once the task is
-    known; status: exit status, once it has ended; is_long: whether it has the priority of an encode.
+    known; status: exit status, once it has ended.
     """
 
     def __init__(self, number: int, control: socket.socket) -> None:
@@ -55,16 +59,19 @@ class TaskProcess:
         self.control = control
         self.answer: socket.socket | None = None
         self.status: int | None = None
-        self.is_long = False
 
-    def lower_if_long(self) -> None:
-        """Give the task the priority of an encode if it has used more than SHORT_CPU_S."""
-        if self.is_long or self.answer is None or self.status is not None:
-            return
+    def cpu_s(self) -> float:
+        """Seconds of a core that the task has used, until it is reaped."""
+        return time.clock_gettime(~self.number << 3 | 2)  # its id by clock_getcpuclockid()
+
+    def eager_s(self) -> float:
+        """Those that it has used before encodes; 0 if it has their priority."""
+        return 0.0 if os.getpriority(os.PRIO_PROCESS, self.number) == ENCODE_NICENESS else self.cpu_s()
+
+    def lower(self) -> None:
+        """Give the task the priority of an encode."""
         with contextlib.suppress(OSError):  # as for root without CAP_SYS_NICE, whose tasks are another user's
-            if time.clock_gettime(~self.number << 3 | 2) > SHORT_CPU_S:  # its id by clock_getcpuclockid()
-                self.is_long = True
-                os.setpriority(os.PRIO_PGRP, self.number, ENCODE_NICENESS)  # all its threads
+            os.setpriority(os.PRIO_PGRP, self.number, ENCODE_NICENESS)  # all its threads
 
 
 class Server:
@@ -77,6 +84,8 @@ class Server:
     def __init__(self, requests: socket.socket, absent: Collection[str], watched: int) -> None:
         self._requests = requests
         self._watched, self._pulse = watched, Pulse(watched)
+        self._used_s = 0.0  # by all tasks
+        self._eager_s = 0.0  # by pictures before encodes; it fades
         self._absent = absent
         self._waiting: list[TaskProcess] = []
         self._forks: dict[int, TaskProcess] = {}  # all that have not ended, by number
@@ -106,7 +115,17 @@ class Server:
                 elif key.data.answer is not None:  # another event of this round may have closed it
                     self._serve(key.data, key.data.answer)
             for fork in self._forks.values():
-                fork.lower_if_long()
+                if fork.answer is not None and fork.eager_s() > SHORT_CPU_S:
+                    self._note(fork)
+                    fork.lower()
+
+    def _note(self, fork: TaskProcess | None = None) -> None:
+        """Add what a picture has used before encodes; what came before fades as tasks use processors."""
+        ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+        used_s = ended.ru_utime + ended.ru_stime + sum(one.cpu_s() for one in self._forks.values())
+        self._eager_s *= math.exp((self._used_s - used_s) / RECENT_CPU_S)
+        self._eager_s += fork.eager_s() if fork else 0.0
+        self._used_s = used_s
 
     def _fork(self) -> None:
         """Fork until WAITING_FORKS processes wait for tasks."""
@@ -142,6 +161,9 @@ class Server:
             except OSError:  # it died while it waited
                 continue
             fork.answer = answer
+            self._note()
+            if self._eager_s > EAGER_SHARE * RECENT_CPU_S:
+                fork.lower()
             self._selector.register(answer, selectors.EVENT_READ, fork)
             break
         else:
@@ -159,11 +181,11 @@ class Server:
 
     def _reap(self) -> None:
         self._ends.recv(CONTROL_BYTES)
-        while self._forks:
-            number, status = os.waitpid(-1, os.WNOHANG)
-            if not number:
-                break
-            self._end(self._forks.pop(number), os.waitstatus_to_exitcode(status))
+        while self._forks and (ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)):
+            fork = self._forks[ended.si_pid]
+            self._note(fork)
+            del self._forks[fork.number]
+            self._end(fork, os.waitstatus_to_exitcode(os.waitpid(fork.number, 0)[1]))
 
     def _end(self, fork: TaskProcess, status: int) -> None:
         fork.status = status
