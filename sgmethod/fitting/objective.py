@@ -121,7 +121,7 @@ class Objective:
         if self.shown is not None:
             share = np.sqrt(self.shown.values[..., None] / VISIBLE)
             decoded, pixels = (np.rint(GREY + share * (one - GREY)).astype(np.uint8) for one in (decoded, pixels))
-        found = ssimulacra2(decoded, pixels)
+        found = ssimulacra2(decoded, pixels, sampled=True)
         assert found is not None
         return found
 
