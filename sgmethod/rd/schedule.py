@@ -24,6 +24,7 @@ ROUND_STEPS = 0.4  # in multiples of the first run's
 SEARCH_GRADIENTS = (4.0, 7.0, 6.0)
 # Least time left for a level to be the finest, in gradients on it, and more if its target moves and loses grain.
 FINEST_GRADIENTS = (25.0, 70.0)
+HASTY = replace(EFFORTS[1], steps=75)  # for time that is too short for the lowest effort
 SPARE_STEPS = 2.0  # steps planned, in multiples of those expected: the limit is what ends them
 
 
@@ -138,13 +139,13 @@ def sized(effort: Effort, pixels: int) -> Effort:
 
 
 def fit_to_steps(effort: Effort, pixels: int, steps: float) -> tuple[Effort, bool]:
-    """Reduce an effort, already sized(), to a number of steps. Also whether even the lowest takes too many.
+    """Reduce an effort, already sized(), to a number of steps. Also whether even HASTY takes too many.
 
-    The effort stays if it fits, else it becomes the highest lower effort that fits, or the lowest, with as many steps
-    as there may be time for.
+    The effort stays if it fits, else it becomes the highest lower effort that fits, or HASTY, with as many steps as
+    there may be time for.
     """
     spare = min(round(SPARE_STEPS * steps), effort.steps) if steps < math.inf else 0
-    lower = [sized(one, pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
-    choices = [effort, *(one for one in lower if one.steps < effort.steps)]
+    lower = [sized(one, pixels) for one in (*reversed(EFFORTS.values()), HASTY) if one.rounds == (0,)]
+    choices = [effort, *(one for one in lower if one.steps <= effort.steps)]
     found = next((one for one in choices if one.steps <= steps), choices[-1])
     return replace(found, steps=max(found.steps, spare)), found.steps > steps

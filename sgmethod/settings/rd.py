@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from sgmethod.settings.shared import OptimiserSettings
@@ -50,6 +50,15 @@ QUICK = Times(
     excess=0.0,
     few_until=0.85,
     quality_at=(0.2, 0.32, 0.46, 0.6, 0.88),
+    early_db=0.0,
+    apart=1.5,  # so few steps leave no time to recover; 1.25 would end many fits that recover
+)
+# Effort 2: the same with two growths more, and a surplus.
+BRISK = replace(
+    QUICK,
+    growth_at=(0.03, 0.09, 0.15, 0.22, 0.3, 0.38, 0.48, 0.6),
+    quality_at=(0.15, 0.3, 0.48, 0.6, 0.88),
+    excess=0.25,
 )
 
 # A round after the first run: more Gaussians than fit are added to a file of full size, and those that gain least for
@@ -85,8 +94,8 @@ class Effort:
 
 
 EFFORTS: dict[int, Effort] = {
-    1: Effort(75, QUICK, (0,), suppression_levels=1, suppression_levels_for_eye=1, refine_sweeps=0, size_tries=0),
-    2: Effort(130, rounds=(0,), suppression_levels=2, size_tries=2),
+    1: Effort(120, QUICK, (0,), suppression_levels=1, suppression_levels_for_eye=1, refine_sweeps=0, size_tries=0),
+    2: Effort(120, BRISK, (0,), suppression_levels=2, refine_sweeps=1, size_tries=1),
     3: Effort(180, rounds=(0,)),
     4: Effort(rounds=(0,)),
     5: Effort(),
@@ -96,6 +105,13 @@ EFFORTS: dict[int, Effort] = {
     9: Effort(rounds=(1, 2, 5, 12, 20)),
 }
 DEFAULT_EFFORT = 5
+EFFORTS_BY_SIZE = ((2_000_000, DEFAULT_EFFORT), (6_000_000, 3))  # pixels at most, and the default effort up to them
+EFFORT_BEYOND = 2
+
+
+def default_effort(pixels: int) -> int:
+    """Return the default effort of a picture of this many pixels."""
+    return next((effort for most, effort in EFFORTS_BY_SIZE if pixels <= most), EFFORT_BEYOND)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from sgmethod.fitting.deadline import MIN_ROUND, SEARCH_CODINGS, SEARCH_SHARE, C
 from sgmethod.rd import schedule
 from sgmethod.rd.byte_limit import CROWD, CROWD_WHEN_SHORT
 from sgmethod.rd.densify import place
-from sgmethod.rd.schedule import SPARE_STEPS, fit_to_steps, planned, sized
+from sgmethod.rd.schedule import HASTY, SPARE_STEPS, fit_to_steps, planned, sized
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import EFFORTS, RD, Effort
 from tests.definitions.backend import step_by_step
@@ -87,7 +87,7 @@ def begun_for(seconds: float, any_s: float = 0.0) -> Begun:
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     short_of_time, unhurried = (begun_for(seconds) for seconds in (0.0, math.inf))
     assert unhurried.schedule.effort == unhurried.levels.effort == RD.effort
-    assert short_of_time.schedule.effort == short_of_time.levels.effort == EFFORTS[1]
+    assert short_of_time.schedule.effort == short_of_time.levels.effort == HASTY
     assert [vars(one.rate)["crowd"] for one in (unhurried, short_of_time)] == [CROWD, CROWD_WHEN_SHORT]
     levels, state = short_of_time.levels, short_of_time.state
     assert (levels.finest.frame.width, unhurried.levels.finest.frame.width) == (20, 160)
@@ -126,7 +126,8 @@ def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
 
 @pytest.mark.parametrize("pixels", [400_000, 8_000_000])
 def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> None:
-    one, two, three, five = (sized(EFFORTS[effort], pixels) for effort in (1, 2, 3, 5))
+    two, three, five = (sized(EFFORTS[effort], pixels) for effort in (2, 3, 5))
+    hasty = sized(HASTY, pixels)
     all_steps = five.steps
 
     def filled(chosen: Effort, steps: int) -> tuple[Effort, bool]:
@@ -137,10 +138,10 @@ def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> 
     assert fit_to_steps(five, pixels, all_steps - 1) == filled(three, all_steps)
     assert fit_to_steps(five, pixels, three.steps - 1) == filled(two, all_steps)
     fewer = two.steps - 1
-    assert fit_to_steps(five, pixels, fewer) == filled(one, min(round(SPARE_STEPS * fewer), all_steps))
+    assert fit_to_steps(five, pixels, fewer) == filled(hasty, min(round(SPARE_STEPS * fewer), all_steps))
     assert fit_to_steps(two, pixels, three.steps) == (two, False)
-    fewest = one.steps // 4
-    assert [fit_to_steps(fit, pixels, fewest) for fit in (five, one)] == 2 * [(one, True)]
+    fewest = hasty.steps // 4
+    assert [fit_to_steps(fit, pixels, fewest) for fit in (five, two, hasty)] == 3 * [(hasty, True)]
 
 
 def test_a_time_limit_leaves_the_search_its_part() -> None:
