@@ -52,14 +52,16 @@ class Budget:
     bytes as the profile manages; "psnr" the same in dB (whole picture, 8-bit RGB); "gaussians" is the number of
     Gaussians, for profile rd a maximum.
     value: a number; for bytes also a text, such as "20k" or "1.5MB" (thousands) or "20KiB" (1,024).
+    max_bpp: for a quality, also a limit on the file size in bits per pixel.
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
     """
 
     kind: BudgetKind
     value: float
+    max_bpp: float | None = None
 
-    def __init__(self, kind: BudgetKind, value: AnyFloat | str) -> None:
+    def __init__(self, kind: BudgetKind, value: AnyFloat | str, *, max_bpp: AnyFloat | None = None) -> None:
         if kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {kind!r}; use one of {', '.join(BUDGET_KINDS)}")
         named = {"quality": quality_value, "bytes": bytes_value}.get(kind)
@@ -68,6 +70,10 @@ class Budget:
             raise BudgetError(f"{kind} must be a positive number, got {value!r}")
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "value", number)
+        limit = None if max_bpp is None else finite_number(max_bpp)
+        if max_bpp is not None and (kind != "quality" or limit is None or limit <= 0):
+            raise BudgetError(f"max_bpp is a positive number beside a quality, got {max_bpp!r} beside {kind}")
+        object.__setattr__(self, "max_bpp", limit)
         self._check()
 
     def _check(self) -> None:
@@ -83,9 +89,8 @@ class Budget:
         """Return the largest file size in bytes allowed, or None if this kind of budget does not limit the size."""
         if self.kind == "bytes":
             return int(min(self.value, 1e15))  # far beyond any file, so that later arithmetic in floats cannot overflow
-        if self.kind == "bpp":
-            return int(min(self.value, 1e6) * width * height / 8)
-        return None
+        bpp = self.value if self.kind == "bpp" else self.max_bpp
+        return None if bpp is None else int(min(bpp, 1e6) * width * height / 8)
 
     def max_gaussians(self, width: int, height: int) -> int:
         """Return the requested number of Gaussians. Raises BudgetError if no file of the picture can hold them."""
@@ -96,12 +101,14 @@ class Budget:
         return int(self.value)
 
 
-DEFAULT_BUDGET = Budget("bpp", 0.3)  # the default of pictures whose file is then within ...
-DEFAULT_MAX_BYTES = 50_000  # ... this size: from 1.33 megapixels on, no file is larger
+DEFAULT_BPP = 0.5  # at most
+DEFAULT_BUDGET = Budget("quality", "web", max_bpp=DEFAULT_BPP)
 
 
-def default_budget(width: int, height: int, least: int) -> Budget:
-    """Return a picture's default budget: DEFAULT_BUDGET, but at most DEFAULT_MAX_BYTES, and at least `least` bytes."""
-    asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
-    size = max(min(asked, DEFAULT_MAX_BYTES), least)
-    return DEFAULT_BUDGET if size == asked else Budget("bytes", size)
+def default_budget(width: int, height: int, least: int, *, has_quality: bool) -> Budget:
+    """Return a picture's default budget: DEFAULT_BUDGET, or its bytes where SSIMULACRA 2 cannot be aimed at.
+
+    least: the smallest file, in bytes, which a very small picture may take.
+    """
+    allowed = DEFAULT_BUDGET.max_bytes(width, height) or 0
+    return DEFAULT_BUDGET if has_quality and allowed >= least else Budget("bytes", max(allowed, least))

@@ -16,7 +16,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.files import checked_path
 from sgmethod.io.image import Input, read_input
 from sgmethod.numerics import quiet
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, Profile, Tune, encoder_of, method_of
+from sgmethod.profiles import DEFAULT_PROFILE, Profile, Tune, encoder_of, method_of
 from sgmethod.trace import Progress
 
 
@@ -32,7 +32,7 @@ def encode(
     psnr: AnyFloat | None = None,
     gaussians: AnyInt | None = None,
     tune: Tune | None = None,
-    effort: AnyInt = DEFAULT_EFFORT,
+    effort: AnyInt | None = None,
     time_limit_s: AnyFloat | None = None,
     on_progress: Progress | None = None,
     measure: bool = False,
@@ -51,11 +51,11 @@ def encode(
     bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
     warning.
     bpp, bytes, quality, psnr, gaussians: at most one of these, or a Budget, which documents them; the default is
-    0.3 bpp, but at most 50,000 bytes.
+    quality 60, but at most 0.5 bpp.
     profile: "rd", or another of sgmethod.profiles.PROFILE_NAMES, which are for research.
     tune: "visual" (the default of profile rd) looks most like the picture; "fidelity" is the same without the noise
     that stands in for grain; "psnr" has the least squared error. Budgets in dB and other profiles support only "psnr".
-    effort: 1 (fastest) to 9 (best file); profile rd only.
+    effort: 1 (fastest) to 9 (best file), by default 5 up to 2 megapixels, 3 up to 6, and 2 beyond; profile rd only.
     time_limit_s: limit for the whole encode, which uses it up unless it needs less. About 0.1 s per megapixel, divided
     by the cores, is needed in any case; a profile that can fit nothing in it raises BudgetError. Without a limit, the
     same call gives the same file on the same machine.
@@ -84,7 +84,7 @@ def encode_as(
     pixels = read_input(image, keep_alpha=method_of(asked.profile).keeps_alpha)
     source_bytes = _file_bytes(image)  # now, as the file may be deleted meanwhile
     height, width, channels = pixels.shape
-    asked = asked.with_default_for(width, height, has_alpha=channels == 4)
+    asked = asked.for_size(width, height, has_alpha=channels == 4)
     recorder = Recorder(clock, on_progress)
     data, steps = encoder_of(asked.profile)(pixels, asked, limit_s, recorder)
     stats = measured(pixels, data, steps, recorder, asked, measure)

@@ -34,10 +34,10 @@ class EncodeOptions:
         f"(default: {profiles.DEFAULT_TUNE}; with a budget in dB: psnr)",
         enum=[*profiles.TUNES],
     )
-    effort: int = _option(
-        profiles.DEFAULT_EFFORT,
+    effort: int | None = _option(
+        None,
         f"{min(profiles.EFFORTS)} is fastest, {max(profiles.EFFORTS)} gives the best file "
-        f"(default: {profiles.DEFAULT_EFFORT}); profile rd only",
+        f"(default: {profiles.DEFAULT_EFFORT}, less for large pictures); profile rd only",
         minimum=min(profiles.EFFORTS),
         maximum=max(profiles.EFFORTS),
     )
@@ -57,29 +57,37 @@ class EncodeArguments:
     budget: Budget
     profile: Profile
     tune: Tune
-    effort: int
+    effort: int | None
     settings: Settings
 
     @classmethod
-    def checked(cls, budget: Budget, profile: str, tune: str | None, effort: AnyInt) -> EncodeArguments:
+    def checked(cls, budget: Budget, profile: str, tune: str | None, effort: AnyInt | None) -> EncodeArguments:
         """Check the arguments of encode(). Raises BudgetError."""
         profile = profiles.checked_profile(profile)
-        profiles.check_kind(budget, profile)
+        if budget is not DEFAULT_BUDGET:
+            profiles.check_kind(budget, profile)
         tuned_for = profiles.tuning(tune, profile, budget)
-        effort = profiles.checked_effort(effort)
-        return cls(budget, profile, tuned_for, effort, profiles.settings_of(profile, effort))
+        effort = None if effort is None else profiles.checked_effort(effort)
+        return cls(budget, profile, tuned_for, effort, profiles.settings_of(profile, effort or profiles.DEFAULT_EFFORT))
 
     @property
     def objective(self) -> Tune:
         """What the fit is tuned for. SSIMULACRA 2, which is what a quality means, counts texture as an error."""
         return "fidelity" if self.tune == "visual" and self.budget.kind == "quality" else self.tune
 
-    def with_default_for(self, width: int, height: int, *, has_alpha: bool) -> EncodeArguments:
-        """Replace the default budget by what it is for a picture of this size."""
-        if self.budget is not DEFAULT_BUDGET:
-            return self
-        least = profiles.smallest_file(self.settings, has_alpha=has_alpha)
-        return replace(self, budget=default_budget(width, height, least))
+    def for_size(self, width: int, height: int, *, has_alpha: bool) -> EncodeArguments:
+        """Replace the default budget and effort by what they are for a picture of this size."""
+        from sgmethod.metrics.visual import SMALLEST_SIDE
+
+        asked = self
+        if asked.effort is None:
+            effort = profiles.default_effort(asked.profile, width * height)
+            asked = replace(asked, effort=effort, settings=profiles.settings_of(asked.profile, effort))
+        if asked.budget is not DEFAULT_BUDGET:
+            return asked
+        has_quality = "quality" in profiles.method_of(asked.profile).kinds and min(width, height) >= SMALLEST_SIDE
+        least = profiles.smallest_file(asked.settings, has_alpha=has_alpha)
+        return replace(asked, budget=default_budget(width, height, least, has_quality=has_quality))
 
     def check_size(self, width: int, height: int) -> None:
         """Raise BudgetError if no file of a picture of this size, without alpha, could meet the budget."""

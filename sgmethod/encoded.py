@@ -19,10 +19,12 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.formats import OTHER_SUFFIXES, SUFFIXES
 from sgmethod.metrics import psnr, ssimulacra2
+from sgmethod.profiles import DEFAULT_EFFORT
 from sgmethod.scene import Pixels
 from sgmethod.trace import TracePoint
 
 REPORTED_MISS_DB = 0.005  # a smaller miss rounds to 0.00 dB
+FULL = 0.9  # of the bytes that are allowed beside a quality: a file that has used them misses nothing it could reach
 REPORTED_MISS_QUALITY = 1.0  # points of SSIMULACRA 2; a smaller miss counts as met
 
 
@@ -33,7 +35,7 @@ class Stats:
     psnr (dB) and ssimulacra2 (up to 100) describe the decoded file; with alpha, over black and over white. ssimulacra2
     is None for sides below 8 pixels, and unless encode() was asked to measure it or to reach a quality.
     source_bytes: size of the image file, None for arrays; psnr_missed_db, quality_missed:
-    how far the file is below the requested PSNR or SSIMULACRA 2, None if none was requested.
+    how far the file is below the requested PSNR or SSIMULACRA 2, None if none was requested, or its bytes are used up.
     """
 
     bytes: int
@@ -102,6 +104,8 @@ def measured(
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
+    allowed = budget.max_bytes(width, height)
+    must_reach = budget.kind == "quality" and (allowed is None or len(data) < FULL * allowed)
     score = _mean(map(ssimulacra2, decoded, source)) if measure or budget.kind == "quality" else None
     recorder.report("done", steps, steps, 10 ** (-db / 10), gaussians, len(data))
     return Stats(
@@ -116,9 +120,9 @@ def measured(
         height=height,
         profile=asked.profile,
         tune=asked.tune,
-        effort=asked.effort,
+        effort=asked.effort or DEFAULT_EFFORT,
         psnr_missed_db=max(budget.value - db, 0.0) if budget.kind == "psnr" else None,
-        quality_missed=max(budget.value - score, 0.0) if budget.kind == "quality" and score is not None else None,
+        quality_missed=max(budget.value - score, 0.0) if must_reach and score is not None else None,
     )
 
 

@@ -93,6 +93,11 @@ def checked_effort(effort: object) -> int:
     return int(effort)
 
 
+def default_effort(profile: str, pixels: int) -> int:
+    """Return the effort for a picture of this many pixels if none is asked for."""
+    return rd.default_effort(pixels) if profile == DEFAULT_PROFILE else DEFAULT_EFFORT
+
+
 def settings_of(profile: str, effort: int) -> Settings:
     """Return a profile's settings. Raises BudgetError for a non-default effort of a profile that has none."""
     settings = method_of(profile).settings

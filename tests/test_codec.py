@@ -99,6 +99,15 @@ def test_a_quality_is_reached_with_a_file_to_match(profile: str) -> None:
 def test_a_budget_is_a_positive_number(kind: str, value: float) -> None:
     with pytest.raises(BudgetError, match="positive"):
         Budget(kind, value)  # type: ignore[arg-type]
+    with pytest.raises(BudgetError, match="max_bpp is a positive number"):
+        Budget("quality", 50, max_bpp=value)
+
+
+def test_only_a_quality_has_a_limit_in_bits_per_pixel() -> None:
+    assert Budget("quality", 50, max_bpp=1).max_bytes(64, 48) == Budget("bpp", 1).max_bytes(64, 48) == 384
+    assert Budget("quality", 50).max_bytes(64, 48) is None
+    with pytest.raises(BudgetError, match="beside a quality, got 1 beside bpp"):
+        Budget("bpp", 1, max_bpp=1)
 
 
 def test_budgets_that_no_file_can_meet() -> None:

@@ -31,6 +31,7 @@ class BudgetView(BaseModel):
 
     kind: str = Field(description='"bpp", "bytes", "quality", "psnr" or "gaussians"')
     value: float
+    max_bpp: float | None = Field(description="limit in bits per pixel beside the default quality, else null")
 
 
 class ImageView(BaseModel):
@@ -134,7 +135,7 @@ def _members(job: Job, settings: Settings) -> JsonObject:
         **vars(request),
         **vars(job),
         **vars(accepted(job, settings)),
-        "budget": BudgetView(kind=request.budget_kind, value=request.budget_value),
+        "budget": BudgetView(kind=request.budget_kind, value=request.budget_value, max_bpp=request.budget_max_bpp),
         "image": ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
         "expires_at": expires_at(job, settings),
         "image_expires_at": None if job.finished_at is None else job.finished_at + settings.source_retention_s,

@@ -42,7 +42,7 @@ Number = float | SkipJsonSchema[None]
 class EncodeQuery(EncodeOptions):
     """Everything that a client may ask of an encode.
 
-    Give at most one budget. The default is 0.3 bits per pixel, but at most 50,000 bytes.
+    Give at most one budget. The default is a quality of 60 in at most 0.5 bits per pixel.
     """
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
@@ -72,10 +72,13 @@ class EncodeQuery(EncodeOptions):
         asked = self.checked()
         if not all(map(find_spec, profiles.method_of(asked.profile).packages)):
             raise ProblemError(422, f"profile {asked.profile} needs PyTorch, which this service lacks; use profile rd")
-        asked = asked.with_default_for(image.width, image.height, has_alpha=True)
+        asked = asked.for_size(image.width, image.height, has_alpha=True)
         asked.check_size(image.width, image.height)
-        options = {**self.options(), "tune": asked.tune, "time_limit_s": seconds}
-        return EncodeRequest(budget_kind=asked.budget.kind, budget_value=asked.budget.value, **options)
+        options = {**self.options(), "tune": asked.tune, "effort": asked.effort, "time_limit_s": seconds}
+        budget = asked.budget
+        return EncodeRequest(
+            budget_kind=budget.kind, budget_value=budget.value, budget_max_bpp=budget.max_bpp, **options
+        )
 
 
 queries = TypeAdapter(EncodeQuery)

@@ -48,6 +48,7 @@ class EncodeRequest(EncodeOptions):
 
     budget_kind: SkipValidation[BudgetKind]
     budget_value: float
+    budget_max_bpp: float | None = None
     time_limit_s: float
 
 

@@ -44,16 +44,17 @@ export const hasKey = () => $("key").value.trim() !== "";
 
 export const jobPath = (id) => `jobs/${id}`;
 
-/** The options of an encode that differ from the service's defaults. A budget in dB has one tune. */
-export const choices = ({ kind, options }) =>
-  Object.entries(options).filter(([name]) => kind !== "psnr" || name !== "tune");
+/** What an encode asks for beyond the service's defaults: [name, value] of each. A budget in dB has one tune. */
+export function choices({ kind, value, options }) {
+  const chosen = Object.entries(options).filter(([name]) => kind !== "psnr" || name !== "tune");
+  return kind ? [[kind, value], ...chosen] : chosen;
+}
 
 /** Submit a new job. */
 export function submit(file, budget) {
   const form = new FormData();
   form.append("image", file);
-  form.append(budget.kind, budget.value);
-  for (const [name, text] of choices(budget)) form.append(name, text);
+  for (const [name, value] of choices(budget)) form.append(name, value);
   return json("encode", { method: "POST", body: form });
 }
 

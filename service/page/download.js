@@ -54,11 +54,11 @@ export function fillLines(item) {
   const source = item.name.replace(/[^\w.-]/g, "_");
   const key = hasKey() ? "-H 'Authorization: Bearer KEY' " : "";
   if (item.budget) {
-    const fields = [[item.budget.kind, item.budget.value], ...choices(item.budget)];
-    const form = fields.map(([name, text]) => `-F ${name}=${text}`).join(" ");
-    const named = fields.map(([name, text]) => `${name}=${name === "tune" ? `"${text}"` : text}`).join(", ");
-    $("curl").textContent = `curl ${key}-F image=@${source} ${form} '${service}encode?wait=50' -o ${file}`;
-    $("python").textContent = `import sgmethod\nsgmethod.encode("${source}", ${named}).save("${file}")`;
+    const fields = choices(item.budget);
+    const form = fields.map(([name, text]) => ` -F ${name}=${text}`).join("");
+    const named = fields.map(([name, text]) => `, ${name}=${name === "tune" ? `"${text}"` : text}`).join("");
+    $("curl").textContent = `curl ${key}-F image=@${source}${form} '${service}encode?wait=50' -o ${file}`;
+    $("python").textContent = `import sgmethod\nsgmethod.encode("${source}"${named}).save("${file}")`;
   } else {
     const from = item.id ? `bitstreams/${item.id}.sg` : item.url;
     $("curl").textContent = from

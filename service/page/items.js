@@ -3,7 +3,7 @@
 import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
 import { keep, kept } from "./storage.js";
 import { Remote, sleep } from "./parts.js";
-import { optionsOf } from "./upload.js";
+import { budgetOf } from "./upload.js";
 import { size } from "./words.js";
 
 const POLL_MS = 400;
@@ -158,8 +158,7 @@ export class Item {
       }
       if (this.state === "cancelled") return;
       if (job.state === "failed") throw new Error(`It could not be encoded: ${job.error.detail}`);
-      const { kind, value } = job.budget;
-      this.budget ??= { kind, value, options: optionsOf(job) };
+      this.budget ??= budgetOf(job);
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
         Object.assign(this, { job, trace: job.trace });

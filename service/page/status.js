@@ -1,7 +1,7 @@
 // The status of a picture: its labels, its progress, its row in the list.
 
 import { $, element, refill } from "./parts.js";
-import { closeness, count, decibels, size, smaller } from "./words.js";
+import { closeness, count, decibels, qualityWord, seconds, size, smaller } from "./words.js";
 
 const SHARED = "Shared: the original is not part of the link, so there is nothing to compare with.";
 export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
@@ -64,11 +64,17 @@ export function showWork(item) {
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }
 
-/** The result in a sentence. */
-function outcomeOf({ sg, originalBytes, measured }) {
+const bitsPerPixel = (sg, [width, height]) => `${((8 * sg.length) / (width * height)).toFixed(2)} bits per pixel`;
+
+/** The result in a sentence: of a job by its figures, of a sample as it is measured here. */
+function outcomeOf({ sg, size: pixels, originalBytes, job, measured }) {
   if (!originalBytes) return "";
   const words = `${smaller(originalBytes, sg.length)} than the original`;
-  return sentence(measured?.ssim ? `${words}; ${closeness(measured.ssim)}` : words);
+  if (!job?.result) return sentence(measured?.ssim ? `${words}; ${closeness(measured.ssim)}` : words);
+  const score = job.result.ssimulacra2 ?? null;
+  const looks = score === null ? [] : [`SSIMULACRA 2 ${score.toFixed(0)} (${qualityWord(score)})`];
+  const figures = [size(sg.length), bitsPerPixel(sg, pixels), ...looks, seconds(job.result.seconds)];
+  return sentence(`${figures.join(", ")}; ${words}`);
 }
 
 function figuresOf({ sg, file, size: [width, height], job, measured }) {
@@ -76,7 +82,7 @@ function figuresOf({ sg, file, size: [width, height], job, measured }) {
   const psnr = measured?.psnr ?? job?.result?.psnr;
   const parts = [`${width} × ${height} pixels`];
   if (gaussians) parts.push(`${count(gaussians)} Gaussians`);
-  parts.push(`${size(sg.length)}, ${((8 * sg.length) / (width * height)).toFixed(2)} bits per pixel`);
+  parts.push(`${size(sg.length)}, ${bitsPerPixel(sg, [width, height])}`);
   if (psnr) parts.push(`PSNR ${decibels(psnr)}`);
   if (measured?.ssim) parts.push(`SSIM ${measured.ssim.toFixed(2)}`);
   return `${parts.join(" · ")}.`;

@@ -2,8 +2,11 @@
 
 import { local, remembered, session } from "./storage.js";
 import { $ } from "./parts.js";
-import { expected, size, smaller } from "./words.js";
+import { expected, qualityWord, size, smaller } from "./words.js";
 
+/** What the service aims at unless asked for something else: a SSIMULACRA 2, in at most so many bits per pixel. */
+export const USUAL = { quality: 60, max_bpp: 0.5 };
+const USUAL_SIZE_BPP = 0.25; // once a size is asked for
 const AIMS = { bytes: ["Bytes", 20000], psnr: ["dB", 32] };
 
 /** Call `given` with files that are chosen, dropped or pasted. */
@@ -39,14 +42,14 @@ const LEAST = 100;
 const bytesAt = (place) => Number((LEAST * 1e4 ** (place / 100)).toPrecision(2));
 const placeOf = (bytes) => (100 * Math.log(bytes / LEAST)) / Math.log(1e4);
 
-/** The size that the service takes unless asked for another: 0.3 bits per pixel, but at most 50 kB. */
-const usual = (item) => Math.max(Math.min(item?.size ? Math.floor((0.3 * item.size[0] * item.size[1]) / 8) : 5e4, 5e4), LEAST);
+/** The size unless the slider is moved. Of a picture that the browser cannot show, the number of pixels is unknown. */
+const usualBytes = (item) => (item?.size ? Math.max(Math.floor((USUAL_SIZE_BPP * item.size[0] * item.size[1]) / 8), LEAST) : 5e4);
 const isMoved = () => "sgmethod-slider" in local;
-const bytes = (item) => (isMoved() ? bytesAt($("slider").value) : usual(item));
+const bytes = (item) => (isMoved() ? bytesAt($("slider").value) : usualBytes(item));
 
 /** SSIMULACRA 2, 5 to 95. */
-const quality = () => (isMoved() ? Math.round(5 + 0.9 * Number($("slider").value)) : 50);
-const QUALITIES = [[80, "hardly different from the original"], [60, "good beside the original"], [30, "good on its own"], [0, "a preview"]];
+const quality = () => (isMoved() ? Math.round(5 + 0.9 * Number($("slider").value)) : USUAL.quality);
+const placeOfQuality = (score) => (score - 5) / 0.9;
 
 /** What a control has unless the visitor changes it, which is the service's default. */
 const usualOf = (control) => [...(control.options ?? [])].find((one) => one.defaultSelected)?.value ?? "";
@@ -55,23 +58,33 @@ const unusual = (kind, valueOf) =>
   Object.fromEntries(controls(kind).filter((one) => valueOf(one) !== usualOf(one)).map((one) => [one.dataset.option, valueOf(one)]));
 
 /** The options of a job that differ from the service's defaults, without its time limit. */
-export const optionsOf = (job) => unusual("select", (one) => String(job[one.dataset.option]));
+const optionsOf = (job) => unusual("select", (one) => String(job[one.dataset.option]));
 
+/** The budget of a picture, and the options that the visitor has changed. kind: null for the service's default. */
 export function budget(item) {
+  const options = unusual("", (one) => one.value);
   const aim = $("aim").value;
-  const value = aim === "size" ? bytes(item) : aim === "quality" ? quality() : Number($("aim-value").value) || AIMS[aim][1];
-  return { kind: aim === "size" ? "bytes" : aim, value, options: unusual("", (one) => one.value) };
+  if (aim === "quality") return isMoved() ? { kind: aim, value: quality(), options } : { kind: null, options };
+  if (aim === "size") return { kind: "bytes", value: bytes(item), options };
+  return { kind: aim, value: Number($("aim-value").value) || AIMS[aim][1], options };
+}
+
+/** The budget of a job, as budget() returns it. Only the default has a max_bpp. */
+export function budgetOf(job) {
+  const { kind, value, max_bpp } = job.budget;
+  return { kind: max_bpp ? null : kind, value, options: optionsOf(job) };
 }
 
 /** Describe the slider's value for a picture, or in general. */
 export function sayRate(item) {
   const byQuality = $("aim").value === "quality";
-  $("rate-name").textContent = byQuality ? "How good" : "File size";
+  $("rate-name").textContent = byQuality ? "Quality" : "File size";
   const limit = bytes(item);
-  if (!isMoved()) $("slider").value = byQuality ? 50 : placeOf(limit);
+  if (!isMoved()) $("slider").value = byQuality ? placeOfQuality(USUAL.quality) : placeOf(limit);
   if (byQuality) {
-    $("rate").textContent = `${quality()} of 100`;
-    $("rate-words").textContent = `SSIMULACRA 2, ${QUALITIES.find(([least]) => quality() >= least)[1]}, in as few bytes as that takes.`;
+    const most = isMoved() ? "" : `, at most ${USUAL.max_bpp} bits per pixel`;
+    $("rate").textContent = `about ${quality()} of 100`;
+    $("rate-words").textContent = `SSIMULACRA 2: ${qualityWord(quality())}, in as few bytes as that takes${most}.`;
   } else {
     $("rate").textContent = `at most ${size(limit)}`;
     const less = item?.originalBytes ? `${smaller(item.originalBytes, limit)}, ` : "";

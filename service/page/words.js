@@ -33,4 +33,10 @@ export function closeness(ssim) {
   return ssim < 0.97 ? "fine detail is lost" : "hardly different from the original";
 }
 
+/** The least SSIMULACRA 2 of each word, as its author names them. */
+const QUALITIES = [[90, "no visible loss"], [70, "high"], [50, "medium"], [30, "low"]];
+
+/** What a SSIMULACRA 2 means in a word or three. */
+export const qualityWord = (score) => QUALITIES.find(([least]) => score >= least)?.[1] ?? "very low";
+
 export const withoutSuffix = (name) => name.replace(/\.[^.]*$/, "") || "picture";

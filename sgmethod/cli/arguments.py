@@ -14,9 +14,13 @@ from sgmethod.io.formats import EXTRA, PLAIN, WRITTEN, listed
 
 BAD_INPUT = 2
 BUDGET_HELP = {
-    "bpp": ("F", "maximum size in bits per pixel (default: {default}, but at most {limit} bytes)"),
+    "bpp": ("F", "maximum size in bits per pixel"),
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
-    "quality": ("Q", "target SSIMULACRA 2, up to 100 and not on JPEG's scale, or preview (40), web (60), archive (80)"),
+    "quality": (
+        "Q",
+        "target SSIMULACRA 2, up to 100 and not on JPEG's scale, or preview (40), web (60), archive (80) "
+        "(default: {quality:g}, in at most {bpp:g} bits per pixel)",
+    ),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
     "gaussians": ("N", "number of Gaussians; with profile rd, at most this many"),
 }
@@ -39,7 +43,7 @@ ENCODE = (
 converted to sRGB. Give at most one of --bpp, --bytes, --quality, --psnr and --gaussians.
 
 examples:
-  sgmethod encode photo.jpg                        writes photo.sg, of at most 50 kB
+  sgmethod encode photo.jpg                        writes photo.sg, of medium quality
   sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --quality web <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out           writes out/NAME.sg for each
@@ -191,9 +195,9 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
-    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, DEFAULT_MAX_BYTES
+    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET
 
-    default = {"default": DEFAULT_BUDGET.value, "limit": f"{DEFAULT_MAX_BYTES:,}"}
+    default = {"quality": DEFAULT_BUDGET.value, "bpp": DEFAULT_BUDGET.max_bpp}
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]

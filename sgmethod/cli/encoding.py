@@ -72,10 +72,13 @@ def _only_budget(arguments: argparse.Namespace) -> Budget | None:
 
 
 def _summary(figures: Figures) -> str:
+    from sgmethod.metrics.visual import quality_word
+
     psnr = "no error" if figures["psnr"] is None else f"{figures['psnr']:.2f} dB"
-    score = "" if figures["ssimulacra2"] is None else f", SSIMULACRA 2 {figures['ssimulacra2']:.1f}"
+    score = figures["ssimulacra2"]
+    looks = "" if score is None else f"SSIMULACRA 2 {score:.1f} ({quality_word(score)}), "
     size = "{width} x {height}: {bytes:,} bytes, {bpp:.4f} bpp".format(**figures)
-    return f"{size}, {psnr}{score}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
+    return f"{size}, {looks}{psnr}, " + "{gaussians:,} Gaussians, {seconds:.1f} s".format(**figures)
 
 
 def _encode(
@@ -120,7 +123,8 @@ def _encode_here(began: float, _: Conversion, arguments: argparse.Namespace, ima
     choices = _choices(arguments)
     if (limit_s := arguments.time_limit_s) is not None and limit_s > 0:
         choices["time_limit_s"] = max(limit_s - (time.perf_counter() - began), SHORTEST_LIMIT_S)
-    encoded = encode(pixels, _only_budget(arguments), **choices, on_progress=show, measure=arguments.json)
+    measure = arguments.json or limit_s is None  # it takes time, of which a limit has none to spare
+    encoded = encode(pixels, _only_budget(arguments), **choices, on_progress=show, measure=measure)
     stats = replace(encoded.stats, source_bytes=len(image))
     advised = advice(better_file(pixels, stats.bytes, stats.psnr), stats.bytes, stats.psnr)
     return encoded.data, stats.to_dict() | advised, encoded.trace, notes

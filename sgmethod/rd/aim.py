@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from sgmethod.backend.protocol import NO_LIMIT
-from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, quantum_code
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, alpha_bytes, quantum_code
 from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
 from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.metrics.visual import SMALLEST_SIDE
+from sgmethod.rd.byte_limit import MIN_USED, alpha_limit, fitting_quantum
 from sgmethod.rd.rate_control import (
     STEERING_EXPONENT,
     STEERING_LIMIT,
@@ -26,6 +27,7 @@ from sgmethod.rd.rate_control import (
     Fitted,
     Measured,
     RateControl,
+    excess,
     ssimulacra2_db,
 )
 from sgmethod.scene import Pixels
@@ -209,10 +211,12 @@ class QualityAim(Aim):
     round_slack_db = SLACK_DB
 
     @classmethod
-    def from_score(cls, score: float, size: tuple[int, int], effort: Effort) -> QualityAim:
+    def from_score(
+        cls, score: float, size: tuple[int, int], effort: Effort, max_bytes: int | None = None
+    ) -> QualityAim:
         """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
 
-        Raises BudgetError for sides that are too small for SSIMULACRA 2.
+        max_bytes: a limit on the file too. Raises BudgetError for sides that are too small for SSIMULACRA 2.
         """
         if min(size) < SMALLEST_SIDE:
             raise BudgetError(f"quality is undefined for sides below {SMALLEST_SIDE} pixels")
@@ -221,7 +225,8 @@ class QualityAim(Aim):
         if min(size) < QUALITY_SMALL[0]:
             quantum *= QUALITY_SMALL[1]
         refined_db = QUALITY_REFINED_DB if effort.refine_sweeps else 0.0
-        return cls(size[0] * size[1], min(quantum, COARSEST), aim_db=aim, refined_db=refined_db)
+        limit = NO_LIMIT if max_bytes is None else max_bytes
+        return cls(size[0] * size[1], min(quantum, COARSEST), max_bytes=limit, aim_db=aim, refined_db=refined_db)
 
     def reached(self, picture: Measured) -> float:
         """SSIMULACRA 2, as ssimulacra2_db() counts it."""
@@ -232,8 +237,34 @@ class QualityAim(Aim):
         return ssimulacra2_db(statistics.fmean(one for one in found if one is not None))
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
-        """Steer seldom: measuring takes as long as steps."""
-        return super().steered(quantum, times, at, fitted) if at in times.quality_at else quantum
+        """Steer seldom, since measuring takes as long as steps, and never beyond the bytes that are allowed."""
+        steered = super().steered(quantum, times, at, fitted) if at in times.quality_at else quantum
+        exponent = STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
+        of_bytes = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
+        return float(max(steered, quantum * min(of_bytes, STEERING_LIMIT)))
+
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
+        return quantum if payload(quantum) <= limit else fitting_quantum(quantum, payload, limit, attempts)
+
+    def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
+        """Return None too once the bytes are used."""
+        return None if tried[-1].size >= MIN_USED * limit else super().next_quantum(tried, limit, size_tries)
+
+    def is_missed(self, files: Iterable[Coded]) -> bool:
+        """Whether the quality is missed although there are bytes for more."""
+        return super().is_missed(files) and max(one.size for one in files) < MIN_USED * self.max_bytes
+
+    def for_alpha(self) -> RateControl:
+        if self.max_bytes == NO_LIMIT:
+            return super().for_alpha()
+        return alpha_limit(self.pixels, self._quantum_of_alpha, self.max_bytes)
+
+    def beside_alpha(self, alpha: StreamV2, error: float) -> QualityAim:
+        return self if self.max_bytes == NO_LIMIT else replace(self, max_bytes=self.max_bytes - alpha_bytes(alpha))
+
+    def missing_db(self, stream: StreamV2, source: Pixels) -> float:
+        is_full = stream.file_bytes >= MIN_USED * self.max_bytes
+        return 0.0 if is_full else super().missing_db(stream, source)
 
     def quantum_after_miss(self, quantum: float, files: Iterable[Coded]) -> float:
         """Return a quantum that is finer by as much as is missing."""

@@ -101,10 +101,7 @@ class ByteBudget(ByteLimit):
         return self.max_bytes < LONG_FILE + has_alpha * ITS_ALPHA or not objective.histogram.has_majority
 
     def for_alpha(self) -> ByteLimit:
-        """Alpha takes what it is worth, up to a limit."""
-        spare = self.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
-        limit = StreamV2.MIN_BYTES + int(MAX_BYTES_OF_ALPHA * spare)
-        return ByteLimit(self.pixels, self._quantum_of_alpha, max_bytes=limit)
+        return alpha_limit(self.pixels, self._quantum_of_alpha, self.max_bytes)
 
     def beside_alpha(self, alpha: StreamV2, error: float) -> ByteBudget:
         return self.for_bytes(self.max_bytes - alpha_bytes(alpha))
@@ -125,40 +122,7 @@ class ByteBudget(ByteLimit):
         return quantum * min(max(ratio, 1 / STEERING_LIMIT), STEERING_LIMIT)
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
-        """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
-
-        Bisection, at the place where the line through both ends meets the limit. The end that stays counts half each
-        time (Illinois), so that both move. If time is over before the limit lies between both ends, a guess has to do.
-        """
-
-        def beyond(log_quantum: float) -> float:
-            return math.log(max(payload(math.exp(log_quantum)), 1) / max(limit, 1))
-
-        low, high = math.log(0.9 * quantum), math.log(1.02 * quantum)
-        above, octaves = beyond(high), attempts(OCTAVES)
-        for _ in octaves:
-            if above <= 0 or high >= math.log(MAX_QUANTUM):
-                break
-            low, high = high, high + math.log(2)
-            above = beyond(high)
-        else:
-            return math.exp(high + 1.5 * max(above, 0.0))  # bytes fall as about the power of -2/3
-        below = beyond(low)
-        for _ in octaves:
-            if below >= 0 or low <= math.log(MIN_QUANTUM):
-                break
-            low, high, above = low - math.log(2), low, below
-            below = beyond(low)
-        for _ in attempts(QUANTUM_TRIES):
-            if high - low < PRECISION:
-                break
-            middle = low + (high - low) * min(max(below / max(below - above, 1e-9), 0.02), 0.98)
-            at_middle = beyond(middle)
-            if at_middle <= 0:
-                high, above, below = middle, at_middle, below / 2
-            else:
-                low, below, above = middle, at_middle, above / 2
-        return math.exp(high)
+        return fitting_quantum(quantum, payload, limit, attempts)
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
         """Return a finer one while bytes are left: refining saves a percent or, after a short fit, a fifth."""
@@ -170,3 +134,46 @@ class ByteBudget(ByteLimit):
 
     def is_cut_short(self, size: int, limit: int) -> bool:
         return size > OVERSHOOT_RATIO * limit
+
+
+def alpha_limit(pixels: int, quantum: float, max_bytes: int) -> ByteLimit:
+    """Rate control for the alpha of a file of at most max_bytes: it takes what it is worth, up to its part of them."""
+    spare = max_bytes - SMALLEST_FILE - SMALLEST_ALPHA
+    return ByteLimit(pixels, quantum, max_bytes=StreamV2.MIN_BYTES + int(MAX_BYTES_OF_ALPHA * spare))
+
+
+def fitting_quantum(quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:
+    """Search for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some.
+
+    Bisection, at the place where the line through both ends meets the limit. The end that stays counts half each
+    time (Illinois), so that both move. If time is over before the limit lies between both ends, a guess has to do.
+    """
+
+    def beyond(log_quantum: float) -> float:
+        return math.log(max(payload(math.exp(log_quantum)), 1) / max(limit, 1))
+
+    low, high = math.log(0.9 * quantum), math.log(1.02 * quantum)
+    above, octaves = beyond(high), attempts(OCTAVES)
+    for _ in octaves:
+        if above <= 0 or high >= math.log(MAX_QUANTUM):
+            break
+        low, high = high, high + math.log(2)
+        above = beyond(high)
+    else:
+        return math.exp(high + 1.5 * max(above, 0.0))  # bytes fall as about the power of -2/3
+    below = beyond(low)
+    for _ in octaves:
+        if below >= 0 or low <= math.log(MIN_QUANTUM):
+            break
+        low, high, above = low - math.log(2), low, below
+        below = beyond(low)
+    for _ in attempts(QUANTUM_TRIES):
+        if high - low < PRECISION:
+            break
+        middle = low + (high - low) * min(max(below / max(below - above, 1e-9), 0.02), 0.98)
+        at_middle = beyond(middle)
+        if at_middle <= 0:
+            high, above, below = middle, at_middle, below / 2
+        else:
+            low, below, above = middle, at_middle, above / 2
+    return math.exp(high)

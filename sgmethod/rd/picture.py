@@ -52,5 +52,5 @@ def rate_of(budget: Budget, size: tuple[int, int], effort: Effort, *, has_alpha:
         case "psnr":
             return PsnrAim.from_psnr(budget.value, pixels)
         case "quality":
-            return QualityAim.from_score(budget.value, size, effort)
+            return QualityAim.from_score(budget.value, size, effort, budget.max_bytes(*size))
     return ByteBudget.from_bytes(budget.max_bytes(*size) or 0, pixels, has_alpha=has_alpha)

@@ -89,11 +89,11 @@ def test_a_search_goes_on_between_tries_above_and_below(
     aim: Aim, tries: list[tuple[float, float]], finer: float, coarser: float
 ) -> None:
     """In dB, with the aim at 3.98: the line through the two nearest ended at the third, and the file had 71 of 60."""
-    tried = [Mock(stream=Mock(quantum=quantum), ssimulacra2_db=db, psnr=db) for quantum, db in tries]
+    tried = [Mock(stream=Mock(quantum=quantum), size=900, ssimulacra2_db=db, psnr=db) for quantum, db in tries]
     found = aim.next_quantum(tried, NO_LIMIT, 10)
     assert found is not None
     assert finer < found < coarser
-    close = [Mock(stream=Mock(quantum=0.1), ssimulacra2_db=4.0, psnr=4.0)]
+    close = [Mock(stream=Mock(quantum=0.1), size=900, ssimulacra2_db=4.0, psnr=4.0)]
     assert aim.next_quantum([*tried, *close], NO_LIMIT, 10) is None
 
 

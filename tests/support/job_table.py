@@ -13,7 +13,7 @@ from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
 from service.settings import Settings
 
-REQUEST = EncodeRequest(budget_kind="bpp", budget_value=1.0, tune="psnr", time_limit_s=60.0)
+REQUEST = EncodeRequest(budget_kind="bpp", budget_value=1.0, tune="psnr", effort=5, time_limit_s=60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
 RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": None})
 CRASH, REFUSED = JobError("crashed", "it crashed"), JobError("refused", "no")

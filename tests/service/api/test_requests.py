@@ -20,7 +20,7 @@ import sgmethod
 from service.api.models import JobSummary
 from service.api.options import OPTION_SCHEMAS, queries
 from service.api.problems import NAMED_REASONS, REASONS
-from sgmethod.budget import bytes_value
+from sgmethod.budget import DEFAULT_BUDGET, bytes_value
 from sgmethod.client.client import Options
 from sgmethod.encode_arguments import EncodeOptions
 from tests.support.data import JAVASCRIPT, PICTURE, ROOT, STATIC
@@ -181,10 +181,10 @@ def test_every_documented_form_of_a_size_is_described_and_accepted() -> None:
 
 
 def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:
-    """0.3 bits per pixel of it are fewer bytes than the smallest file has; asked for, they are refused."""
-    tiny = png(16, 16)
-    assert web.post(tiny).status_code == 202
-    assert_problem(web.post(tiny, bpp="0.3"), 422, "at least 12 bytes")
+    """0.5 bits per pixel of it are fewer bytes than the smallest file has; asked for, they are refused."""
+    tiny = png(8, 8)
+    assert web.job(web.accepted(tiny, effort=1))["budget"]["kind"] == "bytes"
+    assert_problem(web.post(tiny, bpp=str(DEFAULT_BUDGET.max_bpp)), 422, "at least 12 bytes")
 
 
 def test_forms_that_are_refused(web: Service) -> None:
@@ -215,19 +215,20 @@ def test_an_image_as_the_body(web: Service) -> None:
     answer = post(f"?psnr=30&profile={OTHER}&time_limit_s=2&priority=bulk")
     assert answer.status_code == 202, answer.text
     job = web.job(answer.json()["id"])
-    assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, OTHER)
+    assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30, "max_bpp": None}, OTHER)
     assert (job["time_limit_s"], job["priority"], job["tune"], job["effort"]) == (2, "bulk", "psnr", 5)
     unasked = web.job(post("?bpp=1").json()["id"])
     assert (unasked["tune"], unasked["effort"]) == ("visual", 5)
     assert (unasked["priority"], unasked["time_limit_s"]) == ("interactive", 300)  # the longest
     assert web.job(post("?bpp=1&effort=7").json()["id"])["effort"] == 7
-    assert web.job(post("?quality=40").json()["id"])["budget"] == {"kind": "quality", "value": 40}
-    assert web.job(post("?bytes=1.5k").json()["id"])["budget"] == {"kind": "bytes", "value": 1500}
+    assert web.job(post("?quality=40").json()["id"])["budget"] == {"kind": "quality", "value": 40, "max_bpp": None}
+    assert web.job(post("?bytes=1.5k").json()["id"])["budget"] == {"kind": "bytes", "value": 1500, "max_bpp": None}
+    assert web.job(post("").json()["id"])["budget"] == dataclasses.asdict(DEFAULT_BUDGET)
     assert web.job(post("?bpp=1&tune=psnr").json()["id"])["tune"] == "psnr"
     assert web.job(post("?bpp=1&tune=fidelity").json()["id"])["tune"] == "fidelity"
     assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
-    assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1}
+    assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1, "max_bpp": None}
 
     for kind in ({}, {"Content-Type": "text/plain"}):  # of which the client may know nothing
         assert post("?bpp=1", headers=kind).status_code == 202

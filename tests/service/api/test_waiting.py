@@ -8,6 +8,7 @@ import os
 import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 
 import httpx2
 import pytest
@@ -16,6 +17,7 @@ from PIL import Image
 import sgmethod
 from service.api.requests import MAX_WAIT_S
 from service.settings import Settings
+from sgmethod.budget import DEFAULT_BUDGET
 from tests.support.pictures import SMALL
 from tests.support.processes import TIMEOUT_S, wait_until
 from tests.support.service import Service, StartService, assert_problem
@@ -29,9 +31,9 @@ def test_a_photograph_becomes_a_file(service: Service) -> None:
     answer = service.client.post("/encode?wait=100", files={"image": ("photo.png", SMALL)}, data={"time_limit_s": "1"})
     assert (answer.status_code, answer.headers["content-type"]) == (200, "application/octet-stream")
     assert (sgmethod.info(answer.content).width, sgmethod.info(answer.content).height) == (64, 48)
-    assert 8 * len(answer.content) <= 0.3 * 64 * 48  # the budget unasked
+    assert len(answer.content) <= (DEFAULT_BUDGET.max_bytes(64, 48) or 0)
     job = service.client.get(answer.headers["location"]).json()
-    assert job["budget"] == {"kind": "bpp", "value": 0.3}
+    assert job["budget"] == asdict(DEFAULT_BUDGET)
     assert service.client.get(job["bitstream_url"]).content == answer.content
 
 

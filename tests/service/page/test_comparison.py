@@ -89,17 +89,22 @@ def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service)
 
 
 def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Service) -> None:
-    """How good 0.3 bits per pixel are depends on the picture: some 30 Gaussians draw none."""
+    """How good a quarter bit per pixel is depends on the picture: some 30 Gaussians draw none."""
     page.open_page(web)
+    page.choose("aim", "size")
     page.queued(SMALL, "small.png")
     assert "too few for more than a rough idea" in page.text("#rate-words")
     assert page.text("#outcome") == ""
     job_id = page.queued(PHOTOGRAPH, "coffee.webp")
-    page.says("about 2,700 Gaussians.", "#rate-words")
+    page.says("about 2,300 Gaussians.", "#rate-words")
     web.publish(job_id, COFFEE)
+    page.says("9.0 kB, 0.30 bits per pixel, SSIMULACRA 2 60 (medium), 1 s; ", "#outcome")
+    page.says("times smaller than the original.", "#outcome")
+    page.click("#sample-cat")  # of which there is no job
     page.says("times smaller than the original; ", "#outcome")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
         assert words in page.imported("words.js", f"it.closeness({ssim})")
+    page.run("localStorage.clear()")
     web.clear()
 
 

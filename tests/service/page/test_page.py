@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from service.keys import digest
 from sgmethod.budget import DEFAULT_BUDGET
+from sgmethod.metrics.visual import quality_word
 from tests.javascript.site import served
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER
 from tests.support.browser import Chromium, Page, assert_open_to_all
@@ -52,10 +54,11 @@ def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> 
     assert page.run("return location.hash") == f"#{job['id']}"
     assert not page.is_seen("#work")
     lines = page.run("return [...document.querySelectorAll('pre')].map((one) => one.textContent)")
-    usual = DEFAULT_BUDGET.max_bytes(job["image"]["width"], job["image"]["height"])  # the page computes it, too
-    assert f"-F image=@my_disc.png -F bytes={usual} " in lines[0]
-    assert "-F effort=1" in lines[0]
-    assert f'sgmethod.encode("my_disc.png", bytes={usual},' in lines[1]
+    assert "-F image=@my_disc.png -F effort=1 '" in lines[0]  # no budget was sent
+    assert 'sgmethod.encode("my_disc.png", effort=1).save(' in lines[1]
+    assert job["budget"] == asdict(DEFAULT_BUDGET)
+    score = job["result"]["ssimulacra2"]
+    assert f"bits per pixel, SSIMULACRA 2 {score:.0f} ({quality_word(score)}), " in page.text("#outcome")
     both = page.settled()
     page.press("divider", "Home")
     wait_until(lambda: not np.array_equal(page.settled(), both))
@@ -65,6 +68,7 @@ def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> 
     page.open(f"{service.url}/#{job['id']}")  # as it stands in the address when the page is loaded again
     page.says("Gaussians", "#right-label")
     page.says("Original", "#left-label")  # the browser has kept it
+    assert page.run("return document.getElementById('python').textContent") == lines[1]
     page.give("drop", COFFEE, "coffee.sg")
     page.says(COFFEE_SAYS, "#prefix-words")
     assert_as_python(page.decoded(COFFEE), COFFEE)
@@ -75,6 +79,36 @@ def test_from_picture_to_file_and_back(each_browser: Page, service: Service) -> 
     page.says("the file is damaged")
     assert page.complaints() == []
     service.clear()
+
+
+@pytest.mark.thorough
+def test_what_the_slider_asks_for(page: Chromium, web: Service) -> None:
+    """Nothing until it is moved, so that the service's default counts, which the page describes."""
+
+    def asked() -> dict[str, object]:
+        budget = web.job(page.queued(SMALL, "disc.png"))["budget"]
+        page.cancel()
+        return {budget["kind"]: budget["value"]}
+
+    page.open_page(web)
+    try:
+        usual = page.imported("upload.js", "it.USUAL")
+        assert usual == {"quality": DEFAULT_BUDGET.value, "max_bpp": DEFAULT_BUDGET.max_bpp}
+        assert page.text("#rate") == f"about {DEFAULT_BUDGET.value:g} of 100"
+        words = f"{quality_word(DEFAULT_BUDGET.value)}, in as few bytes as that takes, at most {usual['max_bpp']} bits"
+        assert words in page.text("#rate-words")
+        assert asked() == {"quality": DEFAULT_BUDGET.value}
+        page.choose("aim", "size")
+        page.says("at most 100 B", "#rate")
+        assert asked() == {"bytes": 100}  # a quarter bit for each pixel would be 96
+        page.choose("aim", "quality")
+        page.choose("slider", "75")
+        assert (page.text("#rate"), "at most" in page.text("#rate-words")) == ("about 73 of 100", False)
+        assert asked() == {"quality": 73}
+        words = [page.imported("words.js", f"it.qualityWord({score})") for score in (-9, 29, 30, 55, 70, 89.9, 90, 100)]
+        assert words == [quality_word(score) for score in (-9, 29, 30, 55, 70, 89.9, 90, 100)]
+    finally:
+        page.run("localStorage.clear()")
 
 
 @pytest.mark.thorough

@@ -7,6 +7,7 @@ import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from PIL import Image
 
 import sgmethod
 from sgmethod import Budget
+from sgmethod.budget import DEFAULT_BUDGET
 from sgmethod.cli import encoding, main as cli
 from sgmethod.client import Client, client as client_module, encode_many
 from sgmethod.client.connection import Connection
@@ -188,7 +190,7 @@ def test_all_that_a_client_may_ask(start_service: StartService) -> None:
         assert client.wait(first)["state"] == "done"
         assert [job["id"] for job in client.jobs()] == [second, first]
         assert [job["id"] for job in client.jobs("done")] == [first]
-        assert next(client.jobs("queued"))["budget"] == {"kind": "bpp", "value": 0.3}
+        assert next(client.jobs("queued"))["budget"] == asdict(DEFAULT_BUDGET)
         assert client.decode(PICTURE, "webp", width=32) == client.picture(first, "webp", width=32)
         assert client.picture(first, scale=0.5, region="0,0,40,40") != client.picture(first)
         assert client.bitstream(first) == PICTURE

@@ -31,7 +31,7 @@ def done(service: Service) -> dict[str, Any]:
 def test_a_finished_job_tells_its_figures_and_its_trace(done: dict[str, Any]) -> None:
     assert (done["progress"], done["attempt"], done["position"], done["error"]) == (1, 1, None, None)
     assert done["created_at"] <= done["started_at"] <= done["finished_at"]
-    assert (done["budget"], done["time_limit_s"]) == ({"kind": "bpp", "value": 2}, 2)
+    assert (done["budget"], done["time_limit_s"]) == ({"kind": "bpp", "value": 2, "max_bpp": None}, 2)
     assert done["image"] == {"format": "PNG", "width": 64, "height": 48, "bytes": len(SMALL)}
     result = done["result"]
     assert (result["width"], result["height"], result["profile"]) == (64, 48, DEFAULT_PROFILE)
