@@ -13,11 +13,12 @@ from typing import Annotated, Any, BinaryIO
 from fastapi import Query, Request, Response
 from pydantic import Field
 
-from service.api import models, requests
+from service.api import requests
 from service.api.context import Context, JobId, UseCaller, UseContext, context_of, known_job, no_such_job
+from service.api.jobs import expires_at
 from service.api.problems import ProblemError
 from service.api.sending import FileResponse
-from service.jobs.job import EncodeResult, Job
+from service.jobs.job import Job, JsonObject
 from service.pictures import (
     MAX_COMPARED_PIXELS,
     MEDIA_TYPES,
@@ -29,7 +30,7 @@ from service.pictures import (
 )
 from service.sandbox.client import RefusedError
 from service.sandbox.frames import PreviewFigures
-from service.storage.files import source_key
+from service.storage.files import bitstream_key, source_key
 from sgmethod.errors import BitstreamError
 
 log = logging.getLogger(__name__)
@@ -119,8 +120,8 @@ async def comparison(
     been deleted.
     """
     job = await known_job(request, job_id)
-    stats, pixels = _result_of(job).stats, job.image.width * job.image.height
-    if pixels > MAX_COMPARED_PIXELS and (kind, stats.get("better")) != ("webp", "webp"):
+    figures, pixels = _figures_of(job), job.image.width * job.image.height
+    if pixels > MAX_COMPARED_PIXELS and (kind, figures.get("better")) != ("webp", "webp"):
         detail = f"the picture has more than {MAX_COMPARED_PIXELS:,} pixels, too many to compare with {kind}"
         raise ProblemError(422, detail)
     if max(job.image.width, job.image.height) > (limit := WRITERS[kind].max_side):
@@ -132,7 +133,7 @@ async def comparison(
 
     async def encode() -> bytes:
         with await context.store(_open_image, context, job.id) as image:
-            return await context.tasks.compare(caller.client, image, kind, int(stats["bytes"]), pixels)
+            return await context.tasks.compare(caller.client, image, kind, int(figures["bytes"]), pixels)
 
     return await _cached_response(request, headers, kind, encode)
 
@@ -150,13 +151,13 @@ def _image_deleted() -> ProblemError:
 
 async def picture_response(request: Request, job: Job, kind: PictureFormat, options: PictureOptions) -> Response:
     """Answer with a picture of a finished job."""
-    context, result = context_of(request), _result_of(job)
-    size = (int(result.stats["width"]), int(result.stats["height"]))
+    context, figures = context_of(request), _figures_of(job)
+    size = (int(figures["width"]), int(figures["height"]))
     drawing = Drawing.from_options(options, kind, size, context.settings.max_pixels)
     pixels = math.prod(drawing.view.size(*size))
 
     async def draw() -> bytes:
-        with await context.store(_open_bitstream, context, job, result) as file:
+        with await context.store(_open_bitstream, context, job, int(figures["bytes"])) as file:
             try:
                 return await context.tasks.draw(request.state.caller.client, file, options, kind, max_pixels=pixels)
             except RefusedError as error:
@@ -164,21 +165,21 @@ async def picture_response(request: Request, job: Job, kind: PictureFormat, opti
                     raise _damaged(job, error) from error
                 raise
 
-    headers = {"ETag": drawing.etag(result.sha256), **_cache_headers(request, job)}
+    headers = {"ETag": drawing.etag(job.sha256), **_cache_headers(request, job)}
     return await _cached_response(request, headers, kind, draw)
 
 
 async def bitstream_response(request: Request, job: Job) -> Response:
     """Answer with the .sg file of a finished job."""
-    context, result = context_of(request), _result_of(job)
+    context, figures = context_of(request), _figures_of(job)
     headers = {
-        "ETag": f'"{result.sha256[:32]}"',
+        "ETag": f'"{job.sha256[:32]}"',
         **_cache_headers(request, job),
         "Content-Disposition": f'attachment; filename="{job.id}.sg"',
     }
     if (answer := _not_modified(request, headers)) is not None:
         return answer
-    with await context.store(_open_bitstream, context, job, result) as file:
+    with await context.store(_open_bitstream, context, job, int(figures["bytes"])) as file:
         data = await context.store(file.read)
     return FileResponse(request, data, headers, requests.BITSTREAM_TYPE)
 
@@ -217,37 +218,37 @@ def _cache_headers(request: Request, job: Job, image_until: float | None = None)
     max_age_s = min([MAX_CACHED_S, *(max(0, int(end - time.time())) for end in ends)])
     # Private, because the URL contains a secret id, which shared caches should not store.
     headers = {"Cache-Control": f"private, max-age={max_age_s}, immutable"}
-    if (removed := models.expires_at(job, context_of(request).settings)) is not None:
+    if (removed := expires_at(job, context_of(request).settings)) is not None:
         ends.append(removed)
     return {**headers, "Expires": formatdate(min(ends), usegmt=True)} if ends else headers
 
 
-def _result_of(job: Job) -> EncodeResult:
-    """Return the result of a finished job. Raises ProblemError 409 with the state of any other."""
+def _figures_of(job: Job) -> JsonObject:
+    """Return the figures of a finished job. Raises ProblemError 409 with the state of any other."""
     if job.result is not None:
         return job.result
     detail = f"the job is {job.state}"
-    if job.state == "failed" and job.error is not None:
+    if job.error is not None:
         detail += f": {job.error.detail}"
     raise ProblemError(409, detail, state=job.state)
 
 
-def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryIO:
+def _open_bitstream(context: Context, job: Job, size_bytes: int) -> BinaryIO:
     """Open the bitstream of a finished job.
 
     Raises ProblemError 404 if the job was removed meanwhile, 500 if the bitstream is missing or damaged.
     """
     try:
-        file = context.storage.open(result.bitstream_key)
+        file = context.storage.open(bitstream_key(job.id, job.attempt))
     except FileNotFoundError as error:
         if context.table.get(job.id) is None:
             raise no_such_job() from None
         raise _damaged(job, error) from error
     # Clients keep an answer for a year, and a part of a damaged file may be drawn.
-    if hashlib.file_digest(file, "sha256").hexdigest() != result.sha256:  # type: ignore[arg-type]
+    if hashlib.file_digest(file, "sha256").hexdigest() != job.sha256:  # type: ignore[arg-type]
         size = file.tell()
         file.close()
-        raise _damaged(job, f"{size} bytes are not the {result.size_bytes} that were stored")
+        raise _damaged(job, f"{size} bytes are not the {size_bytes} that were stored")
     file.seek(0)
     return file
 

@@ -13,9 +13,10 @@ from typing import Any, BinaryIO
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 
-from service.api import models, requests
+from service.api import requests
 from service.api.context import Context, UseCaller, UseContext
 from service.api.decode import bitstream_response, picture_response
+from service.api.jobs import accepted
 from service.api.metrics import WAITED_S
 from service.api.options import OPTION_SCHEMAS, EncodeQuery, queries, read_options
 from service.api.problems import RETRYABLE, ProblemError
@@ -132,7 +133,7 @@ async def _answer(request: Request, context: Context, job: Job, *, wants_file: b
 
     An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
     """
-    view = models.accepted(job, context.settings)
+    view = accepted(job, context.settings)
     headers = {"Location": view.status_url, **requests.NEVER_STORED}
     answer: Response = JSONResponse(view.model_dump(), 202)
     if wants_file and job.state in FINAL_STATES:
@@ -151,7 +152,7 @@ async def _answer(request: Request, context: Context, job: Job, *, wants_file: b
 
 async def _file_of(request: Request, job: Job) -> Response:
     """Return the bitstream, or the picture that Accept asks for. Raises ProblemError, JobTableError, OSError."""
-    if job.error is not None and job.state == "failed":
+    if job.error is not None:
         status = 422 if job.error.code == "refused" else 500
         raise ProblemError(status, job.error.detail, code=job.error.code, id=job.id)
     if requests.wants_picture(request):

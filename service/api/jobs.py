@@ -1,23 +1,75 @@
-"""Handlers of existing jobs: get, list, link and remove."""
+"""Jobs and their links: their JSON, and the handlers that get, list, link and remove them."""
 
 from __future__ import annotations
 
 import time
-from datetime import UTC, datetime
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
 
 from fastapi import Query, Request, Response
-from pydantic import Field
+from pydantic import BaseModel, Field
 
-from service.api import models
 from service.api.context import JobId, UseCaller, UseContext, known_job
 from service.api.problems import ProblemError
 from service.api.requests import NEVER_STORED, Parameters
-from service.jobs.job import JobState
+from service.jobs.job import Figure, Id, Job, JobState, JsonObject, Time
 from service.keys import Link
+from service.settings import Settings
 from service.storage.files import keys_of
+from sgmethod.trace import seconds_left
 
+EXAMPLE_ID = "5f1c0e9ab0d4467f8a3d2b6c7e8f9012"
 MAX_LINK_S = 7 * 86_400
+
+
+class AcceptedView(BaseModel):
+    """The answer to POST /encode."""
+
+    id: Id
+    status_url: str
+    decode_url: str
+    bitstream_url: str
+
+
+class JobSummary(Job, AcceptedView):
+    """A job without its position and trace."""
+
+    expires_at: Time | None = Field(description="when the finished job is deleted")
+    image_expires_at: Time | None = Field(description="until when the image of the finished job can be re-encoded")
+
+    @classmethod
+    def of(cls, job: Job, settings: Settings, **more: Any) -> Self:
+        """Return the job with the members that depend on settings, and more."""
+        image_until = None if job.finished_at is None else job.finished_at + settings.source_retention_s
+        ends = {"expires_at": expires_at(job, settings), "image_expires_at": image_until}
+        return cls(**{**vars(job), **vars(accepted(job, settings)), **ends, **more})
+
+
+class JobView(JobSummary):
+    """A job with its position and trace."""
+
+    position: int | None = Field(description="position in the queue, from 1, while queued")
+    progress: float = Field(description="estimated progress, 0 to 1; never decreases")
+    seconds_left: float | None = Field(description="estimate while the job is running, once there is one")
+    trace: list[dict[str, Figure]] = Field(
+        description="seconds, step, steps, psnr (dB), bytes, gaussians, phase and share (the part of the time that is "
+        "over), oldest first; sparser with time"
+    )
+
+
+class JobPage(BaseModel):
+    """Jobs, newest first."""
+
+    jobs: list[JobSummary]
+    next: str | None = Field(description="URL of the next page, if there are older jobs")
+
+
+class LinksView(BaseModel):
+    """URLs that need no key until they expire."""
+
+    decode_url: str = Field(description="URL of the picture; its extension and view parameters can be changed")
+    bitstream_url: str
+    expires_at: Time
 
 
 class PageQuery(Parameters):
@@ -34,17 +86,17 @@ class LinksQuery(Parameters):
     expires_s: int = Field(default=3600, ge=1, le=MAX_LINK_S, description="seconds until the links expire")
 
 
-async def status(job_id: JobId, context: UseContext, request: Request, response: Response) -> models.JobView:
+async def status(job_id: JobId, context: UseContext, request: Request, response: Response) -> JobView:
     """Return state, queue position, progress, trace and the result or error."""
     job = await known_job(request, job_id)
     response.headers.update(NEVER_STORED)
     position = await context.read(context.table.position, job) if job.state == "queued" else None
-    return models.with_trace(job, position, await context.read(context.table.trace, job.id), context.settings)
+    return with_trace(job, position, await context.read(context.table.trace, job.id), context.settings)
 
 
 async def jobs(
     context: UseContext, caller: UseCaller, response: Response, query: Annotated[PageQuery, Query()]
-) -> models.JobPage:
+) -> JobPage:
     """List jobs, newest first, in pages; with API keys, only those of the caller's key."""
     response.headers.update(NEVER_STORED)
     limit, settings = query.limit, context.settings
@@ -52,7 +104,7 @@ async def jobs(
     chosen = "" if query.state is None else f"&state={query.state}"
     where = f"{settings.root_path}/jobs?limit={limit}"
     older = f"{where}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
-    return models.JobPage(jobs=[models.summary(job, settings) for job in page[:limit]], next=older)
+    return JobPage(jobs=[JobSummary.of(job, settings) for job in page[:limit]], next=older)
 
 
 async def links(
@@ -61,7 +113,7 @@ async def links(
     request: Request,
     response: Response,
     query: Annotated[LinksQuery, Query()],
-) -> models.LinksView:
+) -> LinksView:
     """Create links to the picture and the bitstream that anyone can open until they expire.
 
     404 if the operator has not enabled links.
@@ -73,11 +125,11 @@ async def links(
         raise ProblemError(404, "links are not enabled on this server")
     expires = int(time.time()) + query.expires_s
     picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
-    known = models.accepted(job, context.settings)
-    return models.LinksView(
+    known = accepted(job, context.settings)
+    return LinksView(
         decode_url=f"{known.decode_url}?{picture}",
         bitstream_url=f"{known.bitstream_url}?{bitstream}",
-        expires_at=datetime.fromtimestamp(expires, UTC),
+        expires_at=expires,
     )
 
 
@@ -90,3 +142,29 @@ async def remove(job_id: JobId, context: UseContext, request: Request) -> Respon
         for key in keys_of(removed.id, removed.attempt):
             await context.store(context.discard, key)
     return Response(status_code=204)  # a Response, since JSON would have a Content-Type
+
+
+def accepted(job: Job, settings: Settings) -> AcceptedView:
+    """Return the job's id and the paths of its resources."""
+    return AcceptedView(
+        id=job.id,
+        status_url=f"{settings.root_path}/jobs/{job.id}",
+        decode_url=f"{settings.root_path}/decode/{job.id}.png",
+        bitstream_url=f"{settings.root_path}/bitstreams/{job.id}.sg",
+    )
+
+
+def expires_at(job: Job, settings: Settings) -> float | None:
+    """Return when the job is removed, in seconds since 1970; None if it is not finished, or is kept for ever."""
+    kept_s = settings.retention_s
+    return job.finished_at + kept_s if job.finished_at is not None and kept_s else None
+
+
+def with_trace(job: Job, position: int | None, trace: Sequence[JsonObject], settings: Settings) -> JobView:
+    """Return the job with its position, trace and progress."""
+    # The greatest share, since a second try at a PSNR begins anew.
+    progress = 1.0 if job.state == "done" else max((point.get("share", 0.0) for point in trace), default=0.0)
+    left_s = None
+    if job.state == "running" and job.started_at is not None:
+        left_s = seconds_left(trace, time.time() - job.started_at, job.time_limit_s)
+    return JobView.of(job, settings, position=position, progress=progress, seconds_left=left_s, trace=trace)

@@ -6,6 +6,7 @@ Jobs that cannot succeed are refused when they are submitted, not when a worker 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
@@ -15,7 +16,7 @@ from pydantic.dataclasses import dataclass
 from pydantic.json_schema import SkipJsonSchema
 
 from service.api.problems import ProblemError
-from service.jobs.job import EncodeRequest, Priority, SourceImage
+from service.jobs.job import EncodeRequest, ImageView, Priority
 from sgmethod import profiles
 from sgmethod.budget import BUDGET_KINDS, QUALITIES, bytes_value
 from sgmethod.encode_arguments import EncodeArguments, EncodeOptions, only_budget
@@ -61,7 +62,7 @@ class EncodeQuery(EncodeOptions):
         budget = only_budget(None, {kind: getattr(self, kind) for kind in BUDGET_KINDS})
         return EncodeArguments.checked(budget, self.profile, self.tune, self.effort)
 
-    def request(self, image: SourceImage, max_s: float) -> EncodeRequest:
+    def request(self, image: ImageView, max_s: float) -> EncodeRequest:
         """Return the encoder's part of the request. max_s: the longest and default time limit in seconds.
 
         Raises BudgetError or ProblemError 422 if no file of the image could meet it.
@@ -74,11 +75,8 @@ class EncodeQuery(EncodeOptions):
             raise ProblemError(422, f"profile {asked.profile} needs PyTorch, which this service lacks; use profile rd")
         asked = asked.for_size(image.width, image.height, has_alpha=True)
         asked.check_size(image.width, image.height)
-        options = {**self.options(), "tune": asked.tune, "effort": asked.effort, "time_limit_s": seconds}
-        budget = asked.budget
-        return EncodeRequest(
-            budget_kind=budget.kind, budget_value=budget.value, budget_max_bpp=budget.max_bpp, **options
-        )
+        taken = {"budget": asdict(asked.budget), "tune": asked.tune, "effort": asked.effort, "time_limit_s": seconds}
+        return EncodeRequest.model_validate({**self.options(), **taken})
 
 
 queries = TypeAdapter(EncodeQuery)

@@ -10,7 +10,7 @@ from fastapi import Depends, FastAPI, Query, Response
 
 from service.api import decode, encode, health, jobs
 from service.api.gate import OPEN_PATHS
-from service.api.models import EXAMPLE_ID, AcceptedView
+from service.api.jobs import EXAMPLE_ID, AcceptedView
 from service.api.problems import problems
 from service.api.requests import BITSTREAM_TYPE, Parameters, no_body
 from service.pictures import COMPARISONS, MEDIA_TYPES

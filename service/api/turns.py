@@ -14,7 +14,7 @@ from starlette.datastructures import UploadFile
 
 from service.api.metrics import Metrics
 from service.api.problems import ProblemError
-from service.jobs.job import SourceImage
+from service.jobs.job import ImageView
 from service.pictures import ComparisonFormat, PictureFormat, PictureOptions
 from service.sandbox import frames
 from service.sandbox.client import RefusedError, Sandbox, TaskError
@@ -113,14 +113,14 @@ class ClientTasks:
             "max_pixels": settings.max_pixels,
         }
 
-    async def read_header(self, client: str, image: UploadFile) -> SourceImage:
+    async def read_header(self, client: str, image: UploadFile) -> ImageView:
         """Read the header of an image, without decoding pixels."""
         size_bytes = image.size or 0
         pixels = self._limits["max_pixels"]
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes + WEBP_BYTES_PER_PIXEL * pixels
         task = frames.ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=pixels, threads=1)
         header: frames.HeaderFigures = (await self._ask(self._headers, client, image.file, task)).figures
-        return SourceImage(header.format, header.width, header.height, size_bytes)
+        return ImageView(format=header.format, width=header.width, height=header.height, bytes=size_bytes)
 
     async def draw(
         self, client: str, file: BinaryIO, options: PictureOptions, kind: PictureFormat, **limits: int

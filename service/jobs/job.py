@@ -1,4 +1,4 @@
-"""The job record: request, progress and outcome.
+"""The job: what was asked, how far it is, and what came of it. Its row and its JSON have the same members.
 
     queued --claim--> running --finish--> done
       ^                  |-----fail-----> failed
@@ -14,20 +14,24 @@ from __future__ import annotations
 import json
 import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
-
-from sgmethod.budget import BudgetKind
-from sgmethod.encode_arguments import EncodeOptions
+from pydantic import BaseModel, Field, PlainSerializer
 
 JobState = Literal["queued", "running", "done", "failed"]
 JOB_STATES: tuple[JobState, ...] = get_args(JobState)
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
 Priority = Literal["interactive", "bulk"]
 JsonObject = Mapping[str, Any]
+Figure = float | int | str | None
+# Seconds since 1970, in JSON a date.
+Time = Annotated[float, PlainSerializer(lambda seconds: datetime.fromtimestamp(seconds, UTC), return_type=datetime)]
+Id = Annotated[
+    str, Field(description="32 hexadecimal digits; without API keys, anyone who knows the id can read the job")
+]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
 
@@ -42,24 +46,31 @@ def is_job_id(text: str) -> bool:
     return _JOB_ID.fullmatch(text) is not None
 
 
-@dataclass(frozen=True, kw_only=True)
-class EncodeRequest(EncodeOptions):
-    """An encode that a client asks for. A row may have values that only a later version knows."""
+class BudgetView(BaseModel):
+    """The budget of an encode."""
 
-    budget_kind: SkipValidation[BudgetKind]
-    budget_value: float
-    budget_max_bpp: float | None = None
-    time_limit_s: float
+    kind: str = Field(description='"bpp", "bytes", "quality", "psnr" or "gaussians"')
+    value: float
+    max_bpp: float | None = Field(description="limit in bits per pixel beside the default quality, else null")
 
 
-@dataclass(frozen=True)
-class SourceImage:
-    """The header of an image; width and height in pixels, size in bytes."""
+class ImageView(BaseModel):
+    """The source image, from its header."""
 
     format: str
-    width: int
-    height: int
-    size_bytes: int
+    width: int = Field(description="pixels")
+    height: int = Field(description="pixels")
+    bytes: int
+
+
+class EncodeRequest(BaseModel):
+    """An encode that a client asks for. A row may have values that only a later version knows."""
+
+    budget: BudgetView
+    profile: str
+    tune: str = Field(description='"psnr", "fidelity" or "visual"')
+    effort: int = Field(description="1 (fastest) to 9 (best file)")
+    time_limit_s: float
 
 
 @dataclass(frozen=True)
@@ -72,7 +83,7 @@ class NewJob:
 
     id: str
     request: EncodeRequest
-    image: SourceImage
+    image: ImageView
     fingerprint: str
     idempotency_key: str | None = None
     owner: str | None = None
@@ -90,60 +101,66 @@ class JobError:
 
 @dataclass(frozen=True)
 class EncodeResult:
-    """A finished encode: key of its bitstream, the SHA-256 (hex) of its bytes, and the codec's figures."""
+    """A finished encode: the SHA-256 (hex) of the bitstream, the codec's figures, and what it dropped of the image."""
 
-    bitstream_key: str
     sha256: str
-    stats: JsonObject
+    result: JsonObject
+    notes: Sequence[str] = ()
 
     @property
     def size_bytes(self) -> int:
-        return int(self.stats.get("bytes", 0))
+        return int(self.result.get("bytes", 0))
 
 
-@dataclass(frozen=True)
-class Job:
-    """A row of the table. Times are seconds since 1970 (UTC).
+class Job(EncodeRequest):
+    """A job, as clients see it and as its row has it.
 
-    number: order of acceptance; attempt: the latest, with which its worker claims the job; crashes: attempts that
-    crashed; losses: attempts that lost their worker.
+    Hidden from clients: number, the order of acceptance; crashes and losses, attempts that crashed and that lost their
+    worker; sha256, of the bitstream.
     """
 
-    number: int
-    id: str
-    owner: Annotated[str | None, BeforeValidator(lambda name: name or None)]  # '' in the table
-    priority: Priority
+    id: Id
     state: JobState
-    request: Json[EncodeRequest]
-    image: Json[SourceImage]
-    attempt: int
-    crashes: int
-    losses: int
-    created_at: float
-    started_at: float | None
-    finished_at: float | None
-    result: Json[EncodeResult] | None
-    error: Json[JobError] | None
+    priority: Priority
+    image: ImageView
+    attempt: int = Field(description="number of times the job has been started")
+    created_at: Time
+    started_at: Time | None = Field(description="start of the latest attempt")
+    finished_at: Time | None
+    result: dict[str, Figure | list[str]] | None = Field(
+        description="figures of the finished file; warnings has one sentence each for a missed target, a file larger "
+        "than its source, a file without Gaussians, and a time limit that cut the encode short on a busy machine; "
+        "advice and better name a format that suits the image better"
+    )
+    notes: list[str] = Field(description="what was dropped from the image, once done")
+    error: JobError | None = Field(description="once failed")
 
-
-_jobs = TypeAdapter(Job)
+    number: int = Field(exclude=True)
+    crashes: int = Field(exclude=True)
+    losses: int = Field(exclude=True)
+    sha256: str = Field(exclude=True)
 
 
 def job_of(row: Any) -> Job:
     """Return a row as a Job. Fields that a later version has added to its JSON are ignored."""
-    return _jobs.validate_python(dict(row))
+    columns = dict(row)
+    parts = {name: json.loads(columns.pop(name) or "null") for name in ("request", "image", "result", "error")}
+    result = parts.pop("result") or {"result": None, "notes": [], "sha256": ""}
+    if columns["state"] != "failed":
+        parts["error"] = None  # a queued job has that of its last crash, which clients do not need
+    return Job(**columns, **parts, **parts["request"], **result)
 
 
 def row_of(job: NewJob) -> tuple[Any, ...]:
     """Return the values of a new row, in the order of statements.INSERT."""
     return (
         *(job.id, job.owner or "", job.client, job.priority, job.idempotency_key, job.fingerprint),
-        *(as_json(job.request), as_json(job.image), job.image.size_bytes),
+        *(job.request.model_dump_json(), job.image.model_dump_json(), job.image.bytes),
     )
 
 
-def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
-    """Return a part of a job as its row stores it."""
+def as_json(value: EncodeResult | JobError) -> str:
+    """Return how an attempt ended, as its row stores it."""
     return json.dumps(asdict(value))
 
 

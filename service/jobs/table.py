@@ -86,7 +86,7 @@ class JobTable(ABC):
             if (first := _first(db, job.owner, job.idempotency_key, job.fingerprint)) is not None:
                 return first, False
             self._check_queue(db, job.client)
-            self._check_quotas(db, job.owner, job.image.size_bytes)
+            self._check_quotas(db, job.owner, job.image.bytes)
             return job_of(db.execute(sql.INSERT, row_of(job)).fetchone()), True
 
     def first(self, owner: str | None, idempotency_key: str, fingerprint: str) -> Job | None:
@@ -248,8 +248,8 @@ class JobTable(ABC):
                 tallies.conclude(db, job)
                 return True
             # A commit that succeeded may be reported as failed; then the repeated call must succeed.
-            row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.id,)).fetchone()
-            return row is not None and row["result"] == text
+            done = "SELECT 1 FROM jobs WHERE id = ? AND attempt = ? AND result = ?"
+            return db.execute(done, (claim.id, claim.attempt, text)).fetchone() is not None
 
     def fail(self, claim: Job, error: JobError) -> bool:
         """End an attempt in failure, for good unless it crashed fewer than MAX_ATTEMPTS times.

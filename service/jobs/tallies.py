@@ -6,7 +6,6 @@ The totals grow when an attempt ends.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args
 
@@ -66,7 +65,7 @@ def by_state(db: Database) -> tuple[dict[str, int], int]:
 
 def unneeded(db: Database, keys: list[str]) -> list[str]:
     """Return the storage keys, of at most some hundreds, that no job needs."""
-    query = f"SELECT id, state, attempt, result, image_bytes FROM jobs WHERE id IN ({', '.join('?' * len(keys))})"
+    query = f"SELECT id, state, attempt, image_bytes FROM jobs WHERE id IN ({', '.join('?' * len(keys))})"
     needed = {key for row in db.execute(query, [job_of_key(key) for key in keys]).fetchall() for key in _keys_of(row)}
     return [key for key in keys if key not in needed]
 
@@ -74,7 +73,5 @@ def unneeded(db: Database, keys: list[str]) -> list[str]:
 def _keys_of(row: Any) -> Iterator[str]:
     if row["image_bytes"]:
         yield source_key(row["id"])
-    if row["state"] == "running":  # not published yet
+    if row["state"] in ("running", "done"):  # before it is published, and after
         yield bitstream_key(row["id"], row["attempt"])
-    if row["result"]:
-        yield json.loads(row["result"])["bitstream_key"]

@@ -200,8 +200,8 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
         pixels = read_input(file, keep_alpha=method_of(request.profile).keeps_alpha)
         encoded = encode(
             pixels,
-            Budget(request.budget_kind, request.budget_value, max_bpp=request.budget_max_bpp),
-            **request.options(),
+            Budget(**request.budget.model_dump()),
+            **request.model_dump(exclude={"budget"}),
             on_progress=lambda point: answer.send(frames.TracePoint(**frames.finite(point.to_dict()))),
             measure=True,
         )

@@ -6,7 +6,7 @@ import hashlib
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent import futures
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -42,8 +42,9 @@ class StoppedError(Exception):
 class Encoded:
     """A finished encode."""
 
-    stats: JsonObject
+    figures: JsonObject
     bitstream: bytes
+    notes: Sequence[str] = ()
 
 
 class Attempt:
@@ -110,7 +111,7 @@ class Attempt:
             is_recorded = self._retry(lambda: self._table.fail(claim, outcome))
         else:
             self._store(outcome.bitstream)  # before it becomes the job's
-            result = EncodeResult(self.key, hashlib.sha256(outcome.bitstream).hexdigest(), outcome.stats)
+            result = EncodeResult(hashlib.sha256(outcome.bitstream).hexdigest(), outcome.figures, outcome.notes)
             is_recorded = self._retry(lambda: self._table.finish(claim, result))
         if not is_recorded:
             raise ClaimLostError
@@ -153,7 +154,7 @@ class Attempt:
     def remove_leftovers(self) -> None:
         """Remove the image of a job that will not run again, and files of an unsuccessful attempt."""
         job = self._table.get(self.claim.id)
-        if job is None or job.result is None or job.result.bitstream_key != self.key:
+        if job is None or (job.state, job.attempt) != ("done", self.claim.attempt):
             self._storage.delete(self.key)
         if job is None or (job.state in FINAL_STATES and not self._table.keeps_sources):
             self._storage.delete(source_key(self.claim.id))

@@ -143,7 +143,7 @@ class Worker:
         threads = self._settings.encode_threads
         return frames.Encode(
             job_id=claim.id,
-            request=claim.request,
+            request=claim,
             threads=threads,
             memory_bytes=self._settings.job_memory_bytes,
             cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
@@ -157,7 +157,7 @@ class Worker:
         except FileNotFoundError:
             self._storage.check()  # one that is away has no image either
             raise ImageLostError from None
-        if source.seek(0, io.SEEK_END) != claim.image.size_bytes:
+        if source.seek(0, io.SEEK_END) != claim.image.bytes:
             source.close()
             raise ImageLostError
         return source
@@ -188,7 +188,7 @@ def _outcome(message: frames.Message) -> Encoded | JobError:
     """Return the file of the message that ended a task, or why there is none."""
     match message:
         case frames.Result(figures=figures, file=file):
-            return Encoded(figures.model_dump(), file)
+            return Encoded(figures.model_dump(exclude={"notes"}), file, figures.notes)
         case frames.Refused(error="MemoryError"):
             return JobError("refused", "the encode exceeds the memory limit")
         case frames.Refused(detail=detail):

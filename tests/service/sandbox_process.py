@@ -12,11 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import BinaryIO
 
-from service.jobs.job import EncodeRequest, new_job_id
+from service.jobs.job import new_job_id
 from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
 from service.sandbox.frames import Encode, Message, Task, TracePoint
 from tests.support.data import ROOT
+from tests.support.job_table import request_of
 from tests.support.processes import TIMEOUT_S, wait_until
 
 # In place of an encode or a preview, a program in the file runs where the codec would: confined, with `answer` at hand,
@@ -70,7 +71,7 @@ def sandbox(
 def task(time_limit_s: float = 0.1, **more: object) -> Encode:
     """An encode of a small picture."""
     limits = {"memory_bytes": 2**31, "cpu_s": 600, "max_pixels": 10_000, "threads": 1, **more}
-    request = EncodeRequest(budget_kind="bpp", budget_value=1.0, tune="psnr", time_limit_s=time_limit_s)
+    request = request_of(time_limit_s=time_limit_s)
     return Encode(job_id=new_job_id(), request=request, **limits)  # type: ignore[arg-type]
 
 

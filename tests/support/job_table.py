@@ -7,19 +7,27 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.job import BudgetView, EncodeRequest, EncodeResult, ImageView, Job, JobError, NewJob, new_job_id
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTable
 from service.settings import Settings
 
-REQUEST = EncodeRequest(budget_kind="bpp", budget_value=1.0, tune="psnr", effort=5, time_limit_s=60.0)
-IMAGE = SourceImage("PNG", 64, 48, 1000)
-RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": None})
+IMAGE = ImageView(format="PNG", width=64, height=48, bytes=1000)
+RESULT = EncodeResult("ab" * 32, {"bytes": 100, "psnr": None})
 CRASH, REFUSED = JobError("crashed", "it crashed"), JobError("refused", "no")
 LONG_S, NO_TIME_S = 60.0, 0.0
 
 OpenTable = Callable[..., JobTable]
+
+
+def request_of(kind: str = "bpp", value: float = 1.0, **more: Any) -> EncodeRequest:
+    """What a client asks for, with this budget."""
+    members = {"profile": "rd", "tune": "psnr", "effort": 5, "time_limit_s": 60.0, **more}
+    return EncodeRequest(budget=BudgetView(kind=kind, value=value, max_bpp=None), **members)
+
+
+REQUEST = request_of()
 
 
 def settings(lease_s: float = LONG_S, **options: Any) -> Settings:
@@ -27,7 +35,7 @@ def settings(lease_s: float = LONG_S, **options: Any) -> Settings:
     return Settings().model_copy(update={"lease_s": lease_s, "source_retention_s": 0, **options})
 
 
-def new(key: str | None = None, fingerprint: str = "f", image: SourceImage = IMAGE, **more: Any) -> NewJob:
+def new(key: str | None = None, fingerprint: str = "f", image: ImageView = IMAGE, **more: Any) -> NewJob:
     return NewJob(new_job_id(), REQUEST, image, fingerprint, key, **more)
 
 

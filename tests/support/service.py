@@ -19,7 +19,7 @@ import httpx2
 
 import sgmethod
 from service.errors import JobTableError
-from service.jobs.job import EncodeResult, Job, JobError, SourceImage
+from service.jobs.job import EncodeResult, ImageView, Job, JobError
 from service.jobs.table import JobTable
 from service.keys import digest
 from service.opening import open_job_table, open_storage
@@ -192,11 +192,11 @@ class Service(ServiceProcess):
     def published(self, bitstream: bytes, owner: str | None = None) -> str:
         """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
         info = sgmethod.info(bitstream)
-        job_id = self.submitted(SourceImage("PNG", info.width, info.height, 10), owner)
+        job_id = self.submitted(ImageView(format="PNG", width=info.width, height=info.height, bytes=10), owner)
         self.publish(job_id, bitstream)
         return job_id
 
-    def submitted(self, image: SourceImage = IMAGE, owner: str | None = None) -> str:
+    def submitted(self, image: ImageView = IMAGE, owner: str | None = None) -> str:
         """The id of a new job of which there is no more than its row in the table: nothing was posted."""
         with self.table() as table:
             return submitted(table, image=image, owner=owner)
@@ -211,9 +211,8 @@ class Service(ServiceProcess):
         stats = {"bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, "ssimulacra2": 60.0, "seconds": 1.0, **figures}
         with self.table() as table:
             claim = self._claimed(table, job_id)
-            key = bitstream_key(job_id, claim.attempt)
-            open_storage(self._settings()).put(key, bitstream)
-            assert table.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
+            open_storage(self._settings()).put(bitstream_key(job_id, claim.attempt), bitstream)
+            assert table.finish(claim, EncodeResult(hashlib.sha256(bitstream).hexdigest(), stats))
 
     def refuse(self, job_id: str) -> None:
         """Do as a worker whose codec refuses the job."""

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from service.api import models
+from service.api.jobs import EXAMPLE_ID
 from service.api.routes import HOST
 from tests.support.data import PICTURE
 from tests.support.pictures import SMALL
@@ -62,7 +62,7 @@ def test_every_operation_has_a_summary_and_a_command_that_works(start_service: S
         assert operation["description"], (method, path)
         assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "it has no summary"
         (sample,) = operation["x-codeSamples"]
-        command = sample["source"].replace(HOST, service.url).replace(models.EXAMPLE_ID, done)
+        command = sample["source"].replace(HOST, service.url).replace(EXAMPLE_ID, done)
         asks = command.replace("curl", "curl -sS --fail -w '%{stderr}%{method} %{url_effective}'", 1)
         answer = run("sh", "-c", asks, folder=tmp_path)
         known = path.replace("{job_id}", done).replace("{kind}", command.partition("?")[0].rpartition(".")[2])

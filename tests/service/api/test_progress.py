@@ -1,24 +1,26 @@
-"""What clients see of a job that goes on: progress, its trace, seconds left, errors."""
+"""What clients see of a job that goes on: progress, its trace, and seconds left."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from service.api.models import summary, with_trace
-from service.jobs.job import Job, JobError, JobState
+from service.api.jobs import with_trace
+from service.jobs.job import Job, JobState
 from service.settings import Settings
 from sgmethod.trace import share_of
-from tests.support.job_table import CRASH, IMAGE, REQUEST
+from tests.support.job_table import IMAGE, REQUEST
 
 SETTINGS = Settings()
 
 
-def job(state: JobState, error: JobError | None = None) -> Job:
-    return Job(1, "0" * 32, None, "interactive", state, REQUEST, IMAGE, 1, 0, 0, 0.0, None, None, None, error)
+def job(state: JobState, **more: Any) -> Job:
+    kept = {"number": 1, "crashes": 0, "losses": 0, "sha256": "", "result": None, "notes": [], "error": None}
+    known = {"id": "0" * 32, "priority": "interactive", "image": IMAGE, "attempt": 1, **kept}
+    times = {"created_at": 0.0, "started_at": None, "finished_at": None}
+    return Job(state=state, **{**vars(REQUEST), **known, **times, **more})
 
 
 def point(phase: str, step: int, steps: int) -> dict[str, Any]:
@@ -45,17 +47,10 @@ def test_progress_never_falls() -> None:
 def test_seconds_left(waited_s: float, limit_s: float, left_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
     now = time.time()
     monkeypatch.setattr(time, "time", lambda: now)
-    running = replace(job("running"), started_at=now - waited_s)
-    running = replace(running, request=replace(running.request, time_limit_s=limit_s))
+    times = {"started_at": now - waited_s, "time_limit_s": limit_s}
+    running = job("running", **times)
     trace = [point("fit", 0, 50), point("fit", 40, 50)]
     assert with_trace(running, None, trace, SETTINGS).seconds_left == pytest.approx(left_s, abs=0.2)
     for too_early in (trace[:1], [*trace[:1], point("fit", 5, 50)]):
         assert with_trace(running, None, too_early, SETTINGS).seconds_left is None
-    assert with_trace(replace(running, state="queued"), None, trace, SETTINGS).seconds_left is None
-
-
-def test_the_error_of_a_crash_is_shown_once_the_job_has_failed() -> None:
-    assert summary(job("queued", CRASH), SETTINGS).error is None
-    shown = summary(job("failed", CRASH), SETTINGS).error
-    assert shown is not None
-    assert (shown.code, shown.detail) == (CRASH.code, CRASH.detail)
+    assert with_trace(job("queued", **times), None, trace, SETTINGS).seconds_left is None

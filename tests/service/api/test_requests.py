@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from service.api.models import JobSummary
+from service.api.jobs import JobSummary
 from service.api.options import OPTION_SCHEMAS, queries
 from service.api.problems import NAMED_REASONS, REASONS
 from sgmethod.budget import DEFAULT_BUDGET, bytes_value

@@ -128,7 +128,7 @@ def test_nothing_reads_the_whole_table_or_queue(path: Path) -> None:
         claimed(table)
         return len(steps)
 
-    limits = settings(quota_bytes_per_key=5 * IMAGE.size_bytes, queue_length=100_000)
+    limits = settings(quota_bytes_per_key=5 * IMAGE.bytes, queue_length=100_000)
     with closing(SqliteJobTable(path, limits)) as table:
         for owner in 5 * ("ann", "bob"):
             submitted(table, owner=owner)

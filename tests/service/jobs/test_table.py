@@ -10,7 +10,7 @@ import pytest
 
 from service.errors import LimitError
 from service.jobs import table as table_module
-from service.jobs.job import EncodeResult, new_job_id
+from service.jobs.job import EncodeRequest, EncodeResult, new_job_id
 from service.jobs.table import MAX_ATTEMPTS, MAX_LOSSES, NO_PROCESSOR, JobTable
 from service.jobs.tallies import ENCODING, OUTCOMES, QUEUEING
 from service.storage.files import source_key
@@ -49,7 +49,8 @@ def test_owners_take_turns(table: JobTable) -> None:
     of_bert = [submitted(table, owner="bert") for _ in range(2)]
     of_cora = [submitted(table, owner="cora")]
     first = claimed(table)
-    assert (first.id, first.attempt, first.request, first.image) == (of_anna[0], 1, REQUEST, IMAGE)
+    assert (first.id, first.attempt, first.image) == (of_anna[0], 1, IMAGE)
+    assert first.model_dump(include=set(EncodeRequest.model_fields)) == REQUEST.model_dump()
     assert [claimed(table).id for _ in range(2)] == [of_bert[0], of_cora[0]]
     assert table.finish(first, RESULT)  # anna has none running
     second = claimed(table)
@@ -73,6 +74,14 @@ def test_heartbeat_carries_the_trace(table: JobTable) -> None:
     assert table.trace(job_id) == []
 
 
+def test_the_error_of_a_crash_is_shown_once_the_job_has_failed(table: JobTable) -> None:
+    job_id = submitted(table)
+    for _ in range(MAX_ATTEMPTS):
+        assert job_of(table, job_id).error is None
+        assert table.fail(claimed(table), CRASH)
+    assert job_of(table, job_id).error == CRASH
+
+
 def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     """Rule 2: once the lease is over and another has claimed the job, the first worker's token is void."""
     hasty = open_job_table(NO_TIME_S)
@@ -90,7 +99,8 @@ def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     assert hasty.get(job_id) == before
     assert hasty.trace(job_id) == []
     assert hasty.finish(fresh, RESULT)
-    assert not hasty.finish(stale, EncodeResult("bitstreams/x.9.sg", "cd" * 32, {}))
+    for result in (RESULT, EncodeResult("cd" * 32, {})):
+        assert not hasty.finish(stale, result)
 
 
 def test_a_lost_worker_is_no_crash_of_its_job(open_job_table: OpenTable) -> None:
@@ -112,7 +122,7 @@ def test_a_machine_that_is_too_busy_fails_no_job(table: JobTable) -> None:
     job_id, other = submitted(table), submitted(table)
     assert table.fail(claimed(table), NO_PROCESSOR)
     job = job_of(table, job_id)
-    assert (job.state, job.crashes, job.losses, job.error) == ("queued", 0, 1, NO_PROCESSOR)
+    assert (job.state, job.crashes, job.losses, job.error) == ("queued", 0, 1, None)
     assert claimed(table).id == other
     assert table.claim("w") is None  # until it is due
     change(table, "UPDATE jobs SET lease_until = 0 WHERE id = ?", job_id)
@@ -233,12 +243,12 @@ def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, k
     """Of images of finished jobs too, where those are kept."""
     table = open_job_table(LONG_S, source_retention_s=kept_s)
     done, failed, crashing = (table.submit(new(owner="ann"))[0] for _ in range(3))
-    size = done.image.size_bytes
+    size = done.image.bytes
     kept = size if kept_s else 0
     assert table.counts().stored_bytes == 3 * size
     claims = {claim.id: claim for claim in (claimed(table) for _ in range(3))}
     for _ in range(2):  # as after a commit whose answer was lost
-        assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
+        assert table.finish(claims[done.id], EncodeResult("0" * 64, {"bytes": 7}))
     table.fail(claims[failed.id], REFUSED)
     assert table.counts().stored_bytes == size + 7 + 2 * kept
     table.fail(claims[crashing.id], CRASH)
@@ -301,7 +311,7 @@ def test_jobs_are_counted_whoever_changes_them(table: JobTable) -> None:
 
 
 def test_quotas(open_job_table: OpenTable) -> None:
-    size = new().image.size_bytes
+    size = new().image.bytes
 
     def refused(owner: str, **quotas: int) -> str:
         with pytest.raises(LimitError, match="remove jobs first") as refusal:

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from service.jobs.job import EncodeRequest
 from service.pictures import PictureOptions
 from service.sandbox import frames
 from service.sandbox.frames import (
@@ -23,10 +22,11 @@ from service.sandbox.frames import (
     Result,
     packed,
 )
+from tests.support.job_table import request_of
 from tests.support.profiles import OTHER
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
-REQUEST = EncodeRequest(budget_kind="psnr", budget_value=30.5, profile=OTHER, time_limit_s=2.5)
+REQUEST = request_of("psnr", 30.5, profile=OTHER, time_limit_s=2.5)
 ENCODE = Encode(**LIMITS, job_id="0" * 32, request=REQUEST, threads=2)
 DRAW = Draw(**LIMITS, options=PictureOptions(region="0,0,8,8", quality=5), file_kind="jpg")
 POINT = frames.TracePoint(seconds=0.5, step=1, steps=2, psnr=None, bytes=3, gaussians=4, phase="joint", share=0.1)

@@ -24,7 +24,7 @@ import pytest
 from PIL import Image, ImageCms
 
 import sgmethod
-from service.jobs.job import EncodeRequest, new_job_id
+from service.jobs.job import new_job_id
 from service.pictures import WRITERS, Drawing, PictureOptions
 from service.sandbox import client, confinement, frames, server, tasks
 from service.sandbox.client import OutOfMemoryError, Sandbox, SandboxProcess, SandboxUnavailableError, TaskError
@@ -34,6 +34,7 @@ from service.settings import Settings
 from sgmethod.io.formats import PLAIN
 from tests.service.sandbox_process import TAKEN_OVER, WAITS, begun, file_of, messages_of, sandbox, task, until_end
 from tests.support.data import PICTURE
+from tests.support.job_table import request_of
 from tests.support.pictures import SMALL, saved
 from tests.support.processes import TIMEOUT_S, encoder_of, end_early, processes, wait_until
 from tests.support.profiles import OTHER
@@ -131,7 +132,7 @@ def test_other_codecs(real: Sandbox, kind: Any) -> None:
 def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, more: dict[str, Any]) -> None:
     """As the command line makes them, whatever the picture asks of libraries that are imported late."""
     for image in (picture(), picture(alpha=True), picture(drawn=True)):
-        request = EncodeRequest(budget_kind=kind, budget_value=value, time_limit_s=600.0, **{"tune": "psnr", **more})
+        request = request_of(kind, value, **{"time_limit_s": 600.0, **more})
         what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=1)
         *_, result = messages_of(real, what, saved(image))
         assert isinstance(result, Result), result
@@ -146,7 +147,7 @@ def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, 
 def test_a_profile_that_brings_torch(real: Sandbox) -> None:
     """It is imported before the task is confined, and starts its threads afterwards."""
     pytest.importorskip("torch")
-    request = EncodeRequest(budget_kind="bpp", budget_value=2.0, profile=OTHER, tune="psnr", time_limit_s=2)
+    request = request_of("bpp", 2.0, profile=OTHER, time_limit_s=2)
     what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=2)
     *_, result = messages_of(real, what, saved(picture()))
     assert isinstance(result, Result), result

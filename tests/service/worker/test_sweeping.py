@@ -56,7 +56,7 @@ def finished(table: JobTable, storage: Storage) -> str:
     claim = claimed(table)
     key = bitstream_key(claim.id, claim.attempt)
     storage.put(key, b"bitstream")
-    assert table.finish(claim, EncodeResult(key, "", {}))
+    assert table.finish(claim, EncodeResult("", {}))
     storage.delete(source_key(claim.id))
     return claim.id
 
@@ -104,7 +104,7 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
     for _ in jobs:
         claim = claimed(table)
         storage.put(bitstream_key(claim.id, 1), b"bitstream")
-        assert table.finish(claim, EncodeResult(bitstream_key(claim.id, 1), "", {"bytes": 9}))
+        assert table.finish(claim, EncodeResult("", {"bytes": 9}))
     held = {orphans[0], source_key(jobs[0]), bitstream_key(jobs[1], 1)}
     remove = storage.delete
 
@@ -116,7 +116,7 @@ def test_a_file_that_cannot_be_removed_holds_up_no_other(
     monkeypatch.setattr(storage, "delete", delete)
     times = {"source_retention_s": AT_ONCE_S, "orphan_age_s": AT_ONCE_S}
     assert sweep(table, storage, retention_s=1000, **times) == SweepResult(0, 5, 2)
-    assert table.counts().stored_bytes == IMAGE.size_bytes + 4 * 9
+    assert table.counts().stored_bytes == IMAGE.bytes + 4 * 9
     assert sweep(table, storage, retention_s=AT_ONCE_S, **times) == SweepResult(4, 0, 3)
     assert table.page(10) == []
     assert stored(storage) == held
@@ -146,13 +146,13 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
     """However young it is; and once. Then it is not counted any more."""
     table = open_job_table(LONG_S, source_retention_s=60.0)
     done, refused, waiting = (submitted(table, storage) for _ in range(3))
-    assert table.finish(claimed(table), EncodeResult(bitstream_key(done, 1), "", {"bytes": 7}))
+    assert table.finish(claimed(table), EncodeResult("", {"bytes": 7}))
     assert table.fail(claimed(table), REFUSED)
     assert sweep(table, storage, retention_s=1000, source_retention_s=60) == SweepResult(0, 0)
     for swept in (SweepResult(0, 2), SweepResult(0, 0)):
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
         assert stored(storage) == {source_key(waiting)}
-    assert table.counts().stored_bytes == 7 + IMAGE.size_bytes
+    assert table.counts().stored_bytes == 7 + IMAGE.bytes
     assert {job.id for job in table.page(10)} == {done, refused, waiting}
 
 

@@ -74,7 +74,7 @@ def worker(table: Unsteady, storage: Storage, stop: StopSignal) -> Iterator[Work
 
 @pytest.fixture
 def claim(table: Unsteady, storage: Storage) -> Job:
-    storage.put(source_key(submitted(table)), bytes(IMAGE.size_bytes))
+    storage.put(source_key(submitted(table)), bytes(IMAGE.bytes))
     return claimed(table)
 
 
@@ -90,7 +90,7 @@ def attempt(table: Unsteady, storage: Storage, stop: StopSignal, claim: Job) -> 
 
 def result_of(table: Unsteady, claim: Job) -> str | None:
     job = table.get(claim.id)
-    return job.result.bitstream_key if job and job.result else None
+    return bitstream_key(job.id, job.attempt) if job and job.state == "done" else None
 
 
 def bitstreams(tmp_path: Path) -> list[str]:
@@ -267,7 +267,7 @@ def test_a_worker_whose_jobs_do_not_begin_ends(
     assert job_of(table, claim.id).state == "queued"  # for another
 
 
-@pytest.mark.parametrize("stored", [None, b"", bytes(IMAGE.size_bytes - 1)])
+@pytest.mark.parametrize("stored", [None, b"", bytes(IMAGE.bytes - 1)])
 def test_an_image_that_is_missing_or_cut(
     table: Unsteady, storage: Storage, worker: Worker, claim: Job, monkeypatch: pytest.MonkeyPatch, stored: bytes | None
 ) -> None:
