@@ -27,10 +27,9 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.context import Context, PictureCache
-from service.api.gate import Authentication
+from service.api.gate import Authentication, BodyLimit, RequestLog
+from service.api.health import Probes
 from service.api.metrics import VERSION, Metrics
-from service.api.middleware import BodyLimit, RequestLog
-from service.api.probes import Probes
 from service.api.problems import PAGE, install_problem_handlers
 from service.api.routes import add_routes
 from service.api.turns import ClientTasks, Shares
@@ -171,8 +170,8 @@ def _application(settings: Settings, sandbox: Sandbox, metrics: Metrics, stoppin
         stopping,
         KeyRing(settings.key_names),
         metrics,
-        Probes(table, storage),
     )
+    app.state.probes = Probes(table, storage)
     install_problem_handlers(app)
     # Authentication checks the key; this documents it.
     add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])

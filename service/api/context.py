@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,16 +12,11 @@ from fastapi import Depends, Path as PathParameter, Request
 
 from service.api.gate import Caller
 from service.api.metrics import Metrics
-from service.api.probes import Probes
-from service.api.problems import ProblemError
 from service.api.turns import ClientTasks, Shares
-from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
 from service.keys import KeyRing
 from service.settings import Settings
 from service.storage.files import Storage
-
-log = logging.getLogger(__name__)
 
 WORK_THREADS = 40  # of each kind
 T = TypeVar("T")
@@ -74,7 +68,6 @@ class Context:
     stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics
-    probes: Probes
     reading: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
     writing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
     storing: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(WORK_THREADS))
@@ -88,45 +81,23 @@ class Context:
     async def store(self, ask: Callable[..., T], *values: object) -> T:
         return await to_thread.run_sync(ask, *values, limiter=self.storing)
 
-    def discard(self, key: str) -> None:
-        """Remove a file that no job needs. If that fails, the sweep removes it later."""
-        try:
-            self.storage.delete(key)
-        except OSError as error:
-            log.warning("%s cannot be removed yet: %s", key, error)
+
+@dataclass(frozen=True)
+class Call:
+    """A request, and the parts of the service that answer it."""
+
+    request: Request
+    context: Context
+
+    @property
+    def caller(self) -> Caller:
+        caller: Caller = self.request.state.caller
+        return caller
 
 
-def context_of(request: Request) -> Context:
-    """Return the context of the application that handles this request."""
-    context: Context = request.app.state.context
-    return context
+# Async, since a plain function would wait for a thread of the pool that serves the page's files.
+async def _call(request: Request) -> Call:
+    return Call(request, request.app.state.context)
 
 
-# Async, since plain functions would wait for a thread of the pool that serves the page's files.
-async def _context(request: Request) -> Context:
-    return context_of(request)
-
-
-async def _caller(request: Request) -> Caller:
-    caller: Caller = request.state.caller
-    return caller
-
-
-UseContext = Annotated[Context, Depends(_context)]
-UseCaller = Annotated[Caller, Depends(_caller)]
-
-
-def no_such_job() -> ProblemError:
-    """Return the answer to an id without a job, whether or not the id is well formed."""
-    return ProblemError(404, "there is no such job")
-
-
-async def known_job(request: Request, job_id: str) -> Job:
-    """Return the job if the caller may see it. A job of another owner looks like none. Raises ProblemError 404."""
-    context, caller = context_of(request), request.state.caller
-    if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
-        raise no_such_job()
-    job = await context.read(context.table.get, job_id, caller.owner)
-    if job is None:
-        raise no_such_job()
-    return job
+UseCall = Annotated[Call, Depends(_call)]

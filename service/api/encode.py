@@ -1,31 +1,116 @@
-"""Handlers that accept new jobs, and may wait to answer with the finished file."""
+"""POST /encode: its options, the job that it makes, and the wait for the finished file.
+
+Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the image.
+"""
 
 from __future__ import annotations
 
-import asyncio
 import errno
 import hashlib
 import time
-from contextlib import suppress
+from collections.abc import Iterable
+from dataclasses import asdict
+from functools import partial
+from importlib.util import find_spec
 from mmap import ACCESS_READ, mmap
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO
 
-from fastapi import Request, Response
+from fastapi import Response
 from fastapi.responses import JSONResponse
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
+from pydantic.dataclasses import dataclass
+from pydantic.json_schema import SkipJsonSchema
 
 from service.api import requests
-from service.api.context import Context, UseCaller, UseContext
-from service.api.decode import bitstream_response, picture_response
-from service.api.jobs import accepted
-from service.api.metrics import WAITED_S
-from service.api.options import OPTION_SCHEMAS, EncodeQuery, queries, read_options
-from service.api.problems import RETRYABLE, ProblemError
-from service.errors import JobTableError, KeyReusedError, LimitError
-from service.jobs.job import FINAL_STATES, Job, NewJob, new_job_id
+from service.api.context import Context, UseCall
+from service.api.decode import file_of_ended
+from service.api.jobs import accepted, waited
+from service.api.problems import ProblemError
+from service.errors import KeyReusedError, LimitError
+from service.jobs.job import (
+    EncodeRequest,
+    ImageView,
+    Job,
+    NewJob,
+    Priority,
+    new_job_id,
+)
 from service.jobs.table import JobTable
-from service.pictures import PictureOptions
-from service.storage.files import source_key
+from service.storage.files import discard, source_key
+from sgmethod import profiles
+from sgmethod.budget import BUDGET_KINDS, QUALITIES, bytes_value
+from sgmethod.encode_arguments import EncodeArguments, EncodeOptions, only_budget
 
+
+def _given(description: str, example: float, **extra: Any) -> Any:
+    return Field(default=None, description=description, examples=[example], json_schema_extra=extra)
+
+
+_positive = partial(_given, exclusiveMinimum=0)
+QUALITY_SCHEMA = {
+    "anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 100}, {"type": "string", "enum": [*QUALITIES]}]
+}
+BYTES_SCHEMA = {
+    "anyOf": [
+        {"type": "number", "exclusiveMinimum": 0},
+        {"type": "string", "pattern": r"^[0-9]+(\.[0-9]+)?([kKmM][bB]?|[kKmM][iI][bB])$"},
+    ]
+}
+Number = float | SkipJsonSchema[None]
+
+
+@dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class EncodeQuery(EncodeOptions):
+    """Everything that a client may ask of an encode.
+
+    Give at most one budget. The default is a quality of 60 in at most 0.5 bits per pixel.
+    """
+
+    bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
+    bytes: Annotated[Number, BeforeValidator(bytes_value), WithJsonSchema(BYTES_SCHEMA)] = _given(
+        "budget: maximum bytes, such as 20000, 20k, 1.5MB or 20KiB", 20_000
+    )
+    quality: Annotated[
+        Number, BeforeValidator(lambda text: QUALITIES.get(text, text)), WithJsonSchema(QUALITY_SCHEMA)
+    ] = _given("budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60)
+    psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
+    gaussians: Number = _positive("budget: number of Gaussians", 1000)
+    priority: Priority = Field(default="interactive", description="interactive jobs run before bulk jobs")
+
+    def checked(self) -> EncodeArguments:
+        """Return the arguments of the encode. Raises BudgetError."""
+        budget = only_budget(None, {kind: getattr(self, kind) for kind in BUDGET_KINDS})
+        return EncodeArguments.checked(budget, self.profile, self.tune, self.effort)
+
+    def request(self, image: ImageView, max_s: float) -> EncodeRequest:
+        """Return the encoder's part of the request. max_s: the longest and default time limit in seconds.
+
+        Raises BudgetError or ProblemError 422 if no file of the image could meet it.
+        """
+        seconds = max_s if self.time_limit_s is None else self.time_limit_s
+        if not 0 < seconds <= max_s:
+            raise ProblemError(422, f"time_limit_s must be more than 0 and at most {max_s:g}")
+        asked = self.checked()
+        if not all(map(find_spec, profiles.method_of(asked.profile).packages)):
+            raise ProblemError(422, f"profile {asked.profile} needs PyTorch, which this service lacks; use profile rd")
+        asked = asked.for_size(image.width, image.height, has_alpha=True)
+        asked.check_size(image.width, image.height)
+        taken = {"budget": asdict(asked.budget), "tune": asked.tune, "effort": asked.effort, "time_limit_s": seconds}
+        return EncodeRequest.model_validate({**self.options(), **taken})
+
+
+queries = TypeAdapter(EncodeQuery)
+
+
+def _of_parameter(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a field as a parameter has it: without a title, and left out instead of null."""
+    either = schema.get("anyOf", ())
+    kind = {} if {"type": "null"} not in either else next(one for one in either if one != {"type": "null"})
+    hidden = {"title", "anyOf"} if kind else {"title"}
+    return {**kind, **{word: value for word, value in schema.items() if word not in hidden and value is not None}}
+
+
+OPTION_SCHEMAS = {name: _of_parameter(schema) for name, schema in queries.json_schema()["properties"].items()}
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
 FORM: dict[str, Any] = {
     "type": "object",
@@ -47,20 +132,20 @@ ENCODE_BODY: dict[str, Any] = {
     "description": "a form with the image and the options, or the image itself with the options in the query",
     "content": {requests.FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
 }
-FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
-async def encode(request: Request, context: UseContext, caller: UseCaller, wait: requests.Wait = 0) -> Response:
+async def encode(call: UseCall, wait: requests.Wait = 0) -> Response:
     """Submit an image for encoding, with at most one budget.
 
     With `wait`, the response is the finished file (or the decoded picture, if the Accept header asks for one) when the
     job is done in time. If it fails in that time, 422 if the codec refused the image, else 500. Otherwise 202 and the
     job as JSON.
     """
-    wait_s, key = requests.wanted_wait_s(request, wait), requests.idempotency_key(request)
+    request, context, caller = call.request, call.context, call.caller
+    kind, key = requests.picture_kind(request) if wait else None, requests.idempotency_key(request)
     await context.read(context.table.check_queue, caller.client, caller.owner, key)  # before the body is read
     async with requests.image_and_fields(request) as (image, fields):
-        deadline = time.monotonic() + wait_s  # a proxy's, too, counts from here
+        deadline = time.monotonic() + min(wait, requests.MAX_WAIT_S)  # a proxy's, too, counts from here
         query = read_options(fields)
         # First, since what would be refused now may have been accepted then.
         job, fingerprint = await context.read(_earlier, context.table, query, image.file, caller.owner, key)
@@ -69,9 +154,12 @@ async def encode(request: Request, context: UseContext, caller: UseCaller, wait:
             wanted = query.request(header, context.settings.max_time_limit_s)
             new = NewJob(new_job_id(), wanted, header, fingerprint, key, caller.owner, query.priority, caller.client)
             job = await context.store(_accept, context, new, image.file)
-    if wait_s:
-        job = await _waited(request, context, job, deadline)
-    return await _answer(request, context, job, wants_file=wait_s > 0)
+    known = accepted(job, context.settings)
+    headers, file = {"Location": known.status_url, **requests.NEVER_STORED}, None
+    if wait:
+        job = await waited(call, job, deadline)
+        file = await file_of_ended(call, job, kind, headers)
+    return file or JSONResponse(known.model_dump(), 202, headers)
 
 
 def _earlier(
@@ -96,65 +184,27 @@ def _accept(context: Context, new: NewJob, image: BinaryIO) -> Job:
     try:  # after an error of the table, the image stays for the sweep: the row may have been written
         job, is_new = context.table.submit(new)
     except (LimitError, KeyReusedError):
-        context.discard(source_key(new.id))
+        discard(context.storage, source_key(new.id))
         raise
     if not is_new:
-        context.discard(source_key(new.id))
+        discard(context.storage, source_key(new.id))
     return job
 
 
-async def _waited(request: Request, context: Context, job: Job, deadline: float) -> Job:
-    """Return the job once it has ended, or as it is at the deadline, and where no place to wait is free."""
-    began, client = time.monotonic(), request.state.caller.client
-    if not context.waits.is_full_for(client):
-        with context.waits.hold(client), suppress(JobTableError, OSError):
-            try:
-                job = await requests.while_client_waits(request, _ended(context, job, deadline))
-            finally:
-                setattr(request.state, WAITED_S, time.monotonic() - began)
-    return job
-
-
-async def _ended(context: Context, job: Job, deadline: float) -> Job:
-    """Return the job once it has ended, or at the deadline. Raises ProblemError 409 if it is removed meanwhile."""
-    pause_s = FIRST_POLL_S
-    while job.state not in FINAL_STATES and time.monotonic() < deadline and not context.stopping():
-        pause_s = min(1.1 * pause_s, POLL_S)
-        await asyncio.sleep(pause_s)
-        seen = await context.read(context.table.get, job.id)
-        if seen is None:
-            raise ProblemError(409, "the job was removed before it was done")
-        job = seen
-    return job
-
-
-async def _answer(request: Request, context: Context, job: Job, *, wants_file: bool) -> Response:
-    """Answer with the file of a finished job, if the client waited for it, else with the accepted job.
-
-    An error that passes, such as a busy sandbox, is not an answer here: the client would submit the image again.
-    """
-    view = accepted(job, context.settings)
-    headers = {"Location": view.status_url, **requests.NEVER_STORED}
-    answer: Response = JSONResponse(view.model_dump(), 202)
-    if wants_file and job.state in FINAL_STATES:
-        try:
-            answer = await _file_of(request, job)
-            headers |= requests.VARIES
-        except ProblemError as problem:
-            if problem.status not in RETRYABLE:
-                problem.headers.update(headers)
-                raise
-        except (JobTableError, OSError):
-            pass
-    answer.headers.update(headers)
-    return answer
-
-
-async def _file_of(request: Request, job: Job) -> Response:
-    """Return the bitstream, or the picture that Accept asks for. Raises ProblemError, JobTableError, OSError."""
-    if job.error is not None:
-        status = 422 if job.error.code == "refused" else 500
-        raise ProblemError(status, job.error.detail, code=job.error.code, id=job.id)
-    if requests.wants_picture(request):
-        return await picture_response(request, job, requests.accepted_format(request), PictureOptions())
-    return await bitstream_response(request, job)
+def read_options(fields: Iterable[tuple[str, str]]) -> EncodeQuery:
+    """Parse the options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
+    texts: dict[str, str] = {}
+    for name, value in fields:
+        if name in texts:
+            raise ProblemError(422, f"the field {name} is given twice")
+        texts[name] = value
+    try:
+        query = queries.validate_python(texts)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        field = fault["loc"][0]
+        if fault["type"] == "unexpected_keyword_argument":
+            raise ProblemError(422, f"unknown field {field!r}; the options are {', '.join(OPTION_SCHEMAS)}") from error
+        raise ProblemError(422, f"{field}: {fault['msg']}") from error
+    query.checked()
+    return query

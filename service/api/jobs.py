@@ -1,25 +1,31 @@
-"""Jobs and their links: their JSON, and the handlers that get, list, link and remove them."""
+"""Jobs: their JSON, the wait for one, and the handlers that get, list, link and remove them."""
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated, Any, Self
 
-from fastapi import Query, Request, Response
+from fastapi import Query, Response
 from pydantic import BaseModel, Field
 
-from service.api.context import JobId, UseCaller, UseContext, known_job
+from service.api.context import Call, Context, JobId, UseCall
+from service.api.metrics import WAITED_S
 from service.api.problems import ProblemError
-from service.api.requests import NEVER_STORED, Parameters
-from service.jobs.job import Figure, Id, Job, JobState, JsonObject, Time
+from service.api.requests import NEVER_STORED, Parameters, while_client_waits
+from service.api.sending import removed_at
+from service.errors import JobTableError
+from service.jobs.job import FINAL_STATES, Figure, Id, Job, JobState, JsonObject, Time, is_job_id
 from service.keys import Link
 from service.settings import Settings
-from service.storage.files import keys_of
+from service.storage.files import discard, keys_of
 from sgmethod.trace import seconds_left
 
 EXAMPLE_ID = "5f1c0e9ab0d4467f8a3d2b6c7e8f9012"
 MAX_LINK_S = 7 * 86_400
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # shorter at first, for small pictures
 
 
 class AcceptedView(BaseModel):
@@ -41,7 +47,7 @@ class JobSummary(Job, AcceptedView):
     def of(cls, job: Job, settings: Settings, **more: Any) -> Self:
         """Return the job with the members that depend on settings, and more."""
         image_until = None if job.finished_at is None else job.finished_at + settings.source_retention_s
-        ends = {"expires_at": expires_at(job, settings), "image_expires_at": image_until}
+        ends = {"expires_at": removed_at(job, settings), "image_expires_at": image_until}
         return cls(**{**vars(job), **vars(accepted(job, settings)), **ends, **more})
 
 
@@ -86,46 +92,79 @@ class LinksQuery(Parameters):
     expires_s: int = Field(default=3600, ge=1, le=MAX_LINK_S, description="seconds until the links expire")
 
 
-async def status(job_id: JobId, context: UseContext, request: Request, response: Response) -> JobView:
+def no_such_job() -> ProblemError:
+    """Return the answer to an id without a job, whether or not the id is well formed."""
+    return ProblemError(404, "there is no such job")
+
+
+async def known_job(call: Call, job_id: str) -> Job:
+    """Return the job if the caller may see it. A job of another owner looks like none. Raises ProblemError 404."""
+    if not is_job_id(job_id) or call.caller.linked_job not in (None, job_id):
+        raise no_such_job()
+    job = await call.context.read(call.context.table.get, job_id, call.caller.owner)
+    if job is None:
+        raise no_such_job()
+    return job
+
+
+async def waited(call: Call, job: Job, deadline: float) -> Job:
+    """Return the job once it has ended, or as it is at the deadline, and where no place to wait is free."""
+    began, waits, client = time.monotonic(), call.context.waits, call.caller.client
+    if not waits.is_full_for(client):
+        with waits.hold(client), suppress(JobTableError, OSError):
+            ending = _ended(call.context, job, deadline)
+            try:
+                job = await while_client_waits(call.request, ending)
+            finally:
+                setattr(call.request.state, WAITED_S, time.monotonic() - began)
+    return job
+
+
+async def _ended(context: Context, job: Job, deadline: float) -> Job:
+    """Return the job once it has ended, or at the deadline. Raises ProblemError 409 if it is removed meanwhile."""
+    pause_s = FIRST_POLL_S
+    while job.state not in FINAL_STATES and time.monotonic() < deadline and not context.stopping():
+        pause_s = min(1.1 * pause_s, POLL_S)
+        await asyncio.sleep(pause_s)
+        seen = await context.read(context.table.get, job.id)
+        if seen is None:
+            raise ProblemError(409, "the job was removed before it was done")
+        job = seen
+    return job
+
+
+async def status(call: UseCall, job_id: JobId, response: Response) -> JobView:
     """Return state, queue position, progress, trace and the result or error."""
-    job = await known_job(request, job_id)
+    context, job = call.context, await known_job(call, job_id)
     response.headers.update(NEVER_STORED)
     position = await context.read(context.table.position, job) if job.state == "queued" else None
     return with_trace(job, position, await context.read(context.table.trace, job.id), context.settings)
 
 
-async def jobs(
-    context: UseContext, caller: UseCaller, response: Response, query: Annotated[PageQuery, Query()]
-) -> JobPage:
+async def jobs(call: UseCall, response: Response, query: Annotated[PageQuery, Query()]) -> JobPage:
     """List jobs, newest first, in pages; with API keys, only those of the caller's key."""
     response.headers.update(NEVER_STORED)
-    limit, settings = query.limit, context.settings
-    page = await context.read(context.table.page, limit + 1, query.before, caller.owner, query.state)
+    context, limit, settings = call.context, query.limit, call.context.settings
+    page = await context.read(context.table.page, limit + 1, query.before, call.caller.owner, query.state)
     chosen = "" if query.state is None else f"&state={query.state}"
     where = f"{settings.root_path}/jobs?limit={limit}"
     older = f"{where}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
     return JobPage(jobs=[JobSummary.of(job, settings) for job in page[:limit]], next=older)
 
 
-async def links(
-    job_id: JobId,
-    context: UseContext,
-    request: Request,
-    response: Response,
-    query: Annotated[LinksQuery, Query()],
-) -> LinksView:
+async def links(call: UseCall, job_id: JobId, response: Response, query: Annotated[LinksQuery, Query()]) -> LinksView:
     """Create links to the picture and the bitstream that anyone can open until they expire.
 
     404 if the operator has not enabled links.
     """
-    job = await known_job(request, job_id)
+    job, settings = await known_job(call, job_id), call.context.settings
     response.headers.update(NEVER_STORED)
-    secret = context.settings.link_secret.get_secret_value()
+    secret = settings.link_secret.get_secret_value()
     if not secret:
         raise ProblemError(404, "links are not enabled on this server")
     expires = int(time.time()) + query.expires_s
     picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
-    known = accepted(job, context.settings)
+    known = accepted(job, settings)
     return LinksView(
         decode_url=f"{known.decode_url}?{picture}",
         bitstream_url=f"{known.bitstream_url}?{bitstream}",
@@ -133,14 +172,14 @@ async def links(
     )
 
 
-async def remove(job_id: JobId, context: UseContext, request: Request) -> Response:
+async def remove(call: UseCall, job_id: JobId) -> Response:
     """Cancel the job if it is not done, and delete everything stored for it."""
-    job = await known_job(request, job_id)
+    context, job = call.context, await known_job(call, job_id)
     removed = await context.write(context.table.remove, job.id)
     if removed is not None:
         # A worker that runs it loses its claim at the next heartbeat, and removes its own files.
         for key in keys_of(removed.id, removed.attempt):
-            await context.store(context.discard, key)
+            await context.store(discard, context.storage, key)
     return Response(status_code=204)  # a Response, since JSON would have a Content-Type
 
 
@@ -152,12 +191,6 @@ def accepted(job: Job, settings: Settings) -> AcceptedView:
         decode_url=f"{settings.root_path}/decode/{job.id}.png",
         bitstream_url=f"{settings.root_path}/bitstreams/{job.id}.sg",
     )
-
-
-def expires_at(job: Job, settings: Settings) -> float | None:
-    """Return when the job is removed, in seconds since 1970; None if it is not finished, or is kept for ever."""
-    kept_s = settings.retention_s
-    return job.finished_at + kept_s if job.finished_at is not None and kept_s else None
 
 
 def with_trace(job: Job, position: int | None, trace: Sequence[JsonObject], settings: Settings) -> JobView:

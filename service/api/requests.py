@@ -84,20 +84,10 @@ def accepted_format(request: Request) -> PictureFormat:
     return best
 
 
-def wants_picture(request: Request) -> bool:
-    """Whether the Accept header names pictures and not bitstreams."""
+def picture_kind(request: Request) -> PictureFormat | None:
+    """Return the picture format that the Accept header asks for; None for a bitstream. Raises ProblemError 406."""
     accept = (header_line(request.headers, "accept") or "").lower()
-    return "image/" in accept and BITSTREAM_TYPE not in accept
-
-
-def wanted_wait_s(request: Request, wait: int) -> int:
-    """Return how many seconds the client would wait.
-
-    Raises ProblemError 406 if it would wait for a picture in a format that is not available.
-    """
-    if wait and wants_picture(request):
-        accepted_format(request)
-    return min(wait, MAX_WAIT_S)
+    return accepted_format(request) if "image/" in accept and BITSTREAM_TYPE not in accept else None
 
 
 def idempotency_key(request: Request) -> str | None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_type_hints
 
 from fastapi import Depends, FastAPI, Query, Response
+from fastapi.params import Query as QueryInfo
 
 from service.api import decode, encode, health, jobs
 from service.api.gate import OPEN_PATHS
@@ -38,8 +39,7 @@ class Route:
 
     curl: a command for the OpenAPI document and /docs, run by a test; HOST and ID stand for the service and a job.
     refusals: statuses of problem documents besides 404, 422 and 503; files: media types, if the answer is a file;
-    answers: other responses; document: additions to the OpenAPI document; own_query: whether the handler takes query
-    parameters; status: of a success; options: of FastAPI.
+    answers: other responses; document: additions to the OpenAPI document; status: of a success; options: of FastAPI.
     """
 
     name: str  # method and path
@@ -50,7 +50,6 @@ class Route:
     files: Sequence[str] = ()
     answers: dict[Any, Any] = field(default_factory=dict)
     document: dict[str, Any] = field(default_factory=dict)
-    own_query: bool = False
     status: int = 200
     options: dict[str, Any] = field(default_factory=dict)
 
@@ -64,18 +63,16 @@ ROUTES = [
         (400, 406, 409, 413, 415, 429, 500),
         answers=DONE_IN_TIME,
         document={"requestBody": encode.ENCODE_BODY, "parameters": encode.PARAMETERS},
-        own_query=True,
         status=202,
         options={"response_model": AcceptedView},
     ),
     Route("GET /jobs/{job_id}", jobs.status, "Get a job", "HOST/jobs/ID"),
-    Route("GET /jobs", jobs.jobs, "List jobs", "'HOST/jobs?state=done&limit=20'", own_query=True),
+    Route("GET /jobs", jobs.jobs, "List jobs", "'HOST/jobs?state=done&limit=20'"),
     Route(
         "POST /jobs/{job_id}/links",
         jobs.links,
         "Create links that need no API key",
         "-X POST 'HOST/jobs/ID/links?expires_s=600'",
-        own_query=True,
     ),
     Route("DELETE /jobs/{job_id}", jobs.remove, "Cancel and remove a job", "-X DELETE HOST/jobs/ID", status=204),
     Route(
@@ -86,7 +83,6 @@ ROUTES = [
         (409, 429),
         PICTURES,
         NOT_MODIFIED,
-        own_query=True,
     ),
     Route(
         "GET /decode/{job_id}",
@@ -96,7 +92,6 @@ ROUTES = [
         (406, 409, 429),
         PICTURES,
         NOT_MODIFIED,
-        own_query=True,
     ),
     Route(
         "POST /decode",
@@ -106,7 +101,6 @@ ROUTES = [
         (406, 413, 429),
         PICTURES,
         document=_body(BITSTREAM_TYPE),
-        own_query=True,
     ),
     Route(
         "POST /decode.{kind}",
@@ -116,7 +110,6 @@ ROUTES = [
         (413, 429),
         PICTURES,
         document=_body(BITSTREAM_TYPE),
-        own_query=True,
     ),
     Route(
         "GET /bitstreams/{job_id}.sg",
@@ -143,12 +136,16 @@ ROUTES = [
         "--fail --data-binary @photo.jpg 'HOST/preview?bytes=200'",
         (413, 415, 429),
         document=_body("image/*"),
-        own_query=True,
     ),
     Route("GET /livez", health.live, "Liveness", "HOST/livez"),
     Route("GET /readyz", health.ready, "Readiness", "HOST/readyz"),
     Route("GET /metrics", health.metrics, "Prometheus metrics", "HOST/metrics", files=["text/plain"]),
 ]
+
+
+def _takes_query(handler: Callable[..., Any]) -> bool:
+    hints = get_type_hints(handler, include_extras=True).values()
+    return any(isinstance(note, QueryInfo) for hint in hints for note in get_args(hint)[1:])
 
 
 def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:
@@ -157,7 +154,7 @@ def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:
         method, path = route.name.split()
         checks: list[Any] = []
         refusals = {*route.refusals, 422, 503}
-        if not route.own_query:
+        if not _takes_query(route.handler):
             checks.append(Depends(_no_query))
         if method != "GET" and "requestBody" not in route.document:
             checks.append(Depends(no_body))

@@ -148,7 +148,7 @@ def job_of(row: Any) -> Job:
     result = parts.pop("result") or {"result": None, "notes": [], "sha256": ""}
     if columns["state"] != "failed":
         parts["error"] = None  # a queued job has that of its last crash, which clients do not need
-    return Job(**columns, **parts, **parts["request"], **result)
+    return Job.model_validate({**parts.pop("request"), **columns, **parts, **result})
 
 
 def row_of(job: NewJob) -> tuple[Any, ...]:

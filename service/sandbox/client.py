@@ -80,16 +80,16 @@ class Sandbox:
         for left in reversed(range(TRIES)):
             with self.start(task, file) as running:
                 try:
-                    outcome = await asyncio.wait_for(running.outcome(), timeout_s)
+                    last = await asyncio.wait_for(running.last(), timeout_s)
                 except TimeoutError:
                     raise SandboxUnavailableError("the sandbox cannot be started, or has no processor") from None
                 except SandboxUnavailableError:
                     if left:
                         continue
                     raise
-            match outcome:
+            match last:
                 case frames.Result():
-                    return outcome
+                    return last
                 case frames.Refused(error="MemoryError", detail=detail):
                     raise TaskError(detail)
                 case frames.Refused(error=name, detail=detail):
@@ -140,7 +140,7 @@ class RunningTask:
         except ConnectionError:
             return self._parse(b"")
 
-    async def outcome(self) -> frames.Message:
+    async def last(self) -> frames.Message:
         """Return the message that ends the task; Crashed after an invalid frame. Raises SandboxUnavailableError."""
         loop = asyncio.get_running_loop()
         while True:

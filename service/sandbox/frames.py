@@ -33,7 +33,7 @@ FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream is longer than bot
 PICTURE_BYTES_PER_PIXEL = 4  # PNG of noise, one pixel wide; JPEG of thin noise takes more, which the first MB covers
 FORMAT_BYTES = 256  # the start of a file, which tells its format
 MAX_SENTENCE_LENGTH = 1000
-MAX_FRAMES = 3  # Begun, the outcome, Ended
+MAX_FRAMES = 3  # Begun, a result or why there is none, Ended
 # An encode sends 10 trace points a second, and may run for longer than its time limit.
 MAX_ENCODE_FRAMES, MAX_ENCODE_FRAMES_PER_S = 1000, 30
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
@@ -111,8 +111,8 @@ class Result(Model, Generic[Figures]):
     file: Annotated[bytes, Field(exclude=True)] = b""  # follows the JSON
 
 
-Outcome = Begun | Refused | Crashed | Ended  # of any task
-Message = Outcome | TracePoint | Result[Any]
+Common = Begun | Refused | Crashed | Ended  # to all tasks
+Message = Common | TracePoint | Result[Any]
 KIND = Field(discriminator="kind")
 
 
@@ -163,7 +163,7 @@ class Task(Model):
     max_pixels: int
     threads: int = PICTURE_THREADS
 
-    messages: ClassVar[TypeAdapter[Any]] = TypeAdapter(Annotated[Outcome | Result[None], KIND])
+    messages: ClassVar[TypeAdapter[Any]] = TypeAdapter(Annotated[Common | Result[None], KIND])
     bytes_per_pixel: ClassVar[int | None] = PICTURE_BYTES_PER_PIXEL  # None if the result has no file
 
     def max_bytes_after(self, message: Message) -> int:
@@ -191,7 +191,7 @@ class ReadHeader(Task):
     """Read an image's header."""
 
     kind: Literal["header"] = "header"
-    messages = TypeAdapter(Annotated[Outcome | Result[HeaderFigures], KIND])
+    messages = TypeAdapter(Annotated[Common | Result[HeaderFigures], KIND])
     bytes_per_pixel = None
 
 
@@ -223,7 +223,7 @@ class MakePreview(Task):
 
     kind: Literal["preview"] = "preview"
     max_bytes: int
-    messages = TypeAdapter(Annotated[Outcome | Result[PreviewFigures], KIND])
+    messages = TypeAdapter(Annotated[Common | Result[PreviewFigures], KIND])
     bytes_per_pixel = None
 
     def check(self, result: Result[Any]) -> None:
@@ -239,7 +239,7 @@ class Encode(Task):
     job_id: str
     request: EncodeRequest
     threads: int
-    messages = TypeAdapter(Annotated[Outcome | TracePoint | Result[EncodeFigures], KIND])
+    messages = TypeAdapter(Annotated[Common | TracePoint | Result[EncodeFigures], KIND])
     bytes_per_pixel = FILE_BYTES_PER_PIXEL
 
     @property

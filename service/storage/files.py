@@ -61,6 +61,16 @@ def check_key(key: str) -> str:
     return key
 
 
+def discard(storage: Storage, key: str) -> bool:
+    """Remove a file that no job needs. False if that fails: a later sweep removes it."""
+    try:
+        storage.delete(key)
+    except OSError as error:
+        log.warning("%s cannot be removed: %s", key, error)
+        return False
+    return True
+
+
 class Storage(Protocol):
     """Files under keys. Methods raise OSError."""
 

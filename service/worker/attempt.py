@@ -100,23 +100,23 @@ class Attempt:
         self._sent += len(self._points)
         self._points.clear()
 
-    def conclude(self, outcome: Encoded | JobError) -> None:
+    def conclude(self, end: Encoded | JobError) -> None:
         """Publish the bitstream, or record why there is none. A job that crashed is tried again.
 
         Raises ClaimLostError, StoppedError, JobTableError.
         """
         claim = self.claim
-        if isinstance(outcome, JobError):
-            log.warning("job %s: attempt %d %s: %s", claim.id, claim.attempt, outcome.code, outcome.detail)
-            is_recorded = self._retry(lambda: self._table.fail(claim, outcome))
+        if isinstance(end, JobError):
+            log.warning("job %s: attempt %d %s: %s", claim.id, claim.attempt, end.code, end.detail)
+            is_recorded = self._retry(lambda: self._table.fail(claim, end))
         else:
-            self._store(outcome.bitstream)  # before it becomes the job's
-            result = EncodeResult(hashlib.sha256(outcome.bitstream).hexdigest(), outcome.figures, outcome.notes)
+            self._store(end.bitstream)  # before it becomes the job's
+            result = EncodeResult(hashlib.sha256(end.bitstream).hexdigest(), end.figures, end.notes)
             is_recorded = self._retry(lambda: self._table.finish(claim, result))
         if not is_recorded:
             raise ClaimLostError
-        if isinstance(outcome, Encoded):
-            log.info("job %s: done, %d bytes", claim.id, len(outcome.bitstream))
+        if isinstance(end, Encoded):
+            log.info("job %s: done, %d bytes", claim.id, len(end.bitstream))
 
     def _store(self, data: bytes) -> None:
         """Store the bitstream, which took long to compute, once there is room. Raises ClaimLostError, StoppedError."""

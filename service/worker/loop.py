@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import io
 import logging
@@ -19,7 +18,7 @@ from service.processes import PeriodicThread, StopSignal, log_errors
 from service.sandbox import frames
 from service.sandbox.client import KILLED, RunningTask, Sandbox, SandboxUnavailableError
 from service.settings import Settings
-from service.storage.files import Storage, source_key
+from service.storage.files import Storage, discard, source_key
 from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
 from service.worker.sweeping import SweepResult, pause_s, sweep
 
@@ -124,8 +123,7 @@ class Worker:
         for job in self._table.reconcile():
             log.warning("job %s failed: its workers were lost %d times", job.id, job.losses)
             if not self._table.keeps_sources:
-                with contextlib.suppress(OSError):  # the sweep removes it
-                    self._storage.delete(source_key(job.id))
+                discard(self._storage, source_key(job.id))
 
     def _encode(self, attempt: Attempt) -> Encoded | JobError:
         """Encode in the sandbox; no task is running after that. Raises ClaimLostError, StoppedError, OSError."""
@@ -174,7 +172,7 @@ class Worker:
                     attempt.add(message.model_dump(exclude={"kind"}))
                 else:
                     attempt.beat(now=True)
-                    return _outcome(message)
+                    return _end_of(message)
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxUnavailableError("the sandbox cannot be started")
@@ -184,7 +182,7 @@ class Worker:
         raise StoppedError
 
 
-def _outcome(message: frames.Message) -> Encoded | JobError:
+def _end_of(message: frames.Message) -> Encoded | JobError:
     """Return the file of the message that ended a task, or why there is none."""
     match message:
         case frames.Result(figures=figures, file=file):

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 
 from service.jobs.table import JobTable
-from service.storage.files import Storage, keys_of, source_key
-
-log = logging.getLogger(__name__)
+from service.storage.files import Storage, discard, keys_of, source_key
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
@@ -47,7 +44,7 @@ def sweep(
     ended = table.finished(source_retention_s, with_image=True)
     files = {*map(source_key, ended), *table.unneeded(storage.old(orphan_age_s, table.made_at()))}
     # First: on a full disk, the job table cannot be written before.
-    stuck = {key for key in files if not _removed(storage, key)}
+    stuck = {key for key in files if not discard(storage, key)}
     for job_id in ended:
         if source_key(job_id) not in stuck:
             table.source_removed(job_id)
@@ -65,14 +62,4 @@ def _remove(table: JobTable, storage: Storage, job_id: str) -> list[str]:
     """Remove a job. Returns the keys of its files that could not be removed."""
     removed = table.remove(job_id)
     keys = [] if removed is None else keys_of(job_id, removed.attempt)
-    return [key for key in keys if not _removed(storage, key)]
-
-
-def _removed(storage: Storage, key: str) -> bool:
-    """Remove a file; False if that fails."""
-    try:
-        storage.delete(key)
-    except OSError as error:
-        log.warning("%s cannot be removed: %s", key, error)
-        return False
-    return True
+    return [key for key in keys if not discard(storage, key)]

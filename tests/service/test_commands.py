@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from service import checking
-from service.api.options import EncodeQuery
+from service.api.encode import EncodeQuery
 from service.api.problems import ProblemError
 from service.commands import _for_whom, _where
 from service.opening import open_job_table

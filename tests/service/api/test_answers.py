@@ -149,7 +149,7 @@ def test_a_level_of_logs(run_command: RunCommand, tmp_path: Path) -> None:
     """Ours is chosen; libraries are never asked for more than information."""
     for level, expected in (("debug", (10, 20)), ("error", (40, 40))):
         run_command("check", data_dir=tmp_path, log_level=level)
-        names = ("service.api.middleware", "python_multipart")
+        names = ("service.api.gate", "python_multipart")
         assert tuple(logging.getLogger(name).getEffectiveLevel() for name in names) == expected
     logs.set_up_logging()
 

@@ -18,8 +18,8 @@ import httpx2
 import pytest
 
 from service.api.context import WORK_THREADS
+from service.api.health import Parts, Probes
 from service.api.metrics import VERSION
-from service.api.probes import Parts, Probes
 from tests.support.data import PICTURE
 from tests.support.job_table import grow_older
 from tests.support.pictures import SMALL

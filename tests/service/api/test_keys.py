@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from service.api.decode import MAX_CACHED_S
+from service.api.sending import MAX_CACHED_S
 from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
 from tests.support.data import PICTURE

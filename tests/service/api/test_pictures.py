@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from service.api.decode import MAX_CACHED_S
+from service.api.sending import MAX_CACHED_S
 from service.pictures import WRITERS, as_large, comparison_file
 from service.storage.files import bitstream_key
 from sgmethod.view import View

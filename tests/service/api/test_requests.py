@@ -17,8 +17,8 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from service.api.encode import OPTION_SCHEMAS, queries
 from service.api.jobs import JobSummary
-from service.api.options import OPTION_SCHEMAS, queries
 from service.api.problems import NAMED_REASONS, REASONS
 from sgmethod.budget import DEFAULT_BUDGET, bytes_value
 from sgmethod.client.client import Options

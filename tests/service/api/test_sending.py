@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from fastapi import Request
 from starlette.types import Message, Receive
 
+from service.api.context import Call
 from service.api.problems import ProblemError
 from service.api.sending import PART_BYTES, FileResponse
 from service.api.turns import Shares
@@ -19,9 +19,8 @@ NOTHING = cast(Receive, None)
 
 
 def answer(unread: Shares, client: str, file: bytes = FILE) -> FileResponse:
-    app = SimpleNamespace(state=SimpleNamespace(context=SimpleNamespace(unread=unread)))
-    request = SimpleNamespace(app=app, state=SimpleNamespace(caller=SimpleNamespace(client=client)))
-    return FileResponse(cast(Request, request), file, {"ETag": '"x"'}, "image/png")
+    call = SimpleNamespace(context=SimpleNamespace(unread=unread), caller=SimpleNamespace(client=client))
+    return FileResponse(cast(Call, call), file, {"ETag": '"x"'}, "image/png")
 
 
 def refused(unread: Shares, client: str) -> int:

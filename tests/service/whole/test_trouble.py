@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from service.api.context import WORK_THREADS
-from service.api.probes import THREADS
+from service.api.health import THREADS
 from service.storage.bucket import SILENCE
 from tests.service.s3_server import S3Server
 from tests.support.data import PICTURE, ROOT
