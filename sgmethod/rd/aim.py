@@ -154,7 +154,7 @@ class Aim(RateControl, ABC):
 
         points: logarithm of the quantum and distance above the aim of each try.
         """
-        slope = -DB_PER_DOUBLING
+        slope = -DB_PER_DOUBLING / 2  # of a set of Gaussians that is not fitted again
         (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
         if others and others[0][0] != x:
             x1, y1 = others[0]

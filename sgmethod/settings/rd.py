@@ -23,7 +23,7 @@ class Times:
     # The quantum moves towards the requested size or PSNR at the times of growth and at these.
     trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
     steering_from: float = 0.12
-    early_db: float = 2.0  # when steering begins, it aims this far below the final PSNR
+    early_db: float = 2.0  # when steering begins, it aims this far below the final quality
     quality_at: tuple[float, ...] = (0.33, 0.65, 0.86)  # few, because measuring takes as long as several steps
 
     # Surplus over the budget at first, given up between these times.
@@ -50,7 +50,7 @@ QUICK = Times(
     excess=0.0,
     few_until=0.85,
     quality_at=(0.2, 0.32, 0.46, 0.6, 0.88),
-    early_db=0.0,
+    early_db=-0.5,  # few growths begin slowly on a large picture; what is too much by then, coarser steps take back
     apart=1.5,  # so few steps leave no time to recover; 1.25 would end many fits that recover
 )
 # Effort 2: the same with two growths more, and a surplus.
