@@ -27,7 +27,7 @@ from sgmethod.errors import ImageError, SgError, noted
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import FORMATS
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image_8_bit, read_input
-from sgmethod.profiles import DEFAULT_EFFORT, PROFILE_NAMES, READERS, Profile, Tune, checked_profile, method_of
+from sgmethod.profiles import PROFILE_NAMES, READERS, Profile, Tune, checked_profile, method_of
 
 CUT_SHORT = 0.9  # of the time limit: an encode that takes longer was cut short by it
 FAIR_CPU_SHARE = 0.5
@@ -129,11 +129,9 @@ def tiny_encode(profile: Profile, tune: Tune | None = None) -> bytes:
     """Encode the tiny picture."""
     from sgmethod.codec import encode
 
-    # Other profiles have no effort, and larger minimum files. rd takes 20 ms and needs no time limit, which could cut
-    # it before it has imported all.
-    effort, size, limit_s = (1, 64, None) if profile == "rd" else (DEFAULT_EFFORT, 512, 0.1)
-    budget = Budget("bytes", size)
-    return encode(TINY_PICTURE, budget, profile, tune=tune, effort=effort, time_limit_s=limit_s).data
+    # Other profiles have no effort, and larger files; with one Gaussian, they take less than a second.
+    effort, budget = (1, Budget("bytes", 64)) if profile == "rd" else (None, Budget("gaussians", 1))
+    return encode(TINY_PICTURE, budget, profile, tune=tune, effort=effort).data
 
 
 def perform(task: frames.Task, file: bytes, answer: Answer) -> None:

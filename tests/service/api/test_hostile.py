@@ -210,10 +210,12 @@ def test_the_end_does_not_wait_for_ever(start_service: StartService) -> None:
             waiting.sendall(crowded)
         service.client.get("/livez")
         service.process.send_signal(signal.SIGTERM)
-        for connection in (sending, waiting):
-            assert problem_from(connection, 503)["type"] == "/docs#stop"
+        assert problem_from(sending, 503)["type"] == "/docs#stop"
         assert service.stop() == 0
     assert service.files() == []
     log = service.log.read_text()
     assert "Traceback" not in log
     assert len(re.findall(r"access: POST '/encode' 503 .* stop ", log)) == 1
+    # Where a body was not read yet, the connection may be reset before the client has seen the answer.
+    assert len(re.findall(r"access: POST '/decode' 503 .* stop ", log)) >= 2
+    assert not re.search(r"access: .* 500 ", log)
