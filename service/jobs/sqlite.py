@@ -103,7 +103,7 @@ class SqliteJobTable(JobTable):
                 db = idle.get_nowait()
             except queue.Empty:
                 db = self._connect()
-                db.executescript(SESSION)
+                _begin_session(db)
             yield db
         except sqlite3.Error as error:
             if db is not None:
@@ -141,3 +141,16 @@ class SqliteJobTable(JobTable):
                 self._idle.get_nowait().close()
             except queue.Empty:
                 return
+
+
+def _begin_session(db: sqlite3.Connection) -> None:
+    """Make the settings of SESSION. Where several processes change a new file to WAL, SQLite fails some at once."""
+    until = time.monotonic() + BUSY_TIMEOUT_S
+    while True:
+        try:
+            db.executescript(SESSION)
+            return
+        except sqlite3.OperationalError as error:
+            if not error.sqlite_errorname.startswith("SQLITE_BUSY") or time.monotonic() > until:
+                raise
+            time.sleep(0.01)
