@@ -157,10 +157,18 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
 
 
 def _retry(settings: Settings, arguments: argparse.Namespace) -> int:
+    refused = 0
     with closing(open_job_table(settings)) as table:
-        refused = [job for job in arguments.jobs if not table.retry(job)]
-    for job in refused:
-        print(f"{job}: not a failed job whose image is kept (SG_SOURCE_RETENTION_S)", file=sys.stderr)
+        for job_id in arguments.jobs:
+            if table.retry(job_id):
+                print(f"{job_id}: queued again")
+                continue
+            refused += 1
+            job = table.get(job_id)
+            why = "there is no such job in this job table" if job is None else f"it is {job.state}, not failed"
+            if job is not None and job.state == "failed":
+                why = "its image was kept no longer than SG_SOURCE_RETENTION_S"
+            print(f"{job_id}: {why}", file=sys.stderr)
     return TROUBLE if refused else 0
 
 

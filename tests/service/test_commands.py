@@ -147,12 +147,13 @@ def test_retry_puts_failed_jobs_back(run_command: RunCommand, tmp_path: Path, da
         failed, waits = submitted(table), submitted(table)
         table.fail(claimed(table), REFUSED)
         again = run_command("retry", failed, **settings)
-        assert (again.status, again.stdout, again.stderr) == (0, "", "")
+        assert (again.status, again.stdout, again.stderr) == (0, f"{failed}: queued again\n", "")
         assert state(table, failed) == "queued"
         assert table.fail(claimed(table), REFUSED)
-        some = run_command("retry", waits, failed, **settings)
-        assert some.status == 1
-        assert some.stderr == f"{waits}: not a failed job whose image is kept (SG_SOURCE_RETENTION_S)\n"
+        some = run_command("retry", waits, "unknown", failed, **settings)
+        assert (some.status, some.stdout) == (1, f"{failed}: queued again\n")
+        expected = f"{waits}: it is queued, not failed\nunknown: there is no such job in this job table\n"
+        assert some.stderr == expected
         assert state(table, failed) == "queued"
 
 
