@@ -11,6 +11,9 @@ from sgmethod.rd.problem import Problem
 
 LARGE = 1 << 18  # pixels of a picture; a smaller one is fitted in no time
 SMALLER = 4  # times: an atlas's fit also takes time for moving Gaussians to it
+# Pixels of an island's shorter side: words and stars. The wide Gaussians of a photograph reach far beyond its island,
+# where the atlas shows no error.
+NARROW = 64
 
 
 def whole_of(problem: Problem, backend: Backend) -> Level:
@@ -30,6 +33,8 @@ def pyramid_of(problem: Problem, gaussians: int, backend: Backend) -> Pyramid:
         return pyramid
     islands = Islands.from_pixels(problem.pixels, histogram.background)
     if islands is None or SMALLER * islands.pixels > pyramid.finest.pixels or problem.objective.shown is not None:
+        return pyramid
+    if any(min(box.width, box.height) > NARROW for box in islands.boxes):
         return pyramid
     colour = np.array([[histogram.background]], np.uint8)
     atlas = whole.atlas(islands, target_of(colour, problem.background))

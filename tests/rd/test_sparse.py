@@ -17,6 +17,7 @@ from sgmethod.rd.sparse import whole_of
 from sgmethod.scene import Gaussians, Pixels
 from sgmethod.settings.shared import Tune
 from tests.rd.short import asked, short
+from tests.support.pictures import photo
 
 GREY = (128, 128, 128)
 
@@ -98,3 +99,11 @@ def test_a_plain_picture_has_none() -> None:
 def test_a_photograph_is_fitted_whole() -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
     assert asked(pixels, Budget("bytes", 300)).levels.finest.islands is None
+
+
+def test_a_photograph_in_a_blank_area_is_drawn_well() -> None:
+    """Fitted as an island, its wide Gaussians smeared the area around it: 32 points, not 82."""
+    padded = np.full((600, 800, 3), 255, np.uint8)
+    padded[200:296, 300:428] = photo("kodim05-crop")[:96, :128]
+    stats = encode(padded, bytes=2500, tune="fidelity", measure=True).stats
+    assert stats.ssimulacra2 > 60
