@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import JobTableError, MissingPackagesError
+from service.jobs.job import Job
 from service.logs import set_up_logging
 from service.opening import open_job_table, open_storage
 from service.processes import StopSignal, is_loopback, listen, supervise, url
@@ -164,12 +165,17 @@ def _retry(settings: Settings, arguments: argparse.Namespace) -> int:
                 print(f"{job_id}: queued again")
                 continue
             refused += 1
-            job = table.get(job_id)
-            why = "there is no such job in this job table" if job is None else f"it is {job.state}, not failed"
-            if job is not None and job.state == "failed":
-                why = "its image was kept no longer than SG_SOURCE_RETENTION_S"
-            print(f"{job_id}: {why}", file=sys.stderr)
+            print(f"{job_id}: {_why_refused(table.get(job_id))}", file=sys.stderr)
     return TROUBLE if refused else 0
+
+
+def _why_refused(job: Job | None) -> str:
+    """Return why a job cannot be put back into the queue."""
+    if job is None:
+        return "there is no such job in this job table"
+    if job.state != "failed":
+        return f"it is {job.state}, not failed"
+    return "its image was kept no longer than SG_SOURCE_RETENTION_S"
 
 
 def _announce(settings: Settings) -> socket.socket:

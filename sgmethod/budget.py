@@ -101,8 +101,7 @@ class Budget:
         return int(self.value)
 
 
-DEFAULT_BPP = 0.5  # at most
-DEFAULT_BUDGET = Budget("quality", "web", max_bpp=DEFAULT_BPP)
+DEFAULT_BUDGET = Budget("quality", "web", max_bpp=0.5)
 
 
 def default_budget(width: int, height: int, least: int, *, has_quality: bool) -> Budget:

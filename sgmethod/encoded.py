@@ -19,7 +19,6 @@ from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.formats import OTHER_SUFFIXES, SUFFIXES
 from sgmethod.metrics import psnr, ssimulacra2
-from sgmethod.profiles import DEFAULT_EFFORT
 from sgmethod.scene import Pixels
 from sgmethod.trace import TracePoint
 
@@ -101,6 +100,7 @@ def measured(
 ) -> Stats:
     """Decode a file and measure it against pixels. measure: SSIMULACRA 2 too."""
     file, budget = SgFile(data), asked.budget
+    assert asked.effort is not None  # for_size() has chosen one
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
@@ -120,7 +120,7 @@ def measured(
         height=height,
         profile=asked.profile,
         tune=asked.tune,
-        effort=asked.effort or DEFAULT_EFFORT,
+        effort=asked.effort,
         psnr_missed_db=max(budget.value - db, 0.0) if budget.kind == "psnr" else None,
         quality_missed=max(budget.value - score, 0.0) if must_reach and score is not None else None,
     )

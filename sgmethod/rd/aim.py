@@ -19,15 +19,14 @@ from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.metrics.visual import SMALLEST_SIDE
 from sgmethod.rd.byte_limit import MIN_USED, alpha_limit, fitting_quantum
 from sgmethod.rd.rate_control import (
-    STEERING_EXPONENT,
     STEERING_LIMIT,
-    TRIM_EXPONENT,
     Attempts,
     Coded,
     Fitted,
     Measured,
     RateControl,
-    excess,
+    coarsened,
+    exponent,
     ssimulacra2_db,
 )
 from sgmethod.scene import Pixels
@@ -79,8 +78,7 @@ class Aim(RateControl, ABC):
             return quantum
         missing = max(1 - (at - times.steering_from) / (EARLY_UNTIL - times.steering_from), 0)
         above = self.reached(fitted) - self.aim_db + self.refined_db
-        exponent = STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
-        ratio = 2 ** ((above + times.early_db * missing) / DB_PER_DOUBLING * exponent)
+        ratio = 2 ** ((above + times.early_db * missing) / DB_PER_DOUBLING * exponent(times, at))
         # If rounding loses next to nothing, a finer quantum cannot add what is missing.
         if ratio < 1 and at > times.growth_at[-1] and fitted.lost_db < min(MISSED_DB, -above):
             return quantum
@@ -239,8 +237,7 @@ class QualityAim(Aim):
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Steer seldom, since measuring takes as long as steps, and never beyond the bytes that are allowed."""
         steered = super().steered(quantum, times, at, fitted) if at in times.quality_at else quantum
-        exponent = STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
-        of_bytes = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
+        of_bytes = coarsened(self.max_bytes, times, at, fitted.file_bytes)
         return float(max(steered, quantum * min(of_bytes, STEERING_LIMIT)))
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:

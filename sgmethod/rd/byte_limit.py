@@ -19,14 +19,12 @@ from sgmethod.errors import BudgetError
 from sgmethod.fitting.level import PIXELS_PER_GAUSSIAN
 from sgmethod.fitting.objective import Objective
 from sgmethod.rd.rate_control import (
-    STEERING_EXPONENT,
     STEERING_LIMIT,
-    TRIM_EXPONENT,
     Attempts,
     Coded,
     Fitted,
     RateControl,
-    excess,
+    coarsened,
 )
 from sgmethod.settings.rd import Times
 
@@ -117,8 +115,7 @@ class ByteBudget(ByteLimit):
         """
         if at < times.steering_from:
             return quantum
-        exponent = STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
-        ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
+        ratio = coarsened(self.max_bytes, times, at, fitted.file_bytes)
         return quantum * min(max(ratio, 1 / STEERING_LIMIT), STEERING_LIMIT)
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int, attempts: Attempts) -> float:

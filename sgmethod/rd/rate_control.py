@@ -64,6 +64,16 @@ def excess(times: Times, at: float) -> float:
     return 1 + times.excess * surplus(times, at)
 
 
+def exponent(times: Times, at: float) -> float:
+    """Return how far the quantum goes towards what would meet the budget: 1 is all the way."""
+    return STEERING_EXPONENT if at in times.growth_at else TRIM_EXPONENT
+
+
+def coarsened(max_bytes: int, times: Times, at: float, file_bytes: int) -> float:
+    """Return the factor on the quantum by which a file of file_bytes would meet a limit, early with its surplus."""
+    return float((file_bytes / (max_bytes * excess(times, at))) ** exponent(times, at))
+
+
 Attempts = Callable[[int], Iterable[int]]  # from a limit to as many as there is time for, at least one
 
 

@@ -50,7 +50,7 @@ QUICK = Times(
     excess=0.0,
     few_until=0.85,
     quality_at=(0.2, 0.32, 0.46, 0.6, 0.88),
-    early_db=-0.5,  # few growths begin slowly on a large picture; what is too much by then, coarser steps take back
+    early_db=-0.5,  # few growths begin slowly on a large picture; a coarser quantum takes back what is too much
     apart=1.5,  # so few steps leave no time to recover; 1.25 would end many fits that recover
 )
 # Effort 2: the same with two growths more, and a surplus.
@@ -105,13 +105,12 @@ EFFORTS: dict[int, Effort] = {
     9: Effort(rounds=(1, 2, 5, 12, 20)),
 }
 DEFAULT_EFFORT = 5
-EFFORTS_BY_SIZE = ((2_000_000, DEFAULT_EFFORT), (6_000_000, 3))  # pixels at most, and the default effort up to them
-EFFORT_BEYOND = 2
+EFFORTS_BY_SIZE = ((2e6, DEFAULT_EFFORT), (6e6, 3), (math.inf, 2))  # pixels at most, and the default effort up to them
 
 
 def default_effort(pixels: int) -> int:
     """Return the default effort of a picture of this many pixels."""
-    return next((effort for most, effort in EFFORTS_BY_SIZE if pixels <= most), EFFORT_BEYOND)
+    return next(effort for most, effort in EFFORTS_BY_SIZE if pixels <= most)
 
 
 @dataclass(frozen=True)
